@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.errors import InputError, did_you_mean
+from benchmark.records.run_schema import Want
 
 PACKAGED: Final = Path(__file__).parent / "weights"
 """Folder of the weights that come with this package."""
@@ -87,8 +88,8 @@ class Model:
         miniature: Set where it is a small network whose weights come with this package.
         published_as: What the paper calls it; the paper does not say which VAD it ran, whose larger one is the usual.
         native_protocol: Protocol of the repository that it comes from.
-        blind: Whether it looks at no image, so that nothing needs to be drawn for it.
-        sees: What it looks at instead.
+        wants: What its plans depend on that a data set may lack.
+        sees: What it looks at, if not at images.
         requires: Raises `InputError` where a package is absent that it needs.
         extra: Extra of this package that brings what it needs.
         extra_package: What that extra installs, as it is imported.
@@ -101,11 +102,16 @@ class Model:
     miniature: Miniature | None = None
     published_as: str | None = None
     native_protocol: str | None = None
-    blind: bool = False
+    wants: tuple[Want, ...] = ("images", "motion")
     sees: str = ""
     requires: str | None = None
     extra: str = ""
     extra_package: str = ""
+
+    @property
+    def blind(self) -> bool:
+        """Whether it looks at no image, so that nothing needs to be drawn for it."""
+        return "images" not in self.wants
 
     @property
     def packaged(self) -> Path:
@@ -269,15 +275,20 @@ _SPARSE_PLANNER: Final = "adapters.networks.sparse.planner:SparsePlanner"
 _UNIAD_PLANNER: Final = "adapters.networks.uniad.planner:UniADPlanner"
 _VAD_BASE: Final = Model("vad-base", _VAD_PLANNER, _VAD, weights="vad-base", published_as="VAD", native_protocol="vad")
 _BASELINES: Final = (
-    Model("constant-velocity", "adapters.baselines.constant_velocity:ConstantVelocity", blind=True, sees="own motion"),
-    Model("log-replay", "adapters.baselines.log_replay:LogReplay", blind=True, sees="recorded future"),
-    Model("idm", "adapters.baselines.idm:IntelligentDriver", blind=True, sees="boxes, map"),
-    Model("ego-status", "adapters.baselines.ego_status:EgoStatus", blind=True, sees="own motion, command"),
-    Model("stop", "adapters.baselines.stop:Stop", blind=True, sees="nothing"),
+    Model(
+        "constant-velocity",
+        "adapters.baselines.constant_velocity:ConstantVelocity",
+        wants=("motion",),
+        sees="own motion",
+    ),
+    Model("log-replay", "adapters.baselines.log_replay:LogReplay", wants=(), sees="recorded future"),
+    Model("idm", "adapters.baselines.idm:IntelligentDriver", wants=("map", "motion"), sees="boxes, map"),
+    Model("ego-status", "adapters.baselines.ego_status:EgoStatus", wants=("motion",), sees="own motion, command"),
+    Model("stop", "adapters.baselines.stop:Stop", wants=(), sees="nothing"),
     Model(
         "constant-velocity-on-path",
         "adapters.baselines.constant_velocity_on_path:ConstantVelocityOnPath",
-        blind=True,
+        wants=("motion",),
         sees="own motion, recorded path",
     ),
 )

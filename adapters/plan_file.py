@@ -2,19 +2,21 @@
 
 CSV, Parquet or JSON with these columns:
 
-* ``sample_token``, or both ``scene`` and ``timestamp`` (microseconds, the sample's keyframe time)
+* ``sample_token``, or both ``scene`` and ``timestamp`` (microseconds, the sample's keyframe time); the token of a
+  keyframe row of ``sample_data.json`` stands for its sample
 * ``frame``: ``lidar`` (x right, y forward, positions of the lidar origin) or ``ego`` (x forward, y left, positions of
   the rear axle)
 * ``x1``, ``y1``, ... ``x6``, ``y6``: waypoints at 0.5, 1.0, ... 3.0 s, metres
 
 JSON is a list of objects with these keys. Columns that are not named here are an error, so that a misspelt one is
-noticed. Every sample of the split needs exactly one row.
+noticed. Every sample of the split needs exactly one row; with ``--allow-partial`` a sample without one has failed.
+A CSV may have what Excel writes where the comma is the decimal sign: ``;`` between columns, and a mark of UTF-8.
 """
 
 import json
 from collections import Counter
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +24,7 @@ import numpy as np
 
 from adapters.models import published_as
 from benchmark.constants import FARTHEST_WAYPOINT_M, LONGEST_PLAN_STEPS, PLAN_STEPS
+from benchmark.datasets.contents import scenes_by_split
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
 from benchmark.foreign.files import one_line
@@ -29,12 +32,17 @@ from benchmark.foreign.tables import read_table
 from benchmark.geometry import Floats
 from benchmark.machine.storage import file_sha256
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
+from benchmark.plausibility.compared import ComparedPlans
+from benchmark.plausibility.measuring import FrameName, plausibility_of
+from benchmark.plausibility.verdicts import caveat_as_is, checks_said, refusal_of
+from benchmark.records.caveats import Caveat
 from benchmark.records.inventory import where_planned
 from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.code_identity import code_sha256
 from benchmark.runs.planner_facts import known_native
 from benchmark.truth import SampleTruth
+from benchmark.waypoints import waypoints_in_lidar
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -44,6 +52,29 @@ WAYPOINT_COLUMNS = LONGEST_COLUMNS[: 2 * PLAN_STEPS]
 """Those that every plan file has; the others may follow, one step after the other."""
 _BY_TOKEN, _BY_TIME = ("sample_token",), ("scene", "timestamp")
 _SHOWN = 3
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedFuture:
+    """What was recorded of the ego after a sample.
+
+    Attributes:
+        lidar_ahead_m: Lidar origin ahead of the rear axle.
+        positions: (6, 2) of the lidar, x right, y forward, metres; NaN past the end.
+    """
+
+    lidar_ahead_m: float
+    positions: Floats
+
+    @classmethod
+    def of(cls, truth: SampleTruth) -> "RecordedFuture":
+        """After a sample."""
+        positions = np.where(truth.ego_future_valid[:, None], truth.ego_future[:, :2], np.nan)
+        return cls(truth.lidar_ahead_m, positions)
+
+
+SplitSamples = Mapping[str, Mapping[tuple[Hashable, ...], RecordedFuture]]
+"""Samples by scene and by what rows call them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,31 +95,74 @@ class PlanFile:
     frames: tuple[PlanFrame, ...]
     waypoints: Floats
 
-    def require(self, data: "DataSet", split: str, scenes: Sequence[str]) -> None:
+    def require(
+        self,
+        samples: "SplitSamples",
+        split: str,
+        scenes: Sequence[str],
+        *,
+        allow_partial: bool = False,
+    ) -> None:
         """Check that there is one row for every sample, and none for anything else.
 
         Args:
-            data: The data set.
-            split: The split.
+            samples: Samples of the split (`samples_of`).
+            split: The split, for messages.
             scenes: Scenes that will be evaluated; rows of the split's other scenes may stay.
+            allow_partial: Whether a sample may have no row, and has failed then; one at least needs one.
 
         Raises:
             InputError: If rows are missing or do not belong to the split.
         """
-        every_scene = data.scene_names(split)
-        samples = {scene: {self._key(truth) for truth in data.truth(scene)} for scene in every_scene}
         present = set(self.keys)
-        missing = [key for scene in scenes for key in sorted(samples[scene] - present, key=str)]
-        if missing:
-            raise InputError(
-                f"{self.path} has no row for {_listed(missing)} of split {split!r}; every sample needs a plan"
+        missing = [key for scene in scenes for key in sorted(samples[scene].keys() - present, key=str)]
+        if missing and not (allow_partial and len(missing) < sum(len(samples[scene]) for scene in scenes)):
+            what = (
+                "no sample has one" if allow_partial else "every sample needs a plan, unless --allow-partial is given"
             )
+            raise InputError(f"{self.path} has no row for {_listed(missing)} of split {split!r}; {what}")
         known = set().union(*samples.values())
         extra = [key for key in self.keys if key not in known]
         if extra:
             raise InputError(
                 f"{self.path} has rows for {_listed(extra)} that split {split!r} does not have; remove them"
             )
+
+    def samples_of(self, data: "DataSet", split: str) -> "SplitSamples":
+        """Samples of a split by scene and by what rows call them, with what was recorded."""
+        return {
+            name: {self._key(truth): RecordedFuture.of(truth) for truth in data.truth(name)}
+            for name in data.scene_names(split)
+        }
+
+    def by_samples(self, tokens: Mapping[str, str]) -> "PlanFile":
+        """The same with names of samples.
+
+        Args:
+            tokens: Sample tokens by what rows may have in their place.
+
+        Returns:
+            The file.
+
+        Raises:
+            InputError: If two rows are of one sample.
+        """
+        keys = tuple((tokens.get(str(key[0]), key[0]),) for key in self.keys)
+        _require_once(self.path, keys)
+        return replace(self, keys=keys)
+
+    def compared(self, samples: "SplitSamples") -> ComparedPlans:
+        """Plans of samples beside what was recorded."""
+        known = {key: future for of_scene in samples.values() for key, future in of_scene.items()}
+        rows = [row for row, key in enumerate(self.keys) if key in known]
+        futures = [known[self.keys[row]] for row in rows]
+        plans = [
+            waypoints_in_lidar(self.waypoints[row, :PLAN_STEPS], self.frames[row], future.lidar_ahead_m)
+            for row, future in zip(rows, futures, strict=True)
+        ]
+        shape = (len(rows), PLAN_STEPS, 2)
+        recorded = np.array([future.positions for future in futures]).reshape(shape)
+        return ComparedPlans.of(np.array(plans).reshape(shape), recorded)
 
     def _key(self, sample: SampleTruth | Observation) -> tuple[Hashable, ...]:
         return (sample.sample_token,) if self.by_token else (sample.scene, sample.timestamp_us)
@@ -135,14 +209,30 @@ class PlanFileFactory:
     Attributes:
         path: The file.
         facts: Its identity: name and hash of the file.
+        tokens: Sample tokens by the tokens of keyframe rows, where the file has those.
+        frame: Frame of all plans, if it is not that of the file.
+        caveats: What the record has to say of plans that were taken as they stand.
+        measured: What tests of unit, frame, origin and time measured, or that they are not testable.
     """
 
     path: Path
     facts: PlannerFacts
+    tokens: Mapping[str, str] = field(default_factory=dict)
+    frame: FrameName | None = None
+    caveats: tuple[Caveat, ...] = ()
+    measured: Mapping[str, str] = field(default_factory=dict)
 
     def __call__(self) -> PlanFilePlanner:
         """Read the file again."""
-        return PlanFilePlanner(read_plan_file(self.path), self.facts.name)
+        plans = read_plan_file(self.path, self.frame)
+        return PlanFilePlanner(plans.by_samples(self.tokens) if self.tokens else plans, self.facts.name)
+
+    @property
+    def sentences(self) -> list[str]:
+        """What there is to report of the file."""
+        rows = "sample_token holds tokens of sample_data rows; each stands for the sample of its keyframe"
+        told = [f"{self.path}: {rows}"] if self.tokens else []
+        return [*told, f"{self.path}: {checks_said(self.measured)}"]
 
 
 def plan_file_factory(
@@ -155,6 +245,9 @@ def plan_file_factory(
     name: str | None = None,
     native: str | None = None,
     records: "Sequence[Path]" = (),
+    allow_partial: bool = False,
+    frame: FrameName | None = None,
+    as_is: bool = False,
 ) -> PlanFileFactory:
     """The planner of a plan file, checked against the samples it is for.
 
@@ -167,40 +260,66 @@ def plan_file_factory(
         name: Shown in tables; the file's name without its ending by default.
         native: Protocol of the repository that the planner comes from, if it is known here.
         records: Folders of run records, to say what a file of other data is for.
+        allow_partial: Whether samples may have no row; they have failed then.
+        frame: Frame of all plans, ``lidar`` or ``ego``, whatever the file says.
+        as_is: Take plans as they stand, whatever unit, frame, origin or time would fit better; the record says so.
 
     Returns:
         A factory for `benchmark.evaluation.evaluate`.
 
     Raises:
-        InputError: If the file is malformed, its rows do not match the samples, or the native protocol is unknown.
+        InputError: If the file is malformed, its rows do not match the samples, its plans fit far better otherwise
+            (`benchmark.plausibility`), or the native protocol is unknown.
     """
     known_native(native, f"plan file {path}")
-    plans = read_plan_file(path)
+    plans = read_plan_file(path, frame)
+    chosen, samples = EvalSettings(scenes=scenes, limit=limit).chosen(data, split), plans.samples_of(data, split)
+    tokens = _tokens_of_keyframes(plans, data, samples)
+    plans = plans.by_samples(tokens) if tokens else plans
     try:
-        plans.require(data, split, EvalSettings(scenes=scenes, limit=limit).chosen(data, split))
+        plans.require(samples, split, chosen, allow_partial=allow_partial)
     except InputError as error:
-        raise _foreign(plans, data, split, records) or error from None
+        raise _foreign(plans, data, split, samples, records) or error from None
+    found = plausibility_of(plans.compared(samples))
+    if found.misreading is not None and not as_is:
+        raise InputError(refusal_of(path, found.misreading))
     facts = PlannerFacts(
         name=name or path.stem,
         privileged=False,
         weights_sha256=None,
         code_sha256=code_sha256(PlanFilePlanner),
-        settings={PLANS_SHA256: file_sha256(path)},
+        settings={PLANS_SHA256: file_sha256(path), **({} if frame is None else {"frame": frame})},
         native_protocol=native,
         published_as=published_as(name or path.stem),
     )
-    return PlanFileFactory(path, facts)
+    caveats = () if found.misreading is None else (caveat_as_is(found.misreading),)
+    return PlanFileFactory(path, facts, tokens, frame, caveats, found.measured)
 
 
-def _foreign(plans: PlanFile, data: "DataSet", split: str, records: Sequence[Path]) -> InputError | None:
+def _tokens_of_keyframes(plans: PlanFile, data: "DataSet", samples: "SplitSamples") -> dict[str, str]:
+    """Sample tokens by those of keyframe rows that the file has in their place; empty where it has none."""
+    named = {str(key[0]) for key in plans.keys} if plans.by_token else set()
+    if named <= {str(key[0]) for keys in samples.values() for key in keys}:
+        return {}
+    rows = {row: sample for scene in samples for row, sample in data.keyframe_rows(scene).items()}
+    return {row: rows[row] for row in sorted(named & rows.keys())}
+
+
+def _foreign(
+    plans: PlanFile,
+    data: "DataSet",
+    split: str,
+    samples: "SplitSamples",
+    records: Sequence[Path],
+) -> InputError | None:
     """What to say of a file of which no row belongs to the split; ``None`` if some do."""
-
-    def keys(of_split: str) -> set[tuple[Hashable, ...]]:
-        return {plans._key(truth) for scene in data.scene_names(of_split) for truth in data.truth(scene)}
-
-    if keys(split) & set(plans.keys):
+    present = set(plans.keys)
+    if not present.isdisjoint(set().union(*samples.values())):
         return None
-    mine = next((other for other in data.splits() if other != split and keys(other) & set(plans.keys)), None)
+    others = (other for other in scenes_by_split(data)[0] if other != split)
+    mine = next(
+        (each for each in others if not present.isdisjoint(set().union(*plans.samples_of(data, each).values()))), None
+    )
     there = where_planned(records, [tuple(json.dumps(part) for part in key) for key in plans.keys[:_SHOWN]])
     seems = "whose samples it names is not known here; name the data set that it was made for with --data"
     if mine is not None:
@@ -212,11 +331,12 @@ def _foreign(plans: PlanFile, data: "DataSet", split: str, records: Sequence[Pat
     )
 
 
-def read_plan_file(path: Path) -> PlanFile:
+def read_plan_file(path: Path, frame: FrameName | None = None) -> PlanFile:
     """Read and check a plan file.
 
     Args:
         path: ``.csv``, ``.parquet`` or ``.json``.
+        frame: Frame of all plans, whatever the file says.
 
     Returns:
         Its rows, in the order of the file.
@@ -231,15 +351,14 @@ def read_plan_file(path: Path) -> PlanFile:
     if len(table) == 0:
         raise InputError(f"{path} has no rows")
     keys = tuple(_row_key(path, key_columns, values) for values in zip(*(table[column] for column in key_columns)))
-    repeated = [key for key, count in Counter(keys).items() if count > 1]
-    if repeated:
-        raise InputError(f"{path} has more than one row for {_listed(repeated)}")
+    _require_once(path, keys)
     waypoints = _numbers(path, table, keys)
-    frames = tuple(str(frame) for frame in table["frame"])
-    wrong = [f"{frame!r} ({_shown(key)})" for frame, key in zip(frames, keys) if frame not in set(PlanFrame)]
+    frames = tuple(str(own) for own in table["frame"])
+    wrong = [f"{own!r} ({_shown(key)})" for own, key in zip(frames, keys) if own not in set(PlanFrame)]
     if wrong:
         raise InputError(f"{path} has the unknown frame {_counted(wrong)}; a frame is 'lidar' or 'ego'")
-    return PlanFile(path, key_columns == _BY_TOKEN, keys, tuple(PlanFrame(frame) for frame in frames), waypoints)
+    read_as = tuple(PlanFrame(frame or own) for own in frames)
+    return PlanFile(path, key_columns == _BY_TOKEN, keys, read_as, waypoints)
 
 
 def _read_table(path: Path) -> Any:
@@ -310,6 +429,12 @@ def _numbers(path: Path, table: Any, keys: tuple[tuple[Hashable, ...], ...]) -> 
             "they are metres from the car, not global coordinates"
         )
     return waypoints
+
+
+def _require_once(path: Path, keys: Sequence[tuple[Hashable, ...]]) -> None:
+    repeated = [key for key, count in Counter(keys).items() if count > 1]
+    if repeated:
+        raise InputError(f"{path} has more than one row for {_listed(repeated)}")
 
 
 def _shown(key: tuple[Hashable, ...]) -> str:

@@ -46,7 +46,7 @@ class NamedPlanner:
         device: Passed to planners that take one; of several each process takes one.
         precision: Passed to planners that take one.
         as_published: Passed to planners that take it.
-        over_http: Passed to planners behind HTTP: ``image_format``, ``deadline_s``.
+        over_http: Passed to planners behind HTTP: ``image_format``, ``deadline_s``, ``frame``.
         supervision: Limits of a process of its own; ``None`` of planners that run in this one.
         identity: Who it says that it is, if it runs in a process of its own.
     """
@@ -143,6 +143,8 @@ def planner_factory(
         settings |= {"checkpoint": checkpoint.name, "checkpoint_sha256": file_sha256(checkpoint)}
     known = {"settings": settings, "seed": seed, "published_as": published_as(facts.name)}
     model = MODELS.get(name)
+    # A model server is sent both; what other planners use of an observation is not known.
+    known["wants"] = list(model.wants) if model is not None else ["images", "motion"] if is_address(name) else []
     if model is not None and model.network is not None:
         # Planners do not read the table, so that of it their own entry alone counts.
         known["code_sha256"] = content_key(facts.code_sha256, model.identity)

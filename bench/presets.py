@@ -130,7 +130,7 @@ def rate(data: DataSet, split: str, planner: str, case: Case, options: argparse.
     record = evaluate(data, split, api.load_planner(planner, data=case.data), runs, settings)
     outcomes = [row.outcomes["exact"] for row in record.rows if row.outcomes]
     counted = [outcome for outcome in outcomes if outcome.counted]
-    return sum(any(outcome.collision) for outcome in counted), len(counted)
+    return sum(any(outcome.collision or ()) for outcome in counted), len(counted)
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:

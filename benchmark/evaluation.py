@@ -15,6 +15,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from benchmark.datasets.annotation_counts import require_annotated
+from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.judged import stored_realism
 from benchmark.datasets.scene_facts import frozen_split_of, with_truth
 from benchmark.errors import InputError, did_you_mean
@@ -39,7 +41,8 @@ from benchmark.runs.failures import write_failures
 from benchmark.runs.plan_rows import PlannerFactory, rows_path, supervision_said
 from benchmark.runs.planner_facts import facts_of
 from benchmark.runs.run_directory import run_directory, tidy
-from benchmark.runs.scene_work import Run, SceneResult, reopen_root, work_here, work_in_worker
+from benchmark.runs.scene_work import Run, SceneResult, reopening, work_here, work_in_worker
+from benchmark.runs.vocabulary import require_vocabulary, unjudged
 from benchmark.runs.whole_split import work_through
 
 if TYPE_CHECKING:
@@ -61,6 +64,7 @@ class EvalSettings:
         seed: Seed of the intervals.
         fresh: Plan again even where plans are kept.
         timings: Folder for notes on what planners cost, one file a record; without it none are kept.
+        asked: Judges whose verdicts somebody asked for by name: refused where they have none on any contact.
     """
 
     protocols: tuple[str, ...] = STANDARD
@@ -70,6 +74,7 @@ class EvalSettings:
     seed: int = 0
     fresh: bool = False
     timings: Path | None = None
+    asked: tuple[str, ...] = ()
 
     def chosen(self, data: "DataSet", split: str) -> tuple[str, ...]:
         """The scenes that will run.
@@ -263,8 +268,12 @@ def _planned(
     for name in settings.protocols:
         protocol(name)
     scenes, every_scene = settings.chosen(data, split), data.scene_names(split)
+    counts = require_annotated(data, split, scenes)
+    own = () if facts.native_protocol is None else (facts.native_protocol,)
+    require_vocabulary(counts, (*settings.asked, *own), settings.protocols, str(data.root))
     directory = run_directory(out, data.name, split, facts, () if len(scenes) == len(every_scene) else scenes)
-    run = Run(directory, data.fingerprint(), split, facts, settings.protocols, settings.fresh)
+    silent = unjudged(counts, settings.protocols)
+    run = Run(directory, data.fingerprint(), split, facts, settings.protocols, settings.fresh, silent)
     return _Planned(run, ready, factory, settings, scenes)
 
 
@@ -281,7 +290,7 @@ def _evaluated(
     runs, workers, scenes = [each.run for each in planned], planned[0].settings.workers, planned[0].scenes
     elsewhere = None
     if workers > 1 and all(each.portable for each in planned):
-        opener = reopen or partial(reopen_root, data.root, data.version, data.name)
+        opener = reopen or reopening(data)
         elsewhere = partial(work_in_worker, runs, opener, [each.factory for each in planned if each.factory])
     shared = _of_the_data(data, split, scenes, out, workers)
     with ExitStack() as writing:
@@ -308,7 +317,7 @@ def _evaluated(
         shared["scene_facts"] = with_truth(shared["scene_facts"], truths)
         return [
             # Rows are by scene and time, in whatever order scenes were planned.
-            _written(each, shared, own.in_order_of(scenes), spent, out)
+            _written(each, shared, own.in_order_of(scenes), spent, out, data.categories)
             for each, own, spent in zip(planned, rows, costs, strict=True)
         ]
 
@@ -330,7 +339,12 @@ def _of_the_data(data: "DataSet", split: str, scenes: tuple[str, ...], out: Path
 
 
 def _written(
-    planned: _Planned, shared: Mapping[str, Any], rows: Rows, costs: Mapping[str, SceneCost | None], out: Path
+    planned: _Planned,
+    shared: Mapping[str, Any],
+    rows: Rows,
+    costs: Mapping[str, SceneCost | None],
+    out: Path,
+    categories: CategoryNames,
 ) -> RunRecord:
     """Write the record of one run."""
     facts, settings, directory = planned.run.planner, planned.settings, planned.run.directory
@@ -343,6 +357,7 @@ def _written(
             "protocols": list(settings.protocols),
             "seed": settings.seed,
             **supervision_said(planned.factory),
+            **({"categories": dict(categories)} if categories else {}),
         },
     }
     versions = {name: protocol(name).version for name in settings.protocols}

@@ -66,6 +66,8 @@ class SampleTruth:
             second apart (`benchmark.datasets.steps`); ``None`` where they are.
         at_two_hz: Whether key frames of the scene come at 2 Hz, so that they can be taken for steps at all.
         cut_short: Whether the recording goes on to the last step and yet a gap between key frames makes steps unknown.
+        labelled: Whether objects were looked for now and at all steps that were recorded
+            (`benchmark.datasets.labelled`); where not, nothing can be said of contacts.
     """
 
     scene: str
@@ -90,6 +92,7 @@ class SampleTruth:
     timed: "SampleTruth | None" = None
     at_two_hz: bool = True
     cut_short: bool = False
+    labelled: bool = True
 
     @property
     def by_clock(self) -> "SampleTruth":

@@ -15,8 +15,9 @@ from leaderboard.tables.ablation import ablation_tables
 from leaderboard.tables.collision import collision_table, native_table
 from leaderboard.tables.comparisons import Verdicts, split_table
 from leaderboard.tables.diagnosis import diagnosis_tables
+from leaderboard.tables.effect import effect_table
 from leaderboard.tables.rows import in_table_order
-from leaderboard.tables.transfer import agreement_table, transfer_table
+from leaderboard.tables.transfer import lift_table, transfer_table
 
 PAGE: Final = "README.md"
 NUMBERS: Final = "results.json"
@@ -67,14 +68,16 @@ def write_results(
 def _results_tables(data_name: str, records: Sequence[RunRecord]) -> list[Table]:
     """The tables of the page in reading order: collisions, what changes between splits, transfer, diagnosis."""
     tables: list[Table | None] = [
+        effect_table(data_name, records),
         collision_table(data_name, EXACT, records),
         native_table(data_name, records),
         split_table(data_name, EXACT, records, Verdicts()),
     ]
     adversarial = in_table_order([record for record in records if record.run.split == "adv"])
     if len(adversarial) > 1:
-        matrix = transfer(adversarial, protocol=EXACT)
-        tables += [transfer_table(data_name, matrix), agreement_table(data_name, matrix)]
+        for adversary_only in (False, True):
+            matrix = transfer(adversarial, protocol=EXACT, adversary_only=adversary_only)
+            tables += [transfer_table(data_name, matrix), lift_table(data_name, matrix)]
     tables += diagnosis_tables(data_name, records)
     return [table for table in tables if table is not None]
 

@@ -1,5 +1,6 @@
 """What a family of result files gives: plans in the file's own frame, and which sample each belongs to."""
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -85,6 +86,12 @@ class ResultFormat:
     lacks: tuple[str, ...] = LACKS
     by_place: bool = False
 
+    @property
+    def planners(self) -> frozenset[str]:
+        """Whose repositories write it, in lower case."""
+        names = re.sub(r"\(.*?\)", "", self.repositories).split(",")
+        return frozenset(name.strip().lower() for name in names)
+
 
 def refuse(path: Path, category: Category, what: str, advice: str) -> NoReturn:
     """Raise the refusal of a file: what is wrong with it, and what to do."""
@@ -114,6 +121,10 @@ def rows_of(path: Path, tokens: list[Any], samples: RecordedSamples) -> Rows:
     unknown = [token for token in tokens if token not in known]
     if unknown:
         which = f"{len(unknown)} of its {len(tokens)} samples, the first {one_line(unknown[0], 64)!r},"
+        other = None if samples.others is None else samples.others.first(lambda tokens: unknown[0] in tokens)
+        if other is not None:
+            what = f"{which} are samples of split {other!r}, not of {samples.name}"
+            refuse(path, "token", what, f"judge it with --split {other}")
         advice = "name the data and the split that the planner ran on with --data and --split"
         refuse(path, "token", f"{which} are none of {samples.name}", advice)
     return np.array([known[token] for token in tokens], np.int64)

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from adapters.result_files.contract import FilePlans, ResultFormat, refuse
+from adapters.result_files.contract import FileFrame, FilePlans, ResultFormat, refuse
 from adapters.result_files.frames import lidar_waypoints, plans_of
 from adapters.result_files.plausibility import require_plausible
 from adapters.result_files.recognition import Recognised
@@ -16,6 +16,7 @@ from benchmark.errors import InputError
 from benchmark.foreign.refusals import RefusedFile
 from benchmark.geometry import Floats
 from benchmark.planning import Plan
+from benchmark.plausibility.measuring import FrameName, Plausibility
 from benchmark.records.run_schema import SampleOrder
 
 SHOWN: Final[tuple[SampleOrder, ...]] = ("assumed", "consistent", "proven", "tokens")
@@ -31,18 +32,23 @@ class ImportedPlans:
         format: Their format.
         found: Plans in the frame of the files.
         plans: The same as protocols take them, by sample token.
-        said: What tests of unit, frame and origin measured.
+        plausibility: What tests of unit, frame, origin and time measured.
     """
 
     paths: tuple[Path, ...]
     format: ResultFormat
     found: FilePlans
     plans: dict[str, Plan]
-    said: dict[str, str]
+    plausibility: Plausibility
 
 
 def import_results(
-    opened: Sequence[Recognised], samples: RecordedSamples, scenes: Collection[str] | None = None
+    opened: Sequence[Recognised],
+    samples: RecordedSamples,
+    scenes: Collection[str] | None = None,
+    *,
+    frame: FrameName | None = None,
+    as_is: bool = False,
 ) -> ImportedPlans:
     """Find the plans of result files.
 
@@ -50,6 +56,8 @@ def import_results(
         opened: Files of one run, or folders.
         samples: Samples of the split.
         scenes: Only these scenes are evaluated: a file without tokens may be of them alone.
+        frame: Frame of the waypoints, if it is not that of the format.
+        as_is: Take plans as they stand, whatever would fit better.
 
     Returns:
         The plans.
@@ -72,11 +80,12 @@ def import_results(
         )
     parts = [_read(each, samples, scenes) for each in opened]
     found = _joined(parts, opened, samples)
-    lidar = lidar_waypoints(found, samples)
-    said = require_plausible(first.path, lidar, found.rows, samples).said
+    if frame is not None:
+        found = replace(found, frame=FileFrame(frame))
+    plausibility = require_plausible(first.path, lidar_waypoints(found, samples), found.rows, samples, as_is=as_is)
     tokens = [samples.tokens[row] for row in found.rows.tolist()]
     plans = dict(zip(tokens, plans_of(found, samples), strict=True))
-    return ImportedPlans(tuple(each.path for each in opened), first.format, found, plans, said)
+    return ImportedPlans(tuple(each.path for each in opened), first.format, found, plans, plausibility)
 
 
 def _read(opened: Recognised, samples: RecordedSamples, scenes: Collection[str] | None) -> FilePlans:

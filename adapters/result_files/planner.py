@@ -14,6 +14,9 @@ from adapters.result_files.samples import samples_of_data
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, file_sha256
 from benchmark.planning import Observation, Plan, SceneInfo
+from benchmark.plausibility.measuring import FrameName
+from benchmark.plausibility.verdicts import caveat_as_is, checks_said
+from benchmark.records.caveats import Caveat
 from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run_schema import PlannerFacts, PlansFrom
 from benchmark.report.words import counted
@@ -70,12 +73,14 @@ class ResultFileFactory:
         plans_from: What the files say, for the record.
         plans: By sample token.
         skipped: Why the plan of a sample cannot be read, by token.
+        caveats: What the record has to say of plans that were taken as they stand.
     """
 
     facts: PlannerFacts
     plans_from: PlansFrom
     plans: Mapping[str, Plan]
     skipped: Mapping[str, str]
+    caveats: tuple[Caveat, ...] = ()
 
     def __call__(self) -> ResultFilePlanner:
         """Build it."""
@@ -102,8 +107,7 @@ class ResultFileFactory:
             said.append(f"{counted(found.duplicates, 'entry', 'entries')} repeated and left out")
         if found.steps == LONG_PLAN_STEPS:
             said.append("plans of 6 s: protocols judge the first 3 s of a planner that was trained for 6 s")
-        checks = "; ".join(f"{name}: {text}" for name, text in found.checks.items())
-        return [*said, f"checks: {checks}", f"the record has no {', no '.join(found.lacks)}"]
+        return [*said, checks_said(found.checks), f"the record has no {', no '.join(found.lacks)}"]
 
 
 def result_file_factory(
@@ -114,6 +118,8 @@ def result_file_factory(
     scenes: tuple[str, ...] | None = None,
     name: str | None = None,
     native: str | None = None,
+    frame: FrameName | None = None,
+    as_is: bool = False,
 ) -> ResultFileFactory:
     """The planner of result files, checked against the samples that they are for.
 
@@ -124,6 +130,8 @@ def result_file_factory(
         scenes: Only these scenes will be evaluated; the whole split by default.
         name: Shown in tables; the first file's name without its ending by default.
         native: Protocol of the repository that the planner comes from, if it is not that of the format.
+        frame: Frame of the waypoints, ``lidar`` or ``ego``, if it is not that of the format.
+        as_is: Take plans as they stand, whatever unit, frame, origin or time would fit better; the record says so.
 
     Returns:
         A factory for `benchmark.evaluation.evaluate`.
@@ -135,7 +143,8 @@ def result_file_factory(
     paths = [each.path for each in opened]
     known_native(native, f"result file {paths[0]}")
     every = samples_of_data(data, split)
-    imported = import_results(opened, every, scenes)
+    imported = import_results(opened, every, scenes, frame=frame, as_is=as_is)
+    misreading = imported.plausibility.misreading
     name = name or paths[0].stem
     names = [path.name for path in paths]
     numbered = [name if names.count(name) == 1 else f"{name} ({at})" for at, name in enumerate(names, start=1)]
@@ -146,13 +155,18 @@ def result_file_factory(
         weights_sha256=None,
         code_sha256=code_sha256(ResultFilePlanner, made_by=_MAKER),
         settings={
-            PLANS_SHA256: next(iter(hashes.values())) if len(hashes) == 1 else content_key(sorted(hashes.values()))
+            PLANS_SHA256: next(iter(hashes.values())) if len(hashes) == 1 else content_key(sorted(hashes.values())),
+            **({} if frame is None else {"frame": frame}),
         },
         native_protocol=native or imported.format.native,
         published_as=published_as(name),
     )
     return ResultFileFactory(
-        facts, _described(imported, hashes, len(every.tokens)), imported.plans, imported.found.skipped
+        facts,
+        _described(imported, hashes, len(every.tokens)),
+        imported.plans,
+        imported.found.skipped,
+        () if misreading is None else (caveat_as_is(misreading),),
     )
 
 
@@ -172,7 +186,7 @@ def _described(imported: ImportedPlans, hashes: dict[str, str], samples: int) ->
         duplicates=found.duplicates,
         repaired=found.repaired,
         mirrored=found.mirrored,
-        checks=imported.said,
+        checks=imported.plausibility.measured,
         lacks=lacks,
     )
 

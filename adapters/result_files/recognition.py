@@ -1,7 +1,7 @@
 """Which format a file has: told by its content, never by its name."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -75,7 +75,22 @@ def require_format(name: str) -> None:
     if name == NO_PLANS:
         raise InputError(f"{NO_PLANS} holds metrics of LAW and no plan; choose another format")
     if name != AUTO and name not in FORMATS:
-        raise InputError(f"no format {name!r}; {did_you_mean(name, FORMATS)}known are {AUTO}, {', '.join(FORMATS)}")
+        raise no_format(name, (AUTO, *FORMATS))
+
+
+def no_format(name: str, known: Collection[str]) -> InputError:
+    """The refusal of a name that no format has.
+
+    Args:
+        name: What was given: a planner's name, perhaps, for many know a file by who wrote it.
+        known: Names of formats, and what else is taken.
+
+    Returns:
+        The error, which suggests formats of that name's planners, else names that are nearly the same.
+    """
+    of_planner = [each.name for each in FORMATS.values() if name.lower() in each.planners]
+    suggested = f"did you mean {' or '.join(of_planner)}? " if of_planner else did_you_mean(name, known)
+    return InputError(f"no format {name!r}; {suggested}known are {', '.join(known)}")
 
 
 def recognise(path: Path, wanted: str = AUTO) -> Recognised:

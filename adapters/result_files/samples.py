@@ -1,6 +1,6 @@
 """What an importer must know of the samples that plans belong to: tokens, poses, recorded lidar futures, orders."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
+from benchmark.datasets.contents import scenes_by_split
 from benchmark.datasets.infos.order import exported_order
 from benchmark.geometry import Bools, Floats, rotation_matrix, yaw_of_quaternion
 from benchmark.planning import Command
@@ -20,6 +21,34 @@ if TYPE_CHECKING:
 UNDECIDED_M: Final = 0.05
 """So near to the border between two commands either may have been stored: official converters work in three dimensions
 and single precision."""
+
+
+@dataclass(frozen=True, slots=True)
+class OtherSplits:
+    """The other splits of the data set, for files that belong to one of them.
+
+    Attributes:
+        data: The data set.
+        split: The split that was asked for.
+    """
+
+    data: "DataSet"
+    split: str
+
+    def first(self, fits: Callable[[Set[str]], bool]) -> str | None:
+        """The first other split that a file fits.
+
+        Args:
+            fits: Whether it may be of a split with these sample tokens.
+
+        Returns:
+            Its name, or ``None``.
+        """
+        for split, scenes in scenes_by_split(self.data)[0].items():
+            tokens = {sample for scene in scenes for sample in self.data.keyframe_rows(scene).values()}
+            if split != self.split and fits(tokens):
+                return split
+        return None
 
 
 @dataclass(frozen=True)
@@ -38,6 +67,7 @@ class RecordedSamples:
         valid: (S, 6) whether the keyframe exists.
         by_time: Rows in the order of info files that are sorted by time.
         by_table: Rows in the order of info files that are not sorted: scene by scene.
+        others: The other splits of the data set, if they are known.
     """
 
     name: str
@@ -50,6 +80,7 @@ class RecordedSamples:
     valid: Bools
     by_time: NDArray[np.int64]
     by_table: NDArray[np.int64]
+    others: OtherSplits | None = None
 
     @cached_property
     def row_of(self) -> dict[str, int]:
@@ -137,6 +168,7 @@ def samples_of_data(data: "DataSet", split: str) -> RecordedSamples:
         # Stable, as Python's sort: variants of one recording share their times.
         by_time=np.argsort(times, kind="stable"),
         by_table=np.arange(len(tokens)),
+        others=OtherSplits(data, split),
     )
 
 

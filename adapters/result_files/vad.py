@@ -93,12 +93,12 @@ def require_count(path: Path, found: int, wanted: int, samples: RecordedSamples)
     if not found:
         refuse(path, "empty", "it has no entries", "run the planner again")
     if found != wanted:
-        refuse(
-            path,
-            "count",
-            f"it has {found} entries without tokens, and {samples.name} has {wanted} samples",
-            "run the planner on exactly this split, or name the scenes that it ran on with --scenes",
-        )
+        what = f"it has {found} entries without tokens, and {samples.name} has {wanted} samples"
+        other = None if samples.others is None else samples.others.first(lambda tokens: len(tokens) == found)
+        if other is not None:
+            refuse(path, "count", f"{what}; split {other!r} has {found}", f"judge it with --split {other}")
+        advice = "run the planner on exactly this split, or name the scenes that it ran on with --scenes"
+        refuse(path, "count", what, advice)
 
 
 def _chosen(path: Path, offsets: Any, command: Any, where: str) -> tuple[Floats, int]:

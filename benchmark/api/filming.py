@@ -69,6 +69,7 @@ def write_drive_films(
     """
     from benchmark.closed_loop.engines import rides_as
     from benchmark.runs.drive_sheets import driven_sheet
+    from benchmark.runs.rescoring import replaced_categories
     from leaderboard.films.drive_film import DRIVE_FPS
     from leaderboard.films.encoding import require_webm
     from leaderboard.films.film import FilmSettings
@@ -85,9 +86,10 @@ def write_drive_films(
     for record, name, rows in chosen:
         measured = record.facts.measured
         maker = rides_as(measured)
+        own = driven_on.with_categories(replaced_categories(record.facts))
         for row in rows:
             with tempfile.TemporaryDirectory() as folder:
-                driven = driven_sheet(Path(folder), driven_on, record, row, maker, _sensor(record))
+                driven = driven_sheet(Path(folder), own, record, row, maker, _sensor(record))
                 yield write_drive_film(driven, record, name, to, FilmFormat(form), how, **watched)
 
 

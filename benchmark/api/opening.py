@@ -46,6 +46,7 @@ def open_data(
     out: Path = OUT,
     rates: "FaultList | None" = None,
     sweeps: bool = False,
+    categories: str | Path | None = None,
 ) -> "DataSet":
     """Open a data set; the embedded one is built into the user's cache the first time.
 
@@ -59,13 +60,16 @@ def open_data(
             refuse them.
         sweeps: Whether the embedded data set, or the demo's town, is to have its images between samples too, for films
             at 12 Hz; they are drawn when somebody asks for them, and no table changes by it.
+        categories: What categories mean that are not nuScenes': ``short``, ``lyft``, ``t4``, ``argoverse2``, or a JSON
+            file ``{"name": "nuscenes.category"}`` (docs/data.md).
 
     Returns:
         The data set.
 
     Raises:
-        InputError: If there is no such data set, or it is broken.
+        InputError: If there is no such data set, or it is broken; if there is no such map of categories.
     """
+    from benchmark.datasets.categories import read_categories
     from benchmark.datasets.roots import open_data as open_root
     from benchmark.machine.workspace import DEMONSTRATED, EMBEDDED, cache_root, is_finished
     from generation.sources.mini import TownSettings, build_town
@@ -76,7 +80,8 @@ def open_data(
             build_town(town.root, TownSettings(val_scenes=len(town.scene_names("val"))), workers=worker_count(workers))
         return town
     if str(data) != EMBEDDED:
-        return open_root(Path(data), version=tables, rates=rates)
+        named = None if categories is None else read_categories(str(categories))
+        return open_root(Path(data), version=tables, rates=rates, categories=named)
     settings = TownSettings(pictures="all" if sweeps else "keyframes")
     root = cache_root() / settings.folder_name(EMBEDDED)
     if not is_finished(root):

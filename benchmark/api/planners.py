@@ -38,7 +38,7 @@ def load_planner(
         precision: Of a network: float32 or bfloat16.
         as_published: What a network does as in its published runs: ``memory``, ``can-once``, ``can-after``, or ``all``
             that it knows of these (docs/models.md).
-        over_http: How a model server is asked: ``image_format``, ``deadline_s``.
+        over_http: How a model server is asked: ``image_format``, ``deadline_s``, and the ``frame`` of its answers.
         supervision: Limits of a planner of another package, which runs in a process of its own (docs/planners.md).
 
     Returns:

@@ -7,6 +7,8 @@ from typing import Any, Final, Self
 
 import numpy as np
 
+from benchmark.datasets.annotation_counts import AnnotationCount
+from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.scene_facts import scene_facts_of
 from benchmark.judging.scenes import TracksAtHand, judge_scene
@@ -69,9 +71,26 @@ class CheckedEntry:
         starts = {each.instance: int(np.argmin(np.abs(seconds - each.from_s))) for each in self.verdicts[name].changed}
         return TracksAtHand(generated=False, launches=starts)
 
+    @property
+    def categories(self) -> CategoryNames:
+        """Those of the entry's data."""
+        return self.data.categories
+
+    def with_categories(self, categories: CategoryNames) -> Self:
+        """The same entry with other names of categories replaced."""
+        return replace(self, data=self.data.with_categories(categories))
+
+    def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
+        """How many annotations scenes have, by name."""
+        return self.data.annotation_counts(names)
+
     def splits(self) -> dict[str, tuple[str, ...]]:
         """The accepted scenes."""
         return {SPLIT: self.scene_names()}
+
+    def split_names(self) -> tuple[str, ...]:
+        """The only split."""
+        return (SPLIT,)
 
     def scene_names(self, split: str | None = None) -> tuple[str, ...]:
         """Sorted names of the accepted scenes."""
@@ -97,9 +116,17 @@ class CheckedEntry:
         """One truth a sample, in time order."""
         return self.data.truth(name)
 
+    def keyframe_rows(self, name: str) -> dict[str, str]:
+        """Sample tokens of a scene by the tokens of their keyframe rows."""
+        return self.data.keyframe_rows(name)
+
     def has_map(self, name: str) -> bool:
         """Whether the scene's location has a vector map."""
         return self.data.has_map(name)
+
+    def has_lidar(self, name: str) -> bool:
+        """Whether the tables say where the scene's lidar sits."""
+        return self.data.has_lidar(name)
 
     def fingerprint(self) -> str:
         """Content hash of the entry."""

@@ -8,6 +8,7 @@ import typer
 from benchmark import api
 from benchmark.cli import export
 from benchmark.cli.options import (
+    CategoriesOption,
     Frames,
     FramesOption,
     JsonOption,
@@ -176,12 +177,15 @@ def data_show_command(
 def data_check_command(
     root: Annotated[Path, typer.Argument(help="Root of a data set.")],
     tables: TablesOption = None,
+    categories: CategoriesOption = None,
     json_output: JsonOption = False,
 ) -> None:
     """Look for faults in the tables and files of a data set."""
+    from benchmark.datasets.categories import read_categories
     from benchmark.datasets.integrity import check_tables
 
-    faults = check_tables(root, version=tables)
+    named = None if categories is None else read_categories(categories)
+    faults = check_tables(root, version=tables, categories=named)
     errors = sum(fault.severity == "error" for fault in faults)
     if json_output:
         rows = [{"severity": f.severity, "table": f.table, "token": f.token, "says": f.sentence} for f in faults]

@@ -12,16 +12,19 @@ from benchmark import api
 from benchmark.cli.caveats import warn_of_caveats
 from benchmark.cli.options import (
     AddressOption,
+    CategoriesOption,
     DataOption,
     DryRunOption,
     ExecutorName,
     ExecutorOption,
+    FrameName,
     ImageFormatName,
     ImageFormatOption,
     JsonOption,
     LimitOption,
     MemoryLimitOption,
     OutOption,
+    PlanFrameOption,
     ScenesOption,
     SeedOption,
     ShardOption,
@@ -110,6 +113,7 @@ def drive_command(
     data: DataOption = "mini",
     out: OutOption = api.OUT,
     tables: TablesOption = None,
+    categories: CategoriesOption = None,
     engine: Annotated[
         EngineName, typer.Option(help="Who drives the plans (docs/closed-loop.md).")
     ] = EngineName.DEFAULT,
@@ -142,6 +146,7 @@ def drive_command(
         str, typer.Option(help="What cameras see: none, schematic or http://HOST:PORT; blind planners have none.")
     ] = "none",
     image_format: ImageFormatOption = None,
+    frame: PlanFrameOption = None,
     accept_torch_tensors: Annotated[
         bool, typer.Option("--accept-torch-tensors", help="A renderer's pictures may be saved tensors (pickles).")
     ] = False,
@@ -180,8 +185,8 @@ def drive_command(
 ) -> None:
     """Drive planners in closed loop: the plan is driven and the world answers; the same command resumes."""
     from benchmark.cli.beforehand.data_sets import require_data
-    from benchmark.cli.beforehand.names import require_models, supervision_of
-    from benchmark.cli.beforehand.over_http import require_servers
+    from benchmark.cli.beforehand.names import require_categories, require_models, supervision_of
+    from benchmark.cli.beforehand.over_http import require_frame, require_servers
     from benchmark.cli.beforehand.places import require_place
     from benchmark.machine.several_devices import require_one_device, workers_for
     from benchmark.runs.shards import Shard
@@ -197,10 +202,12 @@ def drive_command(
     names = tuple(dict.fromkeys([*model, *(BASELINES if baselines else ())]))
     if not names:
         raise InputError("name a planner with --model (for example constant-velocity), or leave --no-baselines out")
+    require_categories(categories)
     require_models(model, checkpoint, data=data, device=device, precision=precision)
     supervision = replace(supervision_of(model, None, memory_limit), sample_s=timeout)
     for each in model:
         _require_sight(api.model_that_runs(each, checkpoint, data=data), sensor)
+    require_frame(model, None if frame is None else frame.value)
     require_servers(model, image_format, sensor, tensors=accept_torch_tensors)
     mine = None if shard is None else Shard.named(shard)
     if executor is not ExecutorName.LOCAL:
@@ -213,7 +220,11 @@ def drive_command(
         say_plan(ahead.plan(then), json_output=json_output)
         return
     # A little longer than the drive itself waits, so that who is late is late for one reason.
-    over_http = {"image_format": (image_format or ImageFormatName.TORCH).value, "deadline_s": timeout + 5.0}
+    over_http = {
+        "image_format": (image_format or ImageFormatName.TORCH).value,
+        "deadline_s": timeout + 5.0,
+        "frame": (frame or FrameName.EGO).value,
+    }
     # Planners first: a stranger's class may not be importable, and data may take minutes to build.
     factories = [
         api.load_planner(
@@ -230,7 +241,7 @@ def drive_command(
         else api.load_planner(each, data=data)
         for each in names
     ]
-    source = api.open_data(data, tables=tables, workers=workers, out=out)
+    source = api.open_data(data, tables=tables, workers=workers, out=out, categories=categories)
     dataset = api.open_split(source, split, out, workers=workers)
     how = api.drive_settings(
         split,
@@ -264,7 +275,7 @@ def drive_command(
         say_plan(said, json_output=json_output)
         return
     if mine is not None:
-        again = same_place(data, out, tables)
+        again = same_place(data, out, tables, categories)
         _drive_shard(dataset, split, factories, root, how, mine, json_output=json_output, again=again)
         return
     records = _driven(dataset, split, factories, root, how)
@@ -272,7 +283,7 @@ def drive_command(
     sound = _show(records, wide=wide, json_output=json_output)
     say_next(
         f"records: {', '.join(str(record.directory) for record in records)}",
-        (f"eval --split {split}{same_place(data, out, tables)}", "the same planners in open loop"),
+        (f"eval --split {split}{same_place(data, out, tables, categories)}", "the same planners in open loop"),
         json_output=json_output,
     )
     if not sound:

@@ -13,6 +13,7 @@ from benchmark.cli.caveats import warn_of_caveats
 from benchmark.cli.options import (
     AsPublishedOption,
     ByOption,
+    CategoriesOption,
     DataOption,
     DryRunOption,
     Frames,
@@ -22,6 +23,7 @@ from benchmark.cli.options import (
     LimitOption,
     MemoryLimitOption,
     OutOption,
+    PlanFrameOption,
     RecordsOption,
     SampleLimitOption,
     ScenesOption,
@@ -37,7 +39,7 @@ from benchmark.cli.options import (
     print_json,
     say_plan,
 )
-from benchmark.cli.result_files import opened_results, results_planner, write_dumps
+from benchmark.cli.result_files import ReadAs, opened_results, results_planner, write_dumps
 from benchmark.cli.shards import say_shard
 from benchmark.cli.what_next import same_place, say_next
 from benchmark.errors import InputError
@@ -47,6 +49,7 @@ if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
     from benchmark.evaluation import EvalSettings
     from benchmark.machine.workspace import Workspace
+    from benchmark.metrics.transfer import TransferMatrix
     from benchmark.records.run import RunRecord
     from benchmark.runs.plan_rows import PlannerFactory
     from benchmark.runs.shards import Shard
@@ -59,10 +62,16 @@ def eval_command(
             "--model", metavar="<str>", help="Planner name, package.module:Class or http://HOST:PORT; may be repeated."
         ),
     ] = [],  # noqa: B006 - typer reads the default, nothing changes it
-    split: SplitOption = "val",
+    split: Annotated[
+        list[str],
+        typer.Option(
+            "--split", metavar="<str>", help="val, val-r, adv, or a split of the data set's own; may be repeated."
+        ),
+    ] = ["val"],  # noqa: B006 - typer reads the default, nothing changes it
     data: DataOption = "mini",
     out: OutOption = api.OUT,
     tables: TablesOption = None,
+    categories: CategoriesOption = None,
     plans: Annotated[Path | None, typer.Option(help="Plan file (CSV, Parquet, JSON) instead of a model.")] = None,
     results: Annotated[
         list[Path] | None,
@@ -89,6 +98,14 @@ def eval_command(
         str | None,
         typer.Option(help="With --plans or --results: the protocol of the repository that the planner comes from."),
     ] = None,
+    frame: PlanFrameOption = None,
+    as_is: Annotated[
+        bool,
+        typer.Option(
+            "--as-is",
+            help="With --plans or --results: judge plans as they stand, even if they fit far better otherwise; marked.",
+        ),
+    ] = False,
     checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
     as_published: AsPublishedOption = None,
     image_format: ImageFormatOption = None,
@@ -98,7 +115,10 @@ def eval_command(
     limit: LimitOption = None,
     shard: ShardOption = None,
     allow_partial: Annotated[
-        bool, typer.Option("--allow-partial", help="Print rates even where the planner failed on samples.")
+        bool,
+        typer.Option(
+            "--allow-partial", help="Print rates even where the planner failed on samples; --plans may lack rows."
+        ),
     ] = False,
     protocol: Annotated[
         list[str] | None,
@@ -118,10 +138,15 @@ def eval_command(
     json_output: JsonOption = False,
     dry_run: DryRunOption = False,
 ) -> None:
-    """Run planners on a split, write run records, and print the table."""
+    """Run planners on splits, write run records, and print the tables."""
     from benchmark.cli.beforehand.data_sets import require_data
-    from benchmark.cli.beforehand.names import require_models, require_published_runs, supervision_of
-    from benchmark.cli.beforehand.over_http import require_servers
+    from benchmark.cli.beforehand.names import (
+        require_categories,
+        require_models,
+        require_published_runs,
+        supervision_of,
+    )
+    from benchmark.cli.beforehand.over_http import require_frame, require_servers
     from benchmark.cli.beforehand.places import require_place, require_plans
     from benchmark.evaluation import EvalSettings, evaluate_together, require_whole_split
     from benchmark.machine.several_devices import require_one_device, workers_for
@@ -136,6 +161,10 @@ def eval_command(
         )
     if native is not None and plans is None and not results:
         raise InputError("--native belongs to --plans and --results; planners that --model names say it themselves")
+    if as_is and plans is None and not results:
+        raise InputError(
+            "--as-is belongs to --plans and --results; the plans of running planners are judged in any case"
+        )
     require_models(model, checkpoint, data=data, device=device, precision=precision)
     shown, count = _protocols_to_show(protocol), api.worker_count(workers_for(workers, device))
     mine = None if shard is None else Shard.named(shard)
@@ -147,21 +176,36 @@ def eval_command(
         require_one_device(device, "who remembers across scenes plans all of them in one process")
         require_whole_split("the model", name_list(scenes), limit, workers)
         count = 1
+    require_categories(categories)
+    require_frame(model, None if frame is None else frame.value, of_file=plans is not None or bool(results))
     require_servers(model, image_format)
     if plans is not None:
         require_plans(plans, native)
     opened = opened_results(results, results_format, name, native, dump_results)
-    ahead = require_data(data, tables, split, out, scenes=name_list(scenes), limit=limit)
+    splits = tuple(dict.fromkeys(split))
+    _require_one_split(splits, plans=plans, results=results, dump_results=dump_results, shard=shard)
+    every_ahead = {
+        each: require_data(data, tables, each, out, scenes=name_list(scenes), limit=limit) for each in splits
+    }
     require_place(out, "--out")
-    if dry_run and ahead.builds:
+    if dry_run and any(ahead.builds for ahead in every_ahead.values()):
         running = [api.model_that_runs(each, checkpoint, data=data) for each in model]
         runs = [*running, *([] if plans is None else [str(plans)]), *map(str, results or ())]
-        say_plan(ahead.plan(f"run {', '.join(runs)} on {ahead.counted()} of {split}"), json_output=json_output)
+        planned = [
+            line
+            for each, ahead in every_ahead.items()
+            for line in ahead.plan(f"run {', '.join(runs)} on {ahead.counted()} of {each}")
+        ]
+        say_plan(list(dict.fromkeys(planned)), json_output=json_output)
         return
     judges = tuple(dict.fromkeys([*STANDARD, *(name for name in shown or () if name in PROTOCOLS)]))
     run_root = api.workspace(out).run_root()
     timings = api.workspace(out).timings_of(run_root)
-    settings = EvalSettings(judges, name_list(scenes), limit, count, seed, timings=timings)
+    asked = () if "all" in (protocol or ()) else tuple(shown or ())
+    settings = EvalSettings(judges, name_list(scenes), limit, count, seed, timings=timings, asked=asked)
+    over_http = {
+        name: option.value for name, option in (("image_format", image_format), ("frame", frame)) if option is not None
+    }
     # Planners first: a stranger's class may not be importable, and data may take minutes to build.
     factories: list[PlannerFactory] = [
         api.load_planner(
@@ -172,50 +216,85 @@ def eval_command(
             device=device,
             precision=precision,
             as_published=published,
-            over_http={} if image_format is None else {"image_format": image_format.value},
+            over_http=over_http,
             supervision=supervision,
         )
         for each in model
     ]
-    source = api.open_data(data, tables=tables, workers=workers, out=out)
-    dataset = api.open_split(source, split, out, workers=workers)
+    source = api.open_data(data, tables=tables, workers=workers, out=out, categories=categories)
+    dataset = api.open_split(source, splits[0], out, workers=workers)
+    read_as: ReadAs = {"frame": None if frame is None else frame.value, "as_is": as_is}
     if plans is not None:
         from adapters.plan_file import plan_file_factory
 
-        chosen = settings.chosen(dataset, split)
-        factories.append(plan_file_factory(plans, dataset, split, scenes=chosen, native=native, records=[run_root]))
+        chosen = settings.chosen(dataset, splits[0])
+        from_file = plan_file_factory(
+            plans,
+            dataset,
+            splits[0],
+            scenes=chosen,
+            native=native,
+            records=[run_root],
+            allow_partial=allow_partial,
+            **read_as,
+        )
+        for sentence in from_file.sentences:
+            api.tell(sentence)
+        factories.append(from_file)
     if opened:
-        chosen = settings.chosen(dataset, split)
-        factories.append(results_planner(opened, dataset, split, scenes=chosen, name=name, native=native))
+        chosen = settings.chosen(dataset, splits[0])
+        factories.append(
+            results_planner(opened, dataset, splits[0], scenes=chosen, name=name, native=native, read_as=read_as)
+        )
     if dry_run:
-        where = f"{counted(len(settings.chosen(dataset, split)), 'scene')} of {split}"
         names = ", ".join(factory.facts.name for factory in factories)
-        say_plan([f"would run {names} on {where}"], json_output=json_output)
+        opened_splits = {each: api.open_split(source, each, out, workers=workers) for each in splits}
+        where = [
+            f"{counted(len(settings.chosen(one, each)), 'scene')} of {each}" for each, one in opened_splits.items()
+        ]
+        say_plan([f"would run {names} on {each}" for each in where], json_output=json_output)
         return
     planners = [(each, _also_by_its_own(settings, each)) for each in factories]
     if mine is not None:
         _plan_shard(
-            dataset, split, planners, run_root, mine, json_output=json_output, again=same_place(data, out, tables)
+            dataset,
+            splits[0],
+            planners,
+            run_root,
+            mine,
+            json_output=json_output,
+            again=same_place(data, out, tables, categories),
         )
         return
-    records = evaluate_together(dataset, split, planners, run_root)
-    records = with_reproductions(records, find_reproductions([run_root]))
-    if explain_protocols:
-        _explain(source.name, dataset, records, api.workspace(out), wide=wide, json_output=json_output)
+    records: list[RunRecord] = []
+    for place, each in enumerate(splits):
+        here = dataset if place == 0 else api.open_split(source, each, out, workers=workers)
+        of_split = with_reproductions(evaluate_together(here, each, planners, run_root), find_reproductions([run_root]))
+        if explain_protocols:
+            _explain(source.name, here, of_split, api.workspace(out), wide=wide, json_output=json_output)
+        records += of_split
     warn_of_caveats(record.run for record in records)
-    dumped = write_dumps(records, dataset, split, dump_results, api.workspace(out))
+    dumped = write_dumps(records, dataset, splits[0], dump_results, api.workspace(out))
     sound = _show_runs(
-        source.name, records, shown, by or (), allow_partial=allow_partial, wide=wide, json_output=json_output
+        source.name, records, shown, by or (), run_root, allow_partial=allow_partial, wide=wide, json_output=json_output
     )
-    again = same_place(data, out, tables)
+    again = same_place(data, out, tables, categories)
     say_next(
         "; ".join([f"records: {', '.join(str(record.directory) for record in records)}", *dumped]),
-        (f"sheets --split {split}{again}", "what films and the site show of the scenes"),
+        (f"sheets --split {splits[-1]}{again}", "what films and the site show of the scenes"),
         (f"leaderboard{same_place('mini', out)}", "tables, figures and a site of all records"),
         json_output=json_output,
     )
     if not sound:
         raise typer.Exit(1)
+
+
+def _require_one_split(splits: tuple[str, ...], **options: object) -> None:
+    """Refuse several splits with what belongs to one."""
+    given = next((name for name, value in options.items() if value), None)
+    if len(splits) > 1 and given is not None:
+        option = given.replace("_", "-")
+        raise InputError(f"--{option} belongs to one split, and --split names {', '.join(splits)}; give one at a time")
 
 
 def _plan_shard(
@@ -291,17 +370,19 @@ def transfer_command(
     protocol: Annotated[str, typer.Option(help="Whose verdicts count; native: of each planner's own.")] = "exact",
     data: Annotated[str | None, typer.Option("--data", help="Only records of the data set of this name.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Write a heat map to this .png or .svg file.")] = None,
+    pairs: Annotated[bool, typer.Option("--pairs", help="Also a row for every two planners.")] = False,
     wide: WideOption = False,
     json_output: JsonOption = False,
 ) -> None:
     """Show who else fails the scenes that one planner fails: the surrogate-filtered matrix, from run records."""
     from benchmark.cli.beforehand.places import require_output_file
     from benchmark.drawing.plots import FORMATS
+    from benchmark.metrics.disagreement import EXACT
     from benchmark.protocols import protocol as known_protocol
     from benchmark.records.inventory import recorded, said_of
     from benchmark.records.run import NATIVE, find_records
     from leaderboard.figures.heat_map import write_heat_map
-    from leaderboard.tables.transfer import agreement_table, transfer_matrices, transfer_table
+    from leaderboard.tables.transfer import agreement_table, lift_table, transfer_matrices, transfer_table
 
     if protocol != NATIVE:
         known_protocol(protocol)
@@ -323,11 +404,35 @@ def transfer_command(
             raise InputError(f"--figure draws one matrix and there are {', '.join(matrices)}; choose one with --data")
         write_heat_map(next(iter(matrices.values())), figure)
     if json_output:
-        print_json({name: asdict(matrix) for name, matrix in matrices.items()})
+        print_json(
+            {
+                name: {
+                    **asdict(matrix),
+                    "adversary": [asdict(one) for one in _of_adversary(known, split, name)]
+                    if protocol == EXACT
+                    else [],
+                }
+                for name, matrix in matrices.items()
+            }
+        )
         return
     for name, matrix in matrices.items():
-        typer.echo(transfer_table(name, matrix).plain(wide=wide))
-        typer.echo(agreement_table(name, matrix).plain(wide=wide))
+        shown = [matrix] if protocol != EXACT else [matrix, *_of_adversary(known, split, name)]
+        for one in shown:
+            typer.echo(transfer_table(name, one).plain(wide=wide))
+            typer.echo(lift_table(name, one).plain(wide=wide))
+            if pairs:
+                typer.echo(agreement_table(name, one).plain(wide=wide))
+
+
+def _of_adversary(known: "Sequence[RunRecord]", split: str, data: str) -> "list[TransferMatrix]":
+    """The matrix of contacts with the adversary alone, where the records say whom contacts are with."""
+    from benchmark.metrics.effect import says_whom
+    from leaderboard.tables.transfer import transfer_matrices
+
+    telling = [record for record in known if record.run.split != split or says_whom(record)]
+    found = transfer_matrices(telling, split, data=data, adversary_only=True)
+    return [matrix for matrix in found.values() if len(matrix.planners) > 1]
 
 
 def quality_command(
@@ -398,6 +503,8 @@ def quality_command(
         )
         return
     record = measure_quality(dataset, split, root, settings)
+    for caveat in record.caveats:
+        api.tell(f"warning: {caveat.sentence}")
     if json_output:
         facts = record.facts.model_dump(mode="json", by_alias=True, include={"definition", "weights", "summary"})
         print_json({"directory": str(record.directory), **facts})
@@ -455,6 +562,7 @@ def _show_runs(
     records: "Sequence[RunRecord]",
     protocols: tuple[str, ...] | None,
     by: "Sequence[SliceName]",
+    run_root: Path,
     *,
     allow_partial: bool,
     wide: bool,
@@ -463,6 +571,7 @@ def _show_runs(
     """Print the tables of runs; whether all is well: a run that failed on samples is not unless that is allowed."""
     from benchmark.metrics.attacks import attack_facts
     from benchmark.metrics.slices import kinds_named
+    from benchmark.metrics.unchanged import unchanged_candidates
     from benchmark.runs.failures import FAILURES_FILE, first_failure
     from leaderboard.tables.collision import run_tables
     from leaderboard.tables.slices import run_slices
@@ -481,7 +590,9 @@ def _show_runs(
         ]
         print_json({"runs": rows, "slices": [table.as_json() for table in sliced]} if by else rows)
     else:
-        for table in (*run_tables(data_name, records, protocols, allow_partial=allow_partial), *sliced):
+        against = unchanged_candidates(run_root, records)
+        shown = run_tables(data_name, records, protocols, allow_partial=allow_partial, against=against)
+        for table in (*shown, *sliced):
             typer.echo(table.plain(wide=wide))
     for record in partial:
         typer.echo(

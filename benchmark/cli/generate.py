@@ -21,6 +21,7 @@ from benchmark.cli.options import (
     AskedLook,
     AskedLookOption,
     CallsOption,
+    CategoriesOption,
     DataOption,
     DenoiserOption,
     DevicesOption,
@@ -91,6 +92,7 @@ def generate_command(
     data: DataOption = "mini",
     out: OutOption = api.OUT,
     tables: TablesOption = None,
+    categories: CategoriesOption = None,
     source_split: Annotated[str, typer.Option(help="Split of the data set to start from.")] = "val",
     scenes: ScenesOption = None,
     limit: LimitOption = None,
@@ -157,7 +159,7 @@ def generate_command(
 ) -> None:
     """Build a split, adv or val-r, from recorded scenes; the same command resumes."""
     from benchmark.cli.beforehand.data_sets import require_room_to_draw, require_root, require_source
-    from benchmark.cli.beforehand.names import supervision_of
+    from benchmark.cli.beforehand.names import require_categories, supervision_of
     from benchmark.cli.beforehand.places import require_place
     from benchmark.machine.several_devices import require_one_device, workers_for
     from benchmark.runs.shards import Shard
@@ -165,6 +167,7 @@ def generate_command(
     from generation.search.presets import hyper_parameters, trajectory_model
 
     _require_generated(split)
+    require_categories(categories)
     if from_file is not None and is_edited(from_file):
         first = require_root(data, tables, out)
         require_place(out, "--out")
@@ -173,7 +176,7 @@ def generate_command(
             return
 
     def recordings() -> "DataSet":
-        return api.open_data(data, tables=tables, workers=workers, out=out)
+        return api.open_data(data, tables=tables, workers=workers, out=out, categories=categories)
 
     wanted = splits_to_build(split, seed, seeds, from_file, freeze, context, recordings)
     frozen = wanted[0].frozen
@@ -282,7 +285,7 @@ def generate_command(
         root = space.split_root(source.name, one.split)
         own.append(replace(settings, out=root, timings=space.timings_of(root), seed=one.seed, freeze=one.freeze))
     if mine is not None and not dry_run:
-        build_shards(source, wanted, own, mine, same_place(data, out, tables), json_output=json_output)
+        build_shards(source, wanted, own, mine, same_place(data, out, tables, categories), json_output=json_output)
         return
     built = []
     for one, of_split in zip(wanted, own, strict=True):
@@ -292,7 +295,7 @@ def generate_command(
     if json_output:
         print_json(built[0].said if seeds is None else [each.said for each in built])
     if not dry_run:
-        say_built(wanted, own, same_place(data, out, tables), json_output=json_output)
+        say_built(wanted, own, same_place(data, out, tables, categories), json_output=json_output)
 
 
 def _asked(names: list[str], split: str, from_file: str | None) -> "tuple[Manoeuvre, ...]":

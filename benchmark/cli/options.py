@@ -159,6 +159,13 @@ class ImageFormatName(StrEnum):
     PNG = "png"
 
 
+class FrameName(StrEnum):
+    """Frame of plans that others made."""
+
+    LIDAR = "lidar"
+    EGO = "ego"
+
+
 class ExecutorName(StrEnum):
     """Where work is done."""
 
@@ -172,6 +179,14 @@ DataOption = Annotated[
 ]
 TablesOption = Annotated[
     str | None, typer.Option("--tables", help="Version folder below the root, if there are several.")
+]
+CategoriesOption = Annotated[
+    str | None,
+    typer.Option(
+        "--categories",
+        metavar="<str>",
+        help="What categories that are not nuScenes' mean: short, lyft, t4, argoverse2 or a JSON file (docs/data.md).",
+    ),
 ]
 OutOption = Annotated[Path, typer.Option("--out", help="Folder for everything that commands make.")]
 SplitOption = Annotated[str, typer.Option("--split", help="val, val-r, adv, or a split of the data set's own.")]
@@ -258,6 +273,14 @@ AddressOption = Annotated[str | None, typer.Option("--address", help="HOST:PORT 
 ImageFormatOption = Annotated[
     ImageFormatName | None,
     typer.Option("--image-format", help="How a model at http:// is sent pictures: torch (NeuroNCAP's) or png."),
+]
+PlanFrameOption = Annotated[
+    FrameName | None,
+    typer.Option(
+        "--frame",
+        help="Frame of the plans of a file or of a model at http://: lidar (x right, y forward) or ego (x forward, y "
+        "left), whatever the file or the protocol says.",
+    ),
 ]
 SampleLimitOption = Annotated[
     float | None,

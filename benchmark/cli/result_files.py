@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, TypedDict
 
 from benchmark import api
 from benchmark.errors import InputError
@@ -13,6 +13,13 @@ if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
     from benchmark.machine.workspace import Workspace
     from benchmark.records.run import RunRecord
+
+
+class ReadAs(TypedDict):
+    """How plans of a file are read, whatever it says: what ``--frame`` and ``--as-is`` say."""
+
+    frame: Literal["lidar", "ego"] | None
+    as_is: bool
 
 
 def opened_results(
@@ -58,11 +65,12 @@ def results_planner(
     scenes: tuple[str, ...],
     name: str | None,
     native: str | None,
+    read_as: ReadAs,
 ) -> "ResultFileFactory":
     """The planner of opened result files; says what was found in them."""
     from adapters.result_files.planner import result_file_factory
 
-    factory = result_file_factory(opened, dataset, split, scenes=scenes, name=name, native=native)
+    factory = result_file_factory(opened, dataset, split, scenes=scenes, name=name, native=native, **read_as)
     for sentence in factory.sentences:
         api.tell(sentence)
     return factory

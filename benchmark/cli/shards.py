@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING
 import typer
 
 from benchmark import api
-from benchmark.cli.options import DataOption, JsonOption, OutOption, TablesOption, WideOption, WorkersOption, print_json
+from benchmark.cli.options import (
+    CategoriesOption,
+    DataOption,
+    JsonOption,
+    OutOption,
+    TablesOption,
+    WideOption,
+    WorkersOption,
+    print_json,
+)
 from benchmark.cli.what_next import say_next
 from benchmark.errors import InputError
 from benchmark.report.words import counted
@@ -43,6 +52,7 @@ def merge_command(
     data: DataOption = "mini",
     out: OutOption = api.OUT,
     tables: TablesOption = None,
+    categories: CategoriesOption = None,
     workers: WorkersOption = 0,
     wide: WideOption = False,
     json_output: JsonOption = False,
@@ -64,7 +74,7 @@ def merge_command(
         typer.echo(division.sentence(), err=True)
     records = []
     if not others or sharded_runs(root):
-        source = api.open_data(data, tables=tables, workers=workers, out=out)
+        source = api.open_data(data, tables=tables, workers=workers, out=out, categories=categories)
         opener = partial(api.open_split, source, out=out, workers=workers)
         records = list(merge_shards(root, opener, source.name, workers=count, timings=space.timings_of(root)))
     if json_output:

@@ -10,6 +10,7 @@ import typer
 from benchmark import api
 from benchmark.cli.options import (
     ByOption,
+    CategoriesOption,
     DataOption,
     DryRunOption,
     FilmFormatName,
@@ -49,6 +50,7 @@ def sheets_command(
     data: DataOption = "mini",
     out: OutOption = api.OUT,
     tables: TablesOption = None,
+    categories: CategoriesOption = None,
     scenes: ScenesOption = None,
     limit: LimitOption = None,
     pictures: Annotated[
@@ -76,7 +78,7 @@ def sheets_command(
         say_plan(ahead.plan(f"write sheets of {ahead.counted()} of {split}"), json_output=json_output)
         return
     between = pictures is SheetPictures.ALL and split == "val" and not dry_run
-    source = api.open_data(data, tables=tables, workers=workers, out=out, sweeps=between)
+    source = api.open_data(data, tables=tables, workers=workers, out=out, sweeps=between, categories=categories)
     root = api.workspace(out).sheet_root()
     dataset = api.open_split(source, split, out, workers=workers)
     if dry_run:

@@ -22,9 +22,10 @@ def say_next(where: str, *steps: tuple[str, str], json_output: bool) -> None:
         typer.echo(f"{'next:' if number == 0 else '     '} challenger-bench {command}   # {purpose}", err=True)
 
 
-def same_place(data: str, out: Path, tables: str | None = None) -> str:
+def same_place(data: str, out: Path, tables: str | None = None, categories: str | None = None) -> str:
     """Options that name the same data and output folder again, with a space before; nothing where they are default."""
     given = [] if data == "mini" else [f"--data {data}"]
     given += [] if tables is None else [f"--tables {tables}"]
+    given += [] if categories is None else [f"--categories {categories}"]
     given += [] if out == api.OUT else [f"--out {out}"]
     return "".join(f" {each}" for each in given)

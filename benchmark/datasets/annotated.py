@@ -12,6 +12,10 @@ from benchmark.scene import Agents, Annotations
 _VISIBILITY_LEVELS: Final = {"v0-40": 1, "v40-60": 2, "v60-80": 3, "v80-100": 4}
 
 
+NO_SIZE_M: Final = 1e-3
+"""A box that is no longer, wider or higher is none."""
+
+
 def nearest_valid(valid: Bools) -> NDArray[np.int64]:
     """Index of the nearest valid entry along the last axis; the earlier one of two equally near.
 
@@ -30,7 +34,7 @@ def nearest_valid(valid: Bools) -> NDArray[np.int64]:
 
 
 def read_objects(nusc: Any, samples: list[Row], keyframes: NDArray[np.int64]) -> tuple[Agents, Annotations]:
-    """Every annotated object of a scene, in the order in which the instances first appear.
+    """Every annotated object of a scene that has a size, in the order in which the instances first appear.
 
     An agent is there at its annotated keyframes and between two consecutive ones; a gap in its annotations stays a
     gap. Numbers of annotations are the tables' own.
@@ -43,7 +47,8 @@ def read_objects(nusc: Any, samples: list[Row], keyframes: NDArray[np.int64]) ->
     Returns:
         N agents at T frames and their annotations at K keyframes.
     """
-    rows = [[nusc.get("sample_annotation", token) for token in sample["anns"]] for sample in samples]
+    every = [[nusc.get("sample_annotation", token) for token in sample["anns"]] for sample in samples]
+    rows = [list(filter(has_size, at_sample)) for at_sample in every]
     instances = list(dict.fromkeys(row["instance_token"] for at_sample in rows for row in at_sample))
     number = {instance: index for index, instance in enumerate(instances)}
     shape = (len(instances), len(samples))
@@ -73,6 +78,11 @@ def read_objects(nusc: Any, samples: list[Row], keyframes: NDArray[np.int64]) ->
         **counts,
     )
     return tracks_between(tuple(instances), tuple(categories), annotations, keyframes), annotations
+
+
+def has_size(annotation: Row) -> bool:
+    """Whether the box of a row has length, width and height."""
+    return bool(min(annotation["size"]) > NO_SIZE_M)
 
 
 def tracks_between(

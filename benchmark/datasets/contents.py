@@ -1,14 +1,15 @@
 """What a data set holds, in numbers."""
 
-from collections import Counter
 from typing import Any, Final
 
 from benchmark.datasets.roots import DataSet
+from benchmark.errors import InputError
 from benchmark.report.table import table_of
 from benchmark.report.terminal import wrapped
 
 _NAMES_SHOWN: Final = 24
 """Scene names that a terminal shows of a split."""
+_KINDS: Final = ("samples", "instances", "annotations", "adversaries")
 
 
 def contents(data: DataSet) -> dict[str, Any]:
@@ -18,24 +19,16 @@ def contents(data: DataSet) -> dict[str, Any]:
         data: The data set.
 
     Returns:
-        Name, version, fingerprint, what it was made from, and per split: scenes, samples, objects annotated at any
-        sample and annotations.
+        Name, version, fingerprint, what it was made from, per split that can be evaluated scenes, samples, objects
+        annotated at any sample and annotations, and why other splits cannot be.
     """
     provenance = data.provenance() or {}
-    splits: dict[str, Any] = {}
-    known: list[str | None] = [*sorted(data.splits())]
-    for split in known or [None]:
-        names = data.scene_names(split)
-        counts = Counter[str]()
-        for name in names:
-            # One scene at a time: a whole data set of them does not fit into memory.
-            scene = data.scene(name)
-            counts["samples"] += len(scene.keyframes)
-            counts["instances"] += int(scene.annotations.valid.any(axis=1).sum())
-            counts["annotations"] += int(scene.annotations.valid.sum())
-            counts["adversaries"] += len(scene.adversaries)
-        totals = {kind: counts[kind] for kind in ("samples", "instances", "annotations", "adversaries")}
-        splits[split or "all"] = {"scenes": list(names), **totals}
+    usable, unusable = scenes_by_split(data)
+    scenes = {name: _counted(data, name) for name in dict.fromkeys(name for names in usable.values() for name in names)}
+    splits = {
+        split: {"scenes": list(names), **{kind: sum(scenes[name][kind] for name in names) for kind in _KINDS}}
+        for split, names in usable.items()
+    }
     return {
         "name": data.name,
         "root": str(data.root),
@@ -43,7 +36,40 @@ def contents(data: DataSet) -> dict[str, Any]:
         "fingerprint": data.fingerprint(),
         "made_from": provenance.get("source"),
         "splits": splits,
+        "unusable_splits": unusable,
     }
+
+
+def scenes_by_split(data: DataSet) -> tuple[dict[str, tuple[str, ...]], dict[str, str]]:
+    """Scenes of each split that can be evaluated, and why the others cannot be.
+
+    Args:
+        data: The data set.
+
+    Returns:
+        Scene names by split, and sentences by split.
+    """
+    usable: dict[str, tuple[str, ...]] = {}
+    unusable: dict[str, str] = {}
+    for split in data.split_names():
+        try:
+            names = data.scene_names(split)
+        except InputError as error:
+            unusable[split] = str(error)
+            continue
+        if names:
+            usable[split] = names
+        else:
+            unusable[split] = f"inspectors rejected all of its scenes (challenger-bench data review {data.root})"
+    return usable, unusable
+
+
+def _counted(data: DataSet, name: str) -> dict[str, int]:
+    """Counts of one scene; one is in memory at a time, for a whole data set of them does not fit."""
+    scene = data.scene(name)
+    seen = scene.annotations.valid
+    numbers = (len(scene.keyframes), seen.any(axis=1).sum(), seen.sum(), len(scene.adversaries))
+    return dict(zip(_KINDS, map(int, numbers), strict=True))
 
 
 def _some(names: list[str]) -> str:
@@ -73,9 +99,8 @@ def contents_text(found: dict[str, Any], width: int | None = None) -> str:
             else []
         ),
     ]
-    counts = ("samples", "instances", "annotations", "adversaries")
     rows = [
-        (split, str(len(held["scenes"])), *(f"{held[kind]:,}" for kind in counts))
+        (split, str(len(held["scenes"])), *(f"{held[kind]:,}" for kind in _KINDS))
         for split, held in found["splits"].items()
     ]
     lines = [f"{f'{name}:':<13}{value}" for name, value in facts]
@@ -84,4 +109,10 @@ def contents_text(found: dict[str, Any], width: int | None = None) -> str:
         for split, held in found["splits"].items()
         for line in wrapped(f"{split}: {_some(held['scenes'])}", width, hanging="  ")
     ]
-    return "\n".join([*lines, "", table_of("", "", ("split", "scenes", *counts), rows).plain(width=width), *names, ""])
+    left_out = [
+        line
+        for split, why in found["unusable_splits"].items()
+        for line in wrapped(f"{split} cannot be evaluated: {why}", width, hanging="  ")
+    ]
+    table = table_of("", "", ("split", "scenes", *_KINDS), rows).plain(width=width)
+    return "\n".join([*lines, "", table, *names, *left_out, ""])

@@ -5,28 +5,51 @@ data set, little for one.
 """
 
 from abc import ABC, abstractmethod
-from collections import defaultdict
-from collections.abc import Collection, Iterable
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterable, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from benchmark.constants import NUSCENES_TABLES
+from benchmark.datasets.categories import CategoryNames, names_in
 from benchmark.datasets.devkit_rows import FURTHER_TABLES, devkit_with
 from benchmark.datasets.integrity.opened import check_opened, check_scene
 from benchmark.datasets.integrity.tables import CheckedTables
 from benchmark.datasets.kept_tables import read_or_kept
-from benchmark.datasets.scene_tables import GROWING_TABLES, SceneTables, camera_mounts, read_rows
+from benchmark.datasets.scene_tables import (
+    GROWING_TABLES,
+    SceneTables,
+    camera_mounts,
+    counted_by_category,
+    read_rows,
+    renamed_rows,
+)
 from benchmark.datasets.schema import FaultList, Refusal, check_table
 from benchmark.datasets.tables import Row, Tables
 from benchmark.errors import InputError
 
 
 class OpenTables(ABC):
-    """Checked tables of a data set."""
+    """Checked tables of a data set.
+
+    Attributes:
+        categories: Names of categories that were replaced, and what by.
+    """
+
+    categories: CategoryNames
 
     @abstractmethod
     def rows(self, table: str) -> list[Row]:
-        """Rows of the table ``scene`` or ``log``."""
+        """Rows of the table ``scene``, ``log`` or ``category``."""
+
+    @abstractmethod
+    def annotation_count(self, scene: Row) -> int:
+        """How many annotations a scene has."""
+
+    @abstractmethod
+    def annotations_by_category(self, scene: Row) -> Counter[str]:
+        """How many annotations of each category a scene has; takes a reading of its rows."""
 
     @abstractmethod
     def keyframe_images(self) -> Iterable[str]:
@@ -52,15 +75,25 @@ class SceneByScene(OpenTables):
         root: Root of the data set.
         version: Version folder.
         tables: Its tables.
+        categories: Names of categories that are replaced.
     """
 
-    def __init__(self, root: Path, version: str, tables: SceneTables) -> None:
-        self._root, self._version, self._tables = root, version, tables
+    def __init__(self, root: Path, version: str, tables: SceneTables, categories: CategoryNames) -> None:
+        self._root, self._version, self._tables = root, version, tables.renamed(categories) if categories else tables
+        self.categories = categories
         self._kept: tuple[str, Any] = ("", None)
 
     def rows(self, table: str) -> list[Row]:
-        """Rows of the table ``scene`` or ``log``."""
+        """Rows of the table ``scene``, ``log`` or ``category``."""
         return self._tables.shared[table]
+
+    def annotation_count(self, scene: Row) -> int:
+        """How many annotations a scene has."""
+        return self._tables.annotation_count(scene["token"])
+
+    def annotations_by_category(self, scene: Row) -> Counter[str]:
+        """How many annotations of each category a scene has."""
+        return self._tables.annotations_by_category(scene["token"])
 
     def keyframe_images(self) -> Iterable[str]:
         """File names of the camera keyframes of all scenes."""
@@ -82,19 +115,35 @@ class AllScenes(OpenTables):
         nusc: ``NuScenes`` of the devkit.
         tables: Its rows.
         folder: Version folder.
+        categories: Names of categories that were replaced in them.
     """
 
-    def __init__(self, nusc: Any, tables: Tables, folder: Path) -> None:
+    def __init__(self, nusc: Any, tables: Tables, folder: Path, categories: CategoryNames) -> None:
         self._nusc, self._folder = nusc, folder
-        self._tables = tables
+        self._tables, self.categories = tables, categories
         self._shared = CheckedTables.of_sound_rows(
             {name: tables[name] for name in tables if name not in GROWING_TABLES}
         )
         self._unchecked = _rows_of_scenes(tables)
 
     def rows(self, table: str) -> list[Row]:
-        """Rows of the table ``scene`` or ``log``."""
+        """Rows of the table ``scene``, ``log`` or ``category``."""
         return self._tables[table]
+
+    def annotation_count(self, scene: Row) -> int:
+        """How many annotations a scene has."""
+        return self.annotations_by_category(scene).total()
+
+    def annotations_by_category(self, scene: Row) -> Counter[str]:
+        """How many annotations of each category a scene has."""
+        return self._by_category[scene["token"]]
+
+    @cached_property
+    def _by_category(self) -> dict[str, Counter[str]]:
+        """The same by token of the scene."""
+        shared = {"category": self._tables["category"]}
+        rows_of = _rows_of_scenes(self._tables)
+        return {token: counted_by_category({**shared, **rows}) for token, rows in rows_of.items()}
 
     def keyframe_images(self) -> Iterable[str]:
         """File names of the camera keyframes of all scenes."""
@@ -110,13 +159,16 @@ class AllScenes(OpenTables):
         return self._nusc
 
 
-def open_tables(root: Path, version: str, rates: FaultList | None = None) -> OpenTables:
+def open_tables(
+    root: Path, version: str, rates: FaultList | None = None, categories: Mapping[str, str] | None = None
+) -> OpenTables:
     """Check the tables of a data set.
 
     Args:
         root: Root of the data set.
         version: Version folder, with all 13 tables.
         rates: Gets scenes with another rate of keyframes than nuScenes.
+        categories: What other names of categories mean (`benchmark.datasets.categories.read_categories`).
 
     Returns:
         The tables, scene by scene where they can be taken apart.
@@ -130,10 +182,16 @@ def open_tables(root: Path, version: str, rates: FaultList | None = None) -> Ope
         tables = read_or_kept(folder, rates)
         if tables is not None:
             _require_masks(root, tables.shared["map"])
-            return SceneByScene(root, version, tables)
+            return SceneByScene(root, version, tables, _replaced(tables.shared, categories))
     rows = _whole_tables(folder, rates)
     _require_masks(root, rows["map"])
-    return AllScenes(devkit_with(root, version, rows), rows, folder)
+    names = _replaced(rows, categories)
+    rows = {**rows, "category": renamed_rows(rows["category"], names)}
+    return AllScenes(devkit_with(root, version, rows), rows, folder, names)
+
+
+def _replaced(tables: Tables, categories: Mapping[str, str] | None) -> CategoryNames:
+    return () if categories is None else names_in((row["name"] for row in tables["category"]), categories)
 
 
 def _whole_tables(folder: Path, rates: FaultList) -> Tables:

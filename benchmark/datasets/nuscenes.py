@@ -1,15 +1,18 @@
 """Data sets in nuScenes format, through the devkit, one scene at a time."""
 
 import functools
-from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections import Counter, OrderedDict
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Self
 
 from shapely.geometry import MultiPolygon
 
+from benchmark.constants import LIDAR_NAME
 from benchmark.datasets.annotated import read_objects
+from benchmark.datasets.annotation_counts import AnnotationCount
 from benchmark.datasets.can_bus import CanBus
+from benchmark.datasets.categories import KNOWN, CategoryNames
 from benchmark.datasets.devkit import OpenTables, open_tables
 from benchmark.datasets.fingerprint import fingerprint_of
 from benchmark.datasets.judged import read_judgements
@@ -20,14 +23,14 @@ from benchmark.datasets.sample_truth import truth_of_scene
 from benchmark.datasets.scene_facts import scene_facts_of
 from benchmark.datasets.schema import FaultList
 from benchmark.datasets.sensors import read_cameras, read_lidar
-from benchmark.datasets.split_names import read_splits, scenes_of_split
+from benchmark.datasets.split_names import read_splits, scenes_of_split, split_names
 from benchmark.datasets.sweep_poses import read_sweep_poses
 from benchmark.datasets.tables import Row, find_version
 from benchmark.datasets.timeline import read_timeline, samples_of_scene
 from benchmark.datasets.videos import videos_of_scene
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.machine.storage import read_json
+from benchmark.machine.storage import content_key, read_json
 from benchmark.planning import CameraView, Observation
 from benchmark.records.judgement import SceneJudgement
 from benchmark.records.review import SplitReview, read_review
@@ -48,12 +51,14 @@ class NuScenesData:
         root: Root folder.
         version: Version folder in it.
         name: Shown in tables.
+        categories: Names of categories that were replaced, and what by.
     """
 
     def __init__(self, tables: OpenTables, root: Path, version: str, name: str) -> None:
         self.root = root
         self.version = version
         self.name = name
+        self.categories = tables.categories
         self._tables = tables
         self._rows: dict[str, Row] = {row["name"]: row for row in tables.rows("scene")}
         self._logs: dict[str, Row] = {row["token"]: row for row in tables.rows("log")}
@@ -67,7 +72,13 @@ class NuScenesData:
 
     @classmethod
     def open(
-        cls, root: Path, *, version: str | None = None, name: str | None = None, rates: FaultList | None = None
+        cls,
+        root: Path,
+        *,
+        version: str | None = None,
+        name: str | None = None,
+        rates: FaultList | None = None,
+        categories: Mapping[str, str] | None = None,
     ) -> Self:
         """Open a data set: any version folder, any scene names, with or without CAN bus, lidar or image files.
 
@@ -76,6 +87,7 @@ class NuScenesData:
             version: Version folder; needed only where there are several.
             name: Shown in tables; the root's name by default.
             rates: Gets scenes whose keyframes are not half a second apart.
+            categories: What other names of categories mean (`benchmark.datasets.categories.read_categories`).
 
         Returns:
             The data set, its tables loaded and checked.
@@ -85,15 +97,46 @@ class NuScenesData:
         """
         root = Path(root)
         version = find_version(root, version)
-        return cls(open_tables(root, version, rates), root, version, name or root.resolve().name)
+        return cls(open_tables(root, version, rates, categories), root, version, name or root.resolve().name)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel to another process as a path; each process loads the tables once."""
-        return _reopened, (str(self.root), self.version, self.name)
+        return _reopened, (str(self.root), self.version, self.name, self.categories)
+
+    def with_categories(self, categories: CategoryNames) -> Self:
+        """The same root with other names of categories replaced."""
+        if categories == self.categories:
+            return self
+        return type(self).open(self.root, version=self.version, name=self.name, categories=dict(categories))
+
+    def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
+        """How many annotations scenes have, and how many of them are of no category of nuScenes.
+
+        Args:
+            names: Scene names.
+
+        Returns:
+            Counts by name; scenes are read only where there are such categories.
+
+        Raises:
+            InputError: If there is no such scene, or a table cannot be read.
+        """
+        foreign = {row["name"] for row in self._tables.rows("category")} - KNOWN
+        found = {}
+        for name in names:
+            row = self._row(name)
+            by_category = self._tables.annotations_by_category(row) if foreign else Counter()
+            unknown = {category: count for category, count in by_category.items() if category in foreign}
+            found[name] = AnnotationCount(self._tables.annotation_count(row), unknown)
+        return found
 
     def splits(self) -> dict[str, tuple[str, ...]]:
         """Splits that ``splits.json`` defines (in the version folder or in the root), scene names by split."""
         return dict(self._splits)
+
+    def split_names(self) -> tuple[str, ...]:
+        """Names of all splits, of ``splits.json`` or by the rules of `scenes_of_split`."""
+        return split_names(tuple(self._rows), self._splits, self._built_as)
 
     def scene_names(self, split: str | None = None) -> tuple[str, ...]:
         """Names of scenes.
@@ -121,9 +164,13 @@ class NuScenesData:
 
     def _listed(self, split: str) -> tuple[str, ...]:
         """Scenes of a split, whatever inspectors said of them."""
-        built_as = self._provenance.get("split") if self._provenance else None
         present = tuple(sorted(self._rows))
-        return scenes_of_split(split, present, self._splits, where=str(self.root), built_as=built_as)
+        return scenes_of_split(split, present, self._splits, where=str(self.root), built_as=self._built_as)
+
+    @property
+    def _built_as(self) -> str | None:
+        """Split that the data set was built as, if it says so."""
+        return self._provenance.get("split") if self._provenance else None
 
     def scene(self, name: str) -> Scene:
         """Read one scene; the last few are kept in memory.
@@ -198,6 +245,22 @@ class NuScenesData:
         samples = samples_of_scene(self._devkit(row), row)
         return truth_of_scene(self.scene(name), [sample["token"] for sample in samples])
 
+    def keyframe_rows(self, name: str) -> dict[str, str]:
+        """Sample tokens of a scene by the tokens of their keyframe rows in ``sample_data.json``.
+
+        Args:
+            name: Scene name.
+
+        Returns:
+            One entry for each sample and sensor.
+
+        Raises:
+            InputError: If there is no such scene or its rows are broken.
+        """
+        row = self._row(name)
+        samples = samples_of_scene(self._devkit(row), row)
+        return {token: sample["token"] for sample in samples for token in sample["data"].values()}
+
     def has_map(self, name: str) -> bool:
         """Whether there is a map expansion file for the location of a scene.
 
@@ -209,10 +272,26 @@ class NuScenesData:
         """
         return expansion_file(self.root, self._log(self._row(name))["location"]) is not None
 
+    def has_lidar(self, name: str) -> bool:
+        """Whether the tables say where the lidar of a scene sits (`standard_lidar` is taken where they do not).
+
+        Args:
+            name: Scene name.
+
+        Raises:
+            InputError: If there is no such scene or its rows are broken.
+        """
+        row = self._row(name)
+        return LIDAR_NAME in samples_of_scene(self._devkit(row), row)[0]["data"]
+
     def fingerprint(self) -> str:
-        """Content hash of tables, maps and file manifest (`fingerprint_of`), 64 hexadecimal digits."""
+        """Content hash of tables, maps and file manifest (`fingerprint_of`), 64 hexadecimal digits.
+
+        Names of categories that were replaced are content, too: planners that see objects go by them.
+        """
         if self._fingerprint is None:
-            self._fingerprint = fingerprint_of(self.root, self.version, self._tables.keyframe_images())
+            found = fingerprint_of(self.root, self.version, self._tables.keyframe_images())
+            self._fingerprint = content_key("categories", found, self.categories) if self.categories else found
         return self._fingerprint
 
     def provenance(self) -> dict[str, Any] | None:
@@ -291,8 +370,8 @@ class NuScenesData:
 
 
 @functools.lru_cache(maxsize=2)
-def _reopened(root: str, version: str, name: str) -> NuScenesData:
-    return NuScenesData.open(Path(root), version=version, name=name)
+def _reopened(root: str, version: str, name: str, categories: CategoryNames) -> NuScenesData:
+    return NuScenesData.open(Path(root), version=version, name=name, categories=dict(categories))
 
 
 def _read_provenance(path: Path, scenes: set[str]) -> dict[str, Any] | None:

@@ -5,11 +5,13 @@ roots: ``v0/``, ``v1/``, ... side by side, each a complete nuScenes root. They a
 are called ``v0/scene-0061``.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, Self
 
+from benchmark.datasets.annotation_counts import AnnotationCount
+from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.reviewed import joined, scene_tokens
 from benchmark.datasets.schema import FaultList
@@ -36,8 +38,21 @@ class DataSet(Protocol):
     version: str
     name: str
 
+    @property
+    def categories(self) -> CategoryNames:
+        """Names of categories that were replaced, and what by."""
+
+    def with_categories(self, categories: CategoryNames) -> "DataSet":
+        """The same with other names of categories replaced."""
+
+    def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
+        """How many annotations scenes have, and how many of them are of no category of nuScenes, by name."""
+
     def splits(self) -> dict[str, tuple[str, ...]]:
         """Custom splits."""
+
+    def split_names(self) -> tuple[str, ...]:
+        """Names of all splits, whether `scene_names` takes them or says what is wrong with them."""
 
     def scene_names(self, split: str | None = None) -> tuple[str, ...]:
         """Sorted names of the scenes of a split, less those that inspectors rejected, or of all."""
@@ -57,8 +72,14 @@ class DataSet(Protocol):
     def truth(self, name: str) -> tuple[SampleTruth, ...]:
         """One truth a sample, in time order."""
 
+    def keyframe_rows(self, name: str) -> dict[str, str]:
+        """Sample tokens of a scene by the tokens of their keyframe rows in ``sample_data.json``."""
+
     def has_map(self, name: str) -> bool:
         """Whether the scene's location has a vector map."""
+
+    def has_lidar(self, name: str) -> bool:
+        """Whether the tables say where the scene's lidar sits."""
 
     def fingerprint(self) -> str:
         """Content hash."""
@@ -77,18 +98,26 @@ class VariantRoots:
         root: Folder that holds the roots.
         version: Version folder of the first root.
         name: Shown in tables.
+        categories: Names of categories that were replaced in any of them.
     """
 
     def __init__(self, root: Path, name: str, variants: dict[str, NuScenesData]) -> None:
         self.root = root
         self.name = name
         self.version = next(iter(variants.values())).version
+        self.categories = tuple(sorted({pair for data in variants.values() for pair in data.categories}))
         self._variants = variants
         self._verdicts = read_review(root)
 
     @classmethod
     def open(
-        cls, root: Path, *, version: str | None = None, name: str | None = None, rates: FaultList | None = None
+        cls,
+        root: Path,
+        *,
+        version: str | None = None,
+        name: str | None = None,
+        rates: FaultList | None = None,
+        categories: Mapping[str, str] | None = None,
     ) -> Self:
         """Open every variant.
 
@@ -97,6 +126,7 @@ class VariantRoots:
             version: Version folder in each; needed only where there are several.
             name: Shown in tables; the folder's name by default.
             rates: As in `NuScenesData.open`.
+            categories: As there.
 
         Returns:
             The data set.
@@ -105,11 +135,29 @@ class VariantRoots:
             InputError: If a variant cannot be opened.
         """
         variants = {
-            folder: NuScenesData.open(root / folder, version=version, rates=rates) for folder in variant_folders(root)
+            folder: NuScenesData.open(root / folder, version=version, rates=rates, categories=categories)
+            for folder in variant_folders(root)
         }
         if not variants:
             raise InputError(f"{root} holds no variants (v0/, v1/, ...); give the folder that contains them")
         return cls(root, name or root.resolve().name, variants)
+
+    def with_categories(self, categories: CategoryNames) -> Self:
+        """The same roots with other names of categories replaced."""
+        variants = {folder: data.with_categories(categories) for folder, data in self._variants.items()}
+        return type(self)(self.root, self.name, variants)
+
+    def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
+        """How many annotations scenes have, and how many of them are of no category of nuScenes.
+
+        Raises:
+            InputError: If there is no such scene, or a table cannot be read.
+        """
+        found = {}
+        for name in names:
+            data, inner = self._find(name)
+            found[name] = data.annotation_counts([inner])[inner]
+        return found
 
     def splits(self) -> dict[str, tuple[str, ...]]:
         """Custom splits of all variants together, scene names by split."""
@@ -118,6 +166,10 @@ class VariantRoots:
             for split, names in data.splits().items():
                 merged[split] = (*merged.get(split, ()), *(f"{folder}/{name}" for name in names))
         return merged
+
+    def split_names(self) -> tuple[str, ...]:
+        """Names of the splits of any variant."""
+        return tuple(sorted({name for data in self._variants.values() for name in data.split_names()}))
 
     def scene_names(self, split: str | None = None) -> tuple[str, ...]:
         """Names of the scenes of a split, or of all; variants in order, sorted within each.
@@ -179,6 +231,15 @@ class VariantRoots:
         data, inner = self._find(name)
         return tuple(replace(truth, scene=name) for truth in data.truth(inner))
 
+    def keyframe_rows(self, name: str) -> dict[str, str]:
+        """Sample tokens of a scene by the tokens of their keyframe rows in ``sample_data.json``.
+
+        Raises:
+            InputError: As `scene`.
+        """
+        data, inner = self._find(name)
+        return data.keyframe_rows(inner)
+
     def has_map(self, name: str) -> bool:
         """Whether the scene's location has a vector map.
 
@@ -187,6 +248,15 @@ class VariantRoots:
         """
         data, inner = self._find(name)
         return data.has_map(inner)
+
+    def has_lidar(self, name: str) -> bool:
+        """Whether the tables say where the scene's lidar sits.
+
+        Raises:
+            InputError: As `scene`.
+        """
+        data, inner = self._find(name)
+        return data.has_lidar(inner)
 
     def fingerprint(self) -> str:
         """Content hash of all variants, 64 hexadecimal digits."""
@@ -223,7 +293,12 @@ class VariantRoots:
 
 
 def open_data(
-    root: Path, *, version: str | None = None, name: str | None = None, rates: FaultList | None = None
+    root: Path,
+    *,
+    version: str | None = None,
+    name: str | None = None,
+    rates: FaultList | None = None,
+    categories: Mapping[str, str] | None = None,
 ) -> DataSet:
     """Open a nuScenes-format root, or a folder of variant roots.
 
@@ -232,6 +307,7 @@ def open_data(
         version: Version folder; needed only where there are several.
         name: Shown in tables; the folder's name by default.
         rates: As in `NuScenesData.open`.
+        categories: As there.
 
     Returns:
         The data set.
@@ -241,5 +317,5 @@ def open_data(
     """
     root = Path(root)
     if variant_folders(root):
-        return VariantRoots.open(root, version=version, name=name, rates=rates)
-    return NuScenesData.open(root, version=version, name=name, rates=rates)
+        return VariantRoots.open(root, version=version, name=name, rates=rates, categories=categories)
+    return NuScenesData.open(root, version=version, name=name, rates=rates, categories=categories)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
 from benchmark.datasets.annotated import nearest_valid
+from benchmark.datasets.labelled import labelled_keyframes
 from benchmark.datasets.roads_around import RoadsAround, RoadSurfaces
 from benchmark.datasets.steps import KeyFrameSteps, TimedSteps, other_interval_us, values_at
 from benchmark.geometry import Bools, Floats, poses_between, to_local, wrap_angle, yaw_of_quaternion
@@ -35,9 +36,10 @@ def truth_of_scene(scene: Scene, sample_tokens: Sequence[str], steps: int = PLAN
     lidar_poses = planar_lidar_poses(scene)
     boxes_yaw = yaw_of_quaternion(scene.annotations.rotation)
     surfaces = None if scene.road_map.drivable_area.is_empty else RoadSurfaces(scene.road_map)
+    labelled = labelled_keyframes(scene.annotations.valid.sum(axis=0))
     clock = KeyFrameSteps.of(scene)
     truths = (
-        _truth(scene, token, index, lidar_poses, boxes_yaw, surfaces, steps)
+        _truth(scene, token, index, lidar_poses, boxes_yaw, surfaces, labelled, steps)
         for index, token in enumerate(sample_tokens)
     )
     if other_interval_us(clock.times_us) is not None:
@@ -147,6 +149,7 @@ def _truth(
     lidar_poses: Floats,
     boxes_yaw: Floats,
     surfaces: RoadSurfaces | None,
+    labelled: Bools,
     count: int,
 ) -> SampleTruth:
     known = scene.annotations
@@ -183,6 +186,7 @@ def _truth(
         axle_poses=axle_poses[steps],
         seen_before=(known.valid[seen, past] & (known.visibility[seen, past] != HIDDEN)).any(axis=-1),
         roads=None if surfaces is None else RoadsAround(surfaces, axle_poses[index]),
+        labelled=bool(labelled[index : index + count + 1].all()),
     )
 
 

@@ -5,17 +5,19 @@ notes where the rows of each scene are; what the rows of a scene say together is
 """
 
 import gc
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import NUSCENES_TABLES
+from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.integrity.links import check_link, note_dead_link
 from benchmark.datasets.integrity.opened import check_opened, check_scene
 from benchmark.datasets.integrity.tables import CheckedTables
@@ -72,10 +74,49 @@ class SceneTables:
             self._sound.add(token)
         return {table: [dict(row) for row in shared] for table, shared in self.shared.items()} | rows
 
+    def annotation_count(self, token: str) -> int:
+        """How many annotations a scene has; none is read."""
+        return len(self.numbers_of_scene("sample_annotation", token))
+
+    def annotations_by_category(self, token: str) -> Counter[str]:
+        """How many annotations of each category a scene has.
+
+        Args:
+            token: Of the scene.
+
+        Raises:
+            InputError: If a file has changed or cannot be read.
+        """
+        numbers = {table: self.numbers_of_scene(table, token) for table in ("instance", "sample_annotation")}
+        rows = {table: self.stored[table].read(np.array(own, np.int64)) for table, own in numbers.items()}
+        return counted_by_category({**self.shared, **rows})
+
+    def renamed(self, names: CategoryNames) -> Self:
+        """The same tables with other names of categories."""
+        shared = {**self.shared, "category": renamed_rows(self.shared["category"], names)}
+        return replace(self, _shared=CheckedTables.of_sound_rows(shared))
+
     def numbers_of_scene(self, table: str, token: str) -> tuple[int, ...]:
         """Numbers, in the whole table, of the rows of a growing table that `of_scene` gives, in the same order."""
         number = next(index for index, row in enumerate(self.shared["scene"]) if row["token"] == token)
         return tuple(self.rows_of_scenes[table][number].tolist())
+
+
+def counted_by_category(tables: Tables) -> Counter[str]:
+    """How many annotations of each category there are.
+
+    Args:
+        tables: The tables category, instance and sample_annotation.
+    """
+    names = {row["token"]: row["name"] for row in tables["category"]}
+    categories = {row["token"]: names[row["category_token"]] for row in tables["instance"]}
+    return Counter(categories[row["instance_token"]] for row in tables["sample_annotation"])
+
+
+def renamed_rows(rows: Sequence[Row], names: CategoryNames) -> list[Row]:
+    """Rows of the table category with other names."""
+    new = dict(names)
+    return [{**row, "name": new.get(row["name"], row["name"])} for row in rows]
 
 
 def read_scene_tables(folder: Path, rates: FaultList) -> SceneTables | None:

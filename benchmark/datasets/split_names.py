@@ -89,7 +89,7 @@ def scenes_of_split(
     known = _known(present, custom, built_as)
     if split in known:
         return known[split]
-    there = sorted({*custom, *known})
+    there = split_names(present, custom, built_as)
     only = f"the only one is {there[0]}" if len(there) == 1 else f"it has {', '.join(there)}"
     raise NoSuchSplit(f"{where} has no split {split!r}; {did_you_mean(split, there)}{only}")
 
@@ -111,12 +111,28 @@ def evaluated_split(
     Raises:
         InputError: If there are several and none is ``val``.
     """
-    there = sorted({*custom, *_known(present, custom, built_as)})
+    there = split_names(present, custom, built_as)
     if "val" in there:
         return "val"
     if len(there) != 1:
         raise InputError(f"{where} has the splits {', '.join(there)}; name one with --split")
     return there[0]
+
+
+def split_names(
+    present: Sequence[str], custom: Mapping[str, Sequence[str]], built_as: str | None = None
+) -> tuple[str, ...]:
+    """Splits that a data set has, whether `scenes_of_split` takes them or says what is wrong with them.
+
+    Args:
+        present: Scene names of the data set.
+        custom: Content of ``splits.json``.
+        built_as: Split that the data set was built as, if it says so.
+
+    Returns:
+        Their sorted names.
+    """
+    return tuple(sorted({*custom, *_known(present, custom, built_as)}))
 
 
 def _known(

@@ -136,6 +136,8 @@ def verdict_of(row: SampleRow, protocol: str) -> Verdict:
     if row.status == "failed":
         return Verdict(None, "the planner failed", "failed", counted=False)
     seconds = _contact_seconds(row, protocol)
+    if row.outcomes[protocol].collision is None:
+        return Verdict(None, "its surroundings are not annotated", "no truth", counted=False)
     counted = row.outcomes[protocol].counted
     tail = "" if counted else ", not counted"
     if seconds is None and protocol == EXACT and row.outcomes[protocol].cut_short:
@@ -154,7 +156,7 @@ def _contact_seconds(row: SampleRow, protocol: str) -> float | None:
     if protocol not in row.outcomes:
         raise InputError(f"scene {row.scene} was not judged by protocol {protocol!r}; run challenger-bench rescore")
     outcome = row.outcomes[protocol]
-    if not any(outcome.collision):
+    if outcome.collision is None or not any(outcome.collision):
         return None
     first = outcome.facts.get("first_contact_s")
     return float(first) if isinstance(first, int | float) else PLAN_STEP_S * (outcome.collision.index(True) + 1)

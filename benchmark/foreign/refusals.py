@@ -6,7 +6,7 @@ from benchmark.errors import InputError
 
 Category = Literal[
     "truncated", "empty", "unknown", "no_plan", "class", "nesting", "size", "trailing", "shape", "not_finite", "token",
-    "duplicate", "count", "order", "unit", "offsets", "frame", "origin",
+    "duplicate", "count", "order", "unit", "offsets", "time", "frame", "origin",
 ]  # fmt: skip
 """Why a file of results is refused."""
 CATEGORIES: Final[tuple[Category, ...]] = get_args(Category)

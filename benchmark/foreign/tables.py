@@ -47,8 +47,21 @@ def _read_csv(data: bytes, limits: Limits) -> "pandas.DataFrame":
     if max(map(len, lines), default=0) > limits.line_bytes:
         raise ValueError(f"a line is longer than {in_words(limits.line_bytes)}")
     header = next((line for line in lines if line.strip()), b"")
-    _require_narrow(header.count(b",") + 1)
-    return pd.read_csv(io.BytesIO(data), dtype=_TEXTS)
+    # As Excel writes where the comma is the decimal sign.
+    between = b";" if header.count(b";") > header.count(b",") else b","
+    decimal = "," if between == b";" and b"," in data else "."
+    _require_narrow(header.count(between) + 1)
+    table = pd.read_csv(io.BytesIO(data), dtype=_TEXTS, sep=between.decode(), decimal=decimal)
+    if decimal == ",":
+        _require_no_points(table)
+    return table
+
+
+def _require_no_points(table: "pandas.DataFrame") -> None:
+    """Beside decimal commas a point may part thousands."""
+    for name in table.columns.difference(_TEXTS):
+        if table[name].dtype.kind == "O" and table[name].astype(str).str.contains(".", regex=False).any():
+            raise ValueError(f"column {one_line(name, 20)} has numbers with points, and others have decimal commas")
 
 
 def _read_json(data: bytes, limits: Limits) -> "pandas.DataFrame":

@@ -1,7 +1,8 @@
 """Attack success on a planner from its record, in three readings: of samples, and of scenes.
 
-``docs/severity.md``, "Attack success in three readings". Of a scene one sample is enough; of what is unknown nothing is
-counted.
+``docs/severity.md``, "Attack success in three readings". All three ask for contacts with an adversary: a sample counts
+by whom its plan touches first, and contacts with bystanders have a rate of their own. Of a scene one sample is enough;
+of what is unknown nothing is counted.
 """
 
 from collections.abc import Iterable, Sequence
@@ -39,10 +40,17 @@ class SceneAttack:
     Attributes:
         samples: Of each sample that counts.
         verdicts: On the scene, by reading; ``None`` where nobody can tell.
+        bystanders: Of each sample whether its first contact is with another than an adversary.
     """
 
     samples: tuple[Attack, ...]
     verdicts: dict[Reading, bool | None]
+    bystanders: tuple[bool, ...]
+
+    @property
+    def bystander(self) -> bool | None:
+        """Whether a sample of the scene touches a bystander first; ``None`` where no sample counts."""
+        return any(self.bystanders) if self.bystanders else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +63,8 @@ class AttackRates:
         judged: Scenes of which somebody said whether the careful human survives them.
         spared: Scenes among them that the careful human survives.
         unknown_blame: Samples with a contact of which nobody can tell whose fault it is.
+        bystander_samples: Rate of samples whose first contact is with another than an adversary.
+        bystander_scenes: Rate of scenes with such a sample.
     """
 
     samples: dict[Reading, Rate]
@@ -62,6 +72,8 @@ class AttackRates:
     judged: int
     spared: int
     unknown_blame: int
+    bystander_samples: Rate
+    bystander_scenes: Rate
 
 
 def has_adversaries(record: RunRecord) -> bool:
@@ -71,13 +83,13 @@ def has_adversaries(record: RunRecord) -> bool:
 
 
 def says_severity(record: RunRecord) -> bool:
-    """Whether a record says of every plan how severe it is; older ones do not."""
+    """Whether a record says of its plans how severe they are; older ones do not."""
     said = record.columns.values("severity")
-    return all(said[place] is not None for place in record.columns.planned.tolist())
+    return any(said[place] is not None for place in record.columns.planned.tolist())
 
 
 def counted_rows(record: RunRecord) -> list[BriefRow]:
-    """Samples that have a plan and whose recording goes on for 3 s."""
+    """Samples that have a plan, whose recording goes on for 3 s, and whose surroundings are annotated."""
     return [row for row in record.columns.brief if row.status == "ok" and row.complete and row.severity is not None]
 
 
@@ -97,9 +109,12 @@ def scene_attacks(record: RunRecord) -> dict[str, SceneAttack]:
         By scene, in the record's order.
     """
     by_scene: dict[str, list[Attack]] = {scene: [] for scene in record.run.scenes}
+    bystanders: dict[str, list[bool]] = {scene: [] for scene in by_scene}
     survivors = {scene: careful_survives(record, scene) for scene in by_scene}
     for row in counted_rows(record):
         by_scene[row.scene].append(_attack(row, survivors[row.scene]))
+        contact = None if row.severity is None else row.severity.contact
+        bystanders[row.scene].append(contact is not None and not contact.adversary)
     columns = record.columns
     lost = np.flatnonzero(columns.failed & columns.flags("complete")).tolist()
     missing = {columns.values("scene")[place] for place in lost}
@@ -107,6 +122,7 @@ def scene_attacks(record: RunRecord) -> dict[str, SceneAttack]:
         scene: SceneAttack(
             tuple(found),
             {reading: _of_scene(found, reading, scene in missing, survivors[scene]) for reading in READINGS},
+            tuple(bystanders[scene]),
         )
         for scene, found in by_scene.items()
     }
@@ -124,7 +140,10 @@ def attack_rates(record: RunRecord) -> AttackRates:
     found = scene_attacks(record)
     samples = [(scene, each) for scene, attack in found.items() for each in attack.samples]
     known = [survives for scene in found if (survives := careful_survives(record, scene)) is not None]
+    others = [(scene, each) for scene, attack in found.items() for each in attack.bystanders]
     return AttackRates(
+        bystander_samples=_rate(record, others),
+        bystander_scenes=_rate(record, [(scene, attack.bystander) for scene, attack in found.items()]),
         samples=_rates(record, [(scene, [getattr(each, name) for name in READINGS]) for scene, each in samples]),
         scenes=_rates(record, [(scene, list(attack.verdicts.values())) for scene, attack in found.items()]),
         judged=len(known),
@@ -140,13 +159,18 @@ def attack_facts(record: RunRecord) -> dict[str, Any]:
         record: The record.
 
     Returns:
-        ``attack_success``: rates by reading, of ``samples`` and of ``scenes``; nothing of a split without adversaries,
-        or where the record does not say how severe its plans are.
+        ``attack_success``: rates by reading and of first contacts with bystanders, of ``samples`` and of ``scenes``;
+        nothing of a split without adversaries, or where the record does not say how severe its plans are.
     """
     if not (has_adversaries(record) and says_severity(record)):
         return {}
     found = attack_rates(record)
-    parts = {"samples": found.samples, "scenes": found.scenes}
+    of_samples: dict[str, Rate] = {name: found.samples[name] for name in READINGS}
+    of_scenes: dict[str, Rate] = {name: found.scenes[name] for name in READINGS}
+    parts = {
+        "samples": of_samples | {"bystander": found.bystander_samples},
+        "scenes": of_scenes | {"bystander": found.bystander_scenes},
+    }
     return {
         "attack_success": {part: {name: asdict(rate) for name, rate in rates.items()} for part, rates in parts.items()}
     }
@@ -154,7 +178,9 @@ def attack_facts(record: RunRecord) -> dict[str, Any]:
 
 def _attack(row: BriefRow, survives: bool | None) -> Attack:
     contact = None if row.severity is None else row.severity.contact
-    return Attack.of(contact is not None, None if contact is None else contact.at_fault, survives)
+    if contact is None or not contact.adversary:
+        return Attack.of(False, None, survives)
+    return Attack.of(True, contact.at_fault, survives)
 
 
 def _of_scene(attacks: Iterable[Attack], reading: Reading, missing: bool, survives: bool | None) -> bool | None:
@@ -164,6 +190,15 @@ def _of_scene(attacks: Iterable[Attack], reading: Reading, missing: bool, surviv
         return False if verdicts else None
     # A sample on which the planner failed could have shown anything.
     return any_known([*verdicts, *([None] if missing or not verdicts else [])])
+
+
+def _rate(record: RunRecord, verdicts: Sequence[tuple[str, bool | None]]) -> Rate:
+    """Rate of verdicts on samples or scenes, with its interval over recorded scenes."""
+    sources = source_of_scenes(record)
+    said = [(sources[scene], float(verdict)) for scene, verdict in verdicts if verdict is not None]
+    values = np.array([value for _, value in said]).reshape(-1, 1)
+    (rate,) = ratios_over_scenes(values, np.ones_like(values), [name for name, _ in said], seed=record.run.seed)
+    return rate
 
 
 def _rates(record: RunRecord, verdicts: Sequence[tuple[str, Sequence[bool | None]]]) -> dict[Reading, Rate]:

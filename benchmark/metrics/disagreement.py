@@ -225,6 +225,7 @@ def _some_of(outcomes: Outcomes, samples: NDArray[np.int64]) -> Outcomes:
         l2=outcomes.l2[samples],
         valid=outcomes.valid[samples],
         counted=outcomes.counted[samples],
+        known=None if outcomes.known is None else outcomes.known[samples],
         steps={name: column[samples] for name, column in outcomes.steps.items()},
     )
 
@@ -242,7 +243,7 @@ def any_contact(outcomes: Outcomes) -> Bools:
 
 
 def compared(exact: Outcomes, official: Outcomes) -> Bools:
-    """Samples on which two protocols can be compared: those that both count and that ``exact`` knows all steps of.
+    """Samples on which two protocols can be compared: both count them, and all their contacts are known.
 
     Args:
         exact: S verdicts.
@@ -251,4 +252,4 @@ def compared(exact: Outcomes, official: Outcomes) -> Bools:
     Returns:
         (S,) verdicts.
     """
-    return np.logical_and(exact.counted & exact.valid.all(axis=-1), official.counted)
+    return np.logical_and(exact.decided & exact.valid.all(axis=-1), official.decided)

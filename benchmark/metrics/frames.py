@@ -6,7 +6,7 @@ import pandas as pd
 from benchmark.constants import HORIZON_STEPS
 from benchmark.geometry import Floats
 from benchmark.metrics.scores import require_current
-from benchmark.protocols import PROTOCOLS
+from benchmark.protocols import PROTOCOLS, published_values
 from benchmark.records.run import RunRecord, outcomes_of
 
 _COLUMNS = ("collision", "l2")
@@ -22,7 +22,7 @@ def samples_frame(record: RunRecord) -> pd.DataFrame:
         Columns ``scene``, ``sample``, ``index``, ``status``, ``place`` and ``speed_m_s`` (null in older records); then
         for each protocol that judged the record ``<protocol> collision <horizon>`` (0 to 1) and ``<protocol> l2
         <horizon>`` (metres) at ``1s``, ``2s`` and ``3s``, each as the protocol averages it. NaN where there is no plan,
-        the protocol does not count the sample, or a gap in the recording leaves the horizon unknown.
+        the protocol does not count the sample, or nothing is known of it, at the horizon or at all.
 
     Raises:
         InputError: If a protocol judged the record in another version than the present one, or is not known here.
@@ -37,7 +37,7 @@ def samples_frame(record: RunRecord) -> pd.DataFrame:
             continue
         require_current(record, name)
         outcomes = outcomes_of(record.rows, name)
-        values = PROTOCOLS[name].sample_values(outcomes)
+        values = published_values(PROTOCOLS[name], outcomes)
         for column in _COLUMNS:
             table = np.full((len(frame), len(HORIZON_STEPS)), np.nan)
             table[planned] = np.where(outcomes.counted[:, None], values[column], np.nan)

@@ -18,7 +18,7 @@ class LongerRates:
 
     Attributes:
         collision: By horizon, any contact up to there; the denominator are the samples whose plan and whose recording
-            both reach the horizon.
+            both reach the horizon, and whose surroundings are annotated.
         l2: By horizon, displacement there, metres.
     """
 
@@ -38,22 +38,22 @@ def longer_rates(record: RunRecord) -> LongerRates | None:
     sources = source_of_scenes(record)
     nearest = min(LONGER_HORIZON_STEPS.values())
     all_of = zip(record.columns.values("scene"), record.columns.values("longer"))
-    rows = [(scene, longer) for scene, longer in all_of if longer is not None and len(longer.collision) >= nearest]
+    rows = [(scene, longer) for scene, longer in all_of if longer is not None and len(longer.l2) >= nearest]
     if not rows:
         return None
     values = np.zeros((2, len(rows), len(HORIZONS)))
-    counted = np.zeros((len(rows), len(HORIZONS)))
+    counted = np.zeros((2, len(rows), len(HORIZONS)))
     for place, (_, longer) in enumerate(rows):
         for column, steps in enumerate(LONGER_HORIZON_STEPS.values()):
             metres = longer.l2[:steps]
             last = metres[-1]
             if len(metres) < steps or None in metres or last is None:
                 continue
-            counted[place, column] = 1.0
-            values[:, place, column] = any(longer.collision[:steps]), last
+            counted[:, place, column] = longer.collision is not None, 1.0
+            values[:, place, column] = any((longer.collision or [])[:steps]), last
     scenes = [sources[scene] for scene, _ in rows]
     collision, l2 = (
-        dict(zip(HORIZONS, ratios_over_scenes(part, counted, scenes, seed=record.run.seed), strict=True))
-        for part in values
+        dict(zip(HORIZONS, ratios_over_scenes(part, weights, scenes, seed=record.run.seed), strict=True))
+        for part, weights in zip(values, counted)
     )
     return LongerRates(collision, l2)

@@ -127,7 +127,7 @@ def planner_loops(drives: DriveRecord, run: RunRecord) -> PlannerLoops:
 
     Returns:
         What they say. A failed drive or sample that could have shown a contact leaves its scene out, unless another of
-        its drives or samples has one.
+        its drives or samples has one; so do labels that are missing.
     """
     verdicts = scene_failures(run.rows, OPEN_LOOP)
     rows: dict[str, list[DriveRow]] = {}
@@ -200,7 +200,7 @@ def _judged(run: RunRecord) -> bool:
 def _scene_loops(
     scene: str, drives: DriveRecord, open_fails: bool | None, rows: Sequence[DriveRow]
 ) -> SceneLoops | None:
-    driven = [row for row in rows if row.status == "ok"]
+    driven = [row for row in rows if row.status == "ok" and not row.unlabelled]
     hits = [row for row in driven if row.first_contact is not None]
     if open_fails is None or not driven or (len(driven) < len(rows) and not hits):
         return None

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from benchmark.constants import HORIZON_STEPS
 from benchmark.geometry import Bools, Floats
 from benchmark.machine.storage import content_seed
-from benchmark.protocols import CollisionProtocol, Outcomes
+from benchmark.protocols import CollisionProtocol, Outcomes, published_values
 
 RESAMPLES = 2000
 INTERVAL = (2.5, 97.5)
@@ -112,11 +112,16 @@ def rates(
         says nothing at a horizon (NaN) is in neither sum there; in those of the average where it does at all three.
     """
     columns: dict[str, dict[str, Rate]] = {}
-    for column, by_horizon in definition.sample_values(outcomes).items():
+    for column, by_horizon in published_values(definition, outcomes).items():
         values = with_average(by_horizon)
         said = ~np.isnan(values)
         weights = np.where(said, outcomes.counted[:, None], False).astype(np.float64)
-        found = ratios_over_scenes(np.where(said, values, 0.0) * weights, weights, scenes, seed=seed)
+        values, own = np.where(said, values, 0.0) * weights, scenes
+        if outcomes.known is not None and not said.all():
+            # A scene whose surroundings are not annotated is not drawn either.
+            rows = np.flatnonzero(said.any(axis=1)).tolist()
+            values, weights, own = values[rows], weights[rows], [scenes[row] for row in rows]
+        found = ratios_over_scenes(values, weights, own, seed=seed)
         columns[column] = dict(zip(HORIZONS, found))
     return columns
 

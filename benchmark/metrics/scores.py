@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.metrics.rates import HORIZONS, SceneSums, sums_by_scene, with_average
-from benchmark.protocols import LEAVING_OUT, MAXIMA, PROTOCOLS
+from benchmark.protocols import LEAVING_OUT, MAXIMA, PROTOCOLS, published_values
 from benchmark.records.run import RunRecord, outcomes_of, protocol_of
 
 _SOURCES: Final = "sources of scenes"
@@ -30,7 +30,7 @@ class Scored:
         tokens: S samples with a plan.
         scenes: S scene names.
         values: (S, 4) at 1, 2, 3 s and their mean, 0..1; NaN where the sample says nothing.
-        counted: (S,) whether the sample counts.
+        counted: (S,) whether the sample counts and its collisions are known.
         failed: Samples without a plan.
         kept: Sums that were asked for.
     """
@@ -64,6 +64,8 @@ class Scored:
         return self.kept[key][1]
 
     def _sums(self, unit_of: Mapping[str, str], rows: NDArray[np.int64]) -> SceneSums:
+        # A scene of which nothing is said is not drawn either.
+        rows = rows[~np.isnan(self.values[rows]).all(axis=1)]
         values = self.values[rows]
         said = ~np.isnan(values)
         weights = (said & self.counted[rows, None]).astype(np.float64)
@@ -108,8 +110,8 @@ def scored(record: RunRecord, *, protocol: str = "exact") -> Scored:
         protocol=name,
         tokens=columns.planned_tokens,
         scenes=columns.planned_scenes,
-        values=with_average(PROTOCOLS[name].sample_values(outcomes)["collision"]).reshape(-1, len(HORIZONS)),
-        counted=outcomes.counted,
+        values=with_average(published_values(PROTOCOLS[name], outcomes)["collision"]).reshape(-1, len(HORIZONS)),
+        counted=outcomes.decided,
         failed=columns.failed_tokens,
     )
 

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats
 from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.effect import attributed_collisions
 from benchmark.metrics.rates import HORIZONS, Rate, SceneSums, ratios_of_sums, sums_by_scene, with_average
 from benchmark.metrics.scores import require_current, source_of_scenes
-from benchmark.protocols import PROTOCOLS
+from benchmark.protocols import PROTOCOLS, published_values
 from benchmark.records.driving import COLUMNS as DRIVING_COLUMNS
 from benchmark.records.row_schema import CAUSES, PlaceName
 from benchmark.records.run import RunRecord, outcomes_of, protocol_of
@@ -125,11 +126,11 @@ def rates_by(record: RunRecord, kind: SliceKind, protocol: str) -> list[Slice]:
     if parts is None:
         return []
     planned, outcomes = record.columns.planned, outcomes_of(record.rows, name)
-    columns = PROTOCOLS[name].sample_values(outcomes)
+    columns = published_values(PROTOCOLS[name], outcomes)
     values = np.concatenate([with_average(one).reshape(-1, len(HORIZONS)) for one in columns.values()], axis=1)
     weights = np.where(np.isnan(values), False, outcomes.counted[:, None]).astype(np.float64)
     keys = [(column, horizon) for column in columns for horizon in HORIZONS]
-    return _slices(record, parts, planned, outcomes.counted, np.nan_to_num(values), weights, keys)
+    return _slices(record, parts, planned, outcomes.decided, np.nan_to_num(values), weights, keys)
 
 
 def driving_by(record: RunRecord, kind: SliceKind) -> list[Slice]:
@@ -167,7 +168,7 @@ def causes_by(record: RunRecord, kind: SliceKind) -> list[Slice]:
     """
     require_current(record, EXACT)
     parts = slicing(record, kind)
-    chosen = np.flatnonzero(record.columns.collides(EXACT))
+    chosen = np.flatnonzero(attributed_collisions(record))
     diagnoses = record.columns.values("diagnosis")
     causes = [None if (said := diagnoses[place]) is None else said.cause for place in chosen.tolist()]
     if parts is None or not causes or None in causes:

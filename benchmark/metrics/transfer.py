@@ -3,7 +3,10 @@
 A scene fails a planner if any counted sample of it collides at any step (`benchmark.records.run.scene_failures`). Cell
 (surrogate, victim) is the share of the surrogate's failed scenes that the victim fails too. It is not symmetric, and
 the victim's failure rate over all scenes (``base_rates``) belongs beside it: transfer is what exceeds that. Two
-planners that fail many scenes share many of them by chance; the phi coefficient says how much more than that.
+planners that fail many scenes share many of them by chance; lift and the phi coefficient say how much more than that.
+
+The paper counts any collision. With ``adversary_only`` a scene fails a planner if the first contact of a counted sample
+under ``exact`` is with an adversary: bystanders in whom both planners collide anyway are no transfer.
 """
 
 import math
@@ -14,8 +17,10 @@ import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
+from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.effect import AT_3_S, sample_contacts, says_whom
 from benchmark.metrics.rates import Estimate, Rate, all_ends, resampled
-from benchmark.metrics.scores import require_current, source_of_scenes
+from benchmark.metrics.scores import named, require_current, source_of_scenes
 from benchmark.protocols import protocol as definition_of
 from benchmark.records.file_plans import file_notes
 from benchmark.records.run import NATIVE, RunRecord, protocol_of, scene_failures
@@ -37,6 +42,8 @@ class Agreement:
         phi: Correlation of the two verdicts, -1..1; it does not exist where one of them fails all or none.
         lift: How many times more often they fail together than by chance: both * all / (fails of the first * fails of
             the second); ``None`` where one of them fails none.
+        lift_low: Lower end of its 95 % interval.
+        lift_high: Upper end.
     """
 
     planners: tuple[str, str]
@@ -46,6 +53,13 @@ class Agreement:
     neither: int
     phi: Estimate
     lift: float | None
+    lift_low: float | None
+    lift_high: float | None
+
+    @property
+    def scenes(self) -> int:
+        """Scenes that both were judged on."""
+        return self.both + self.only_first + self.only_second + self.neither
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +68,7 @@ class TransferMatrix:
 
     Attributes:
         protocol: Who judged the collisions; ``native`` if each planner's own protocol did.
+        adversary_only: Whether only first contacts with an adversary fail a scene.
         split: Name of the split.
         recordings: How many recorded scenes the scenes come from; they are what the intervals draw.
         planners: Names of P planners, in the order given.
@@ -71,6 +86,7 @@ class TransferMatrix:
     """
 
     protocol: str
+    adversary_only: bool
     split: str
     recordings: int
     planners: tuple[str, ...]
@@ -85,12 +101,15 @@ class TransferMatrix:
     file_notes: tuple[str, ...] = ()
 
 
-def transfer(records: Sequence[RunRecord], *, protocol: str = "exact", seed: int = 0) -> TransferMatrix:
+def transfer(
+    records: Sequence[RunRecord], *, protocol: str = EXACT, adversary_only: bool = False, seed: int = 0
+) -> TransferMatrix:
     """Transfer matrix of several planners on the same scenes.
 
     Args:
         records: One for each planner.
         protocol: Whose verdicts count; ``native`` takes those of each planner's own repository.
+        adversary_only: Whether only first contacts with an adversary fail a scene; ``exact`` alone says that.
         seed: Seed of the intervals. What is drawn is the recorded scene with everything made from it.
 
     Returns:
@@ -98,15 +117,27 @@ def transfer(records: Sequence[RunRecord], *, protocol: str = "exact", seed: int
 
     Raises:
         InputError: If there is no record, a planner appears twice, the records are not of the same data and split, or a
-            record was not judged by the protocol or by another version of it.
+            record was not judged by the protocol or by another version of it, or does not say whom contacts are with,
+            or no scene has a verdict.
     """
     judges = _judges(records, protocol)
-    verdicts = [scene_failures(record.rows, judge) for record, judge in zip(records, judges)]
+    if adversary_only and protocol != EXACT:
+        raise InputError(f"only {EXACT} says of a scene whether the adversary is touched first, not {protocol}")
+    verdicts = [
+        adversary_failures(record) if adversary_only else scene_failures(record.rows, judge)
+        for record, judge in zip(records, judges)
+    ]
+    if all(failed is None for verdict in verdicts for failed in verdict.values()):
+        raise InputError(
+            f"no scene of split {records[0].run.split!r} has a verdict of {' or '.join(dict.fromkeys(judges))}, for no "
+            "sample is complete and has its surroundings annotated; choose another split or protocol"
+        )
     every_scene = sorted({scene for verdict in verdicts for scene in verdict})
     sources = {scene: source for record in records for scene, source in source_of_scenes(record).items()}
     failures = Failures.of(verdicts, sources)
     return TransferMatrix(
         protocol=protocol,
+        adversary_only=adversary_only,
         split=records[0].run.split,
         recordings=len(set(sources.values())),
         planners=tuple(record.planner for record in records),
@@ -176,10 +207,22 @@ class Failures:
         values = _phi(totals.T)
         asked = ~np.isnan(values) & (np.count_nonzero(shared, axis=1) > 1)
         intervals = self._ends(tables, shared, asked, (-1.0, 1.0), lambda drawn: _phi_of(*drawn), seed)
+        lifts = _lift_of(*totals)
+        asked = ~np.isnan(lifts) & (np.count_nonzero(shared, axis=1) > 1)
+        # The most there can be: both fail one scene, the same one.
+        most = float(self.fails.shape[1])
+        of_lift = self._ends(tables, shared, asked, (0.0, most), lambda drawn: _lift_of(*drawn), seed)
         return [
-            _agreement((names[first], names[first + 1 + place]), total, phi, interval)
-            for place, (total, phi, interval) in enumerate(
-                zip(totals.T.tolist(), values.tolist(), intervals, strict=True)
+            Agreement(
+                (names[first], names[first + 1 + place]),
+                **dict(zip(("both", "only_first", "only_second", "neither"), map(round, total))),
+                phi=Estimate(None if math.isnan(phi) else phi, *interval),
+                lift=None if math.isnan(lift) else lift,
+                lift_low=ends[0],
+                lift_high=ends[1],
+            )
+            for place, (total, phi, interval, lift, ends) in enumerate(
+                zip(totals.T.tolist(), values.tolist(), intervals, lifts.tolist(), of_lift, strict=True)
             )
         ]
 
@@ -229,25 +272,6 @@ class Failures:
         return found
 
 
-def _agreement(
-    planners: tuple[str, str],
-    totals: Sequence[float],
-    phi: float,
-    interval: tuple[float | None, float | None],
-) -> Agreement:
-    both, only_first, only_second, neither = (round(count) for count in totals)
-    product = (both + only_first) * (both + only_second)
-    return Agreement(
-        planners=planners,
-        both=both,
-        only_first=only_first,
-        only_second=only_second,
-        neither=neither,
-        phi=Estimate(None if math.isnan(phi) else phi, *interval),
-        lift=both * (both + only_first + only_second + neither) / product if product else None,
-    )
-
-
 def _phi(counts: Floats) -> Floats:
     """Phi coefficients of (R, 4) fourfold tables; NaN where a margin is empty."""
     return _phi_of(*counts.T)
@@ -258,9 +282,43 @@ def _phi_of(both: Floats, first: Floats, second: Floats, neither: Floats) -> Flo
     return _quotient(both * neither - first * second, np.sqrt(margins))
 
 
+def _lift_of(both: Floats, first: Floats, second: Floats, neither: Floats) -> Floats:
+    """How many times more often both fail than by chance; NaN where one of them fails none."""
+    return _quotient(both * (both + first + second + neither), (both + first) * (both + second))
+
+
 def _quotient(above: Floats, below: Floats) -> Floats:
     """Quotients, NaN where the denominator is zero."""
     return np.divide(above, below, out=np.full_like(above, np.nan), where=below > 0)
+
+
+def adversary_failures(record: RunRecord) -> dict[str, bool | None]:
+    """Which scenes a planner fails by touching the adversary first.
+
+    Args:
+        record: Of the planner, judged by ``exact``.
+
+    Returns:
+        Scene name to verdict, as `benchmark.records.run.scene_failures` has it.
+
+    Raises:
+        InputError: If the record does not say whom contacts are with.
+    """
+    if not says_whom(record):
+        raise InputError(
+            f"{named(record)} does not say whom contacts are with, or who is an adversary; run challenger-bench rescore"
+        )
+    found, columns = sample_contacts(record), record.columns
+    counts = found.counted.tolist()
+    judged = {scene for scene, counted in zip(columns.planned_scenes, counts) if counted}
+    hit = (found.counted & (found.adversary[:, AT_3_S] > 0.0)).tolist()
+    failed = {scene for scene, touches in zip(columns.planned_scenes, hit) if touches}
+    # A sample on which the planner failed could have shown anything.
+    lost = np.flatnonzero(columns.failed & columns.flags("complete")).tolist()
+    unknown = {columns.values("scene")[place] for place in lost}
+    return {
+        scene: True if scene in failed else False if scene in judged - unknown else None for scene in record.run.scenes
+    }
 
 
 def _judges(records: Sequence[RunRecord], protocol: str) -> tuple[str, ...]:

@@ -54,7 +54,9 @@ def course(states: Floats, route: Floats, oncoming: Bools, in_intersection: Bool
     within = np.lib.stride_tricks.sliding_window_view(padded, WRONG_WAY_STATES, axis=1).sum(axis=-1)
     line = shapely.linestrings(route)
     points = shapely.points(center)
-    ends = shapely.line_locate_point(line, points[:, [0, -1]])
+    # On the route of a car that stands, which has no length, every place is its beginning.
+    with np.errstate(invalid="ignore"):
+        ends = shapely.line_locate_point(line, points[:, [0, -1]])
     return Course(
         wrong_way_m=within.max(axis=1),
         progress_m=np.maximum(ends[:, 1] - ends[:, 0], 0.0),

@@ -1,11 +1,18 @@
 """Protocols by name: every definition of collision and L2 that a run is judged by."""
 
+from collections.abc import Iterable
 from typing import Final
 
 from benchmark.errors import InputError, did_you_mean
 from benchmark.protocols.agent_driver import AgentDriver, RasterOfVAD
 from benchmark.protocols.bev_planner import BEVPlanner
-from benchmark.protocols.contract import CollisionProtocol, GroundTruthMask, Outcomes, says_all
+from benchmark.protocols.contract import (
+    CollisionProtocol,
+    GroundTruthMask,
+    Outcomes,
+    published_values,
+    says_all,
+)
 from benchmark.protocols.diffusiondrive import DiffusionDrive
 from benchmark.protocols.exact import Exact
 from benchmark.protocols.omnidrive import OmniDrive
@@ -27,8 +34,10 @@ __all__ = [
     "Outcomes",
     "masking_protocols",
     "protocol",
+    "published_values",
     "register",
     "says_all",
+    "using_categories",
 ]
 
 PROTOCOLS: dict[str, CollisionProtocol] = {}
@@ -75,6 +84,12 @@ def protocol(name: str) -> CollisionProtocol:
     if name not in PROTOCOLS:
         raise InputError(f"unknown protocol {name!r}; {did_you_mean(name, PROTOCOLS)}known are {', '.join(PROTOCOLS)}")
     return PROTOCOLS[name]
+
+
+def using_categories(names: Iterable[str]) -> tuple[str, ...]:
+    """Those of some known protocols for which it depends on an object's category whether it can be hit."""
+    # Protocols of other packages may be older than the question.
+    return tuple(name for name in names if getattr(PROTOCOLS[name], "uses_categories", True))
 
 
 def masking_protocols() -> dict[str, GroundTruthMask]:

@@ -63,6 +63,7 @@ class BEVPlanner:
     name = "bev-planner"
     version = 1
     counts_incomplete = False
+    uses_categories = True
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
         """Vehicles with a point on them at the step.

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ class Outcomes:
         counted: (S,) whether the protocol lets the sample into its denominators.
         steps: Further columns of the protocol, each (S, 6), for example the verdicts before an exclusion.
         facts: Further values of the protocol, one JSON value for each sample.
+        known: (S,) whether the data say whom a plan could touch; where not, ``collision`` is no verdict. ``None``: of
+            every sample.
     """
 
     collision: Bools
@@ -32,9 +34,15 @@ class Outcomes:
     counted: Bools
     steps: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     facts: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+    known: Bools | None = None
 
     def __len__(self) -> int:
         return len(self.counted)
+
+    @property
+    def decided(self) -> Bools:
+        """(S,) whether a sample counts and its collisions are known: what collision rates are made of."""
+        return self.counted if self.known is None else self.counted & self.known
 
     def step(self, name: str) -> NDArray[Any]:
         """A further column.
@@ -48,8 +56,10 @@ class Outcomes:
         return self.steps[name] if len(self) else np.zeros((0, PLAN_STEPS), dtype=np.bool_)
 
     def as_rows(self) -> list[dict[str, Any]]:
-        """One JSON object for each sample; a displacement that does not exist is null."""
+        """One JSON object for each sample; null are a displacement that does not exist and unknown collisions."""
         collision, l2, valid = self.collision.tolist(), self.l2.tolist(), self.valid.tolist()
+        for index in () if self.known is None else np.flatnonzero(~self.known).tolist():
+            collision[index] = None
         counted, steps = self.counted.tolist(), {name: column.tolist() for name, column in self.steps.items()}
         return [
             {
@@ -77,13 +87,16 @@ class Outcomes:
         l2 = np.array([row["l2"] for row in rows], dtype=np.float64).reshape(shape)
         valid = ~np.isnan(l2)
         first = rows[0] if rows else {"steps": {}, "facts": {}}
+        known = np.array([row["collision"] is not None for row in rows], np.bool_)
+        collision = [row["collision"] or [False] * PLAN_STEPS for row in rows]
         return cls(
-            collision=np.array([row["collision"] for row in rows], dtype=np.bool_).reshape(shape),
+            collision=np.array(collision, dtype=np.bool_).reshape(shape),
             l2=np.where(valid, l2, 0.0),
             valid=valid,
             counted=np.array([row["counted"] for row in rows], dtype=np.bool_),
             steps={name: np.array([row["steps"][name] for row in rows]) for name in first["steps"]},
             facts={name: tuple(row["facts"][name] for row in rows) for name in first["facts"]},
+            known=None if known.all() else known,
         )
 
 
@@ -97,6 +110,7 @@ class CollisionProtocol(Protocol):
         name: Column name; two protocols never share one.
         version: Raised whenever a verdict or an average may change.
         counts_incomplete: Whether samples count whose recording ends before 3 s.
+        uses_categories: Whether it depends on an object's category whether it can be hit.
 
     One that judges by `SampleTruth.by_clock` says so by an attribute ``goes_by_clock = True``. The steps of all others
     are key frames, so that they count nothing in scenes whose key frames do not come at 2 Hz.
@@ -113,6 +127,10 @@ class CollisionProtocol(Protocol):
     @property
     def counts_incomplete(self) -> bool:
         """Whether samples count whose recording ends before 3 s."""
+
+    @property
+    def uses_categories(self) -> bool:
+        """Whether it depends on an object's category whether it can be hit."""
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
         """Which objects can be hit at which step; what tells a missed object from a missed contact.
@@ -170,9 +188,34 @@ def says_all(definition: CollisionProtocol, outcomes: Outcomes) -> Bools:
         outcomes: S verdicts of it.
 
     Returns:
-        (S,) verdicts: False where a sample counts but a gap in the recording leaves some of its steps unknown.
+        (S,) verdicts: False where a sample counts but a gap in the recording leaves some of its steps unknown, or the
+        data do not say whom a plan could touch.
     """
-    return np.logical_and(outcomes.counted, outcomes.valid.all(axis=-1) | definition.counts_incomplete)
+    return np.logical_and(outcomes.decided, outcomes.valid.all(axis=-1) | definition.counts_incomplete)
+
+
+def published_values(definition: CollisionProtocol, outcomes: Outcomes) -> dict[str, Floats]:
+    """`CollisionProtocol.sample_values`, less what nothing is known of.
+
+    Args:
+        definition: The protocol.
+        outcomes: S verdicts of it.
+
+    Returns:
+        Columns by name, each (S, 3); those of contacts are NaN where ``outcomes.known`` is False.
+    """
+    columns = definition.sample_values(outcomes)
+    if outcomes.known is None:
+        return columns
+    unknown = ~outcomes.known[:, None]
+    return {
+        name: np.where(unknown, np.nan, values) if name.startswith(_OF_CONTACTS) else values
+        for name, values in columns.items()
+    }
+
+
+_OF_CONTACTS: Final = ("collision", "obj_col")
+"""How the names of columns begin that need to know who is around."""
 
 
 @runtime_checkable

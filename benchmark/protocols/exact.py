@@ -23,6 +23,7 @@ car that creeps along a curve in steps of less than 0.3 m keeps its heading.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints, pos
 from benchmark.protocols.averages import any_up_to, at_steps, means_up_to
 from benchmark.protocols.contract import Outcomes
 from benchmark.protocols.stacked import StackedTruths, displacement, stack
+from benchmark.protocols.touched import ADVERSARY_S, HIT_ADVERSARY
 from benchmark.truth import SampleTruth
 from benchmark.waypoints import chord_headings
 
@@ -40,6 +42,23 @@ _SAMPLES_AT_ONCE = 256
 """Bounds the memory of one batch: 256 samples of 30 objects need about 40 MB."""
 
 
+@dataclass(frozen=True, slots=True)
+class FirstContact:
+    """Who is touched first in a sample.
+
+    Attributes:
+        time_s: When, or ``None`` where nothing is touched.
+        instance: Who; of objects that are touched at the same instant the first by name.
+        adversary: Whether that is an adversary.
+        adversary_s: When an adversary is first touched, if any is.
+    """
+
+    time_s: float | None = None
+    instance: str | None = None
+    adversary: bool | None = None
+    adversary_s: float | None = None
+
+
 class Exact:
     """See the module's docstring."""
 
@@ -47,6 +66,7 @@ class Exact:
     version = 2
     counts_incomplete = False
     goes_by_clock = True
+    uses_categories = False
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
         """Everything that is annotated at the step.
@@ -79,14 +99,16 @@ class Exact:
 
         Returns:
             Verdicts with the column ``waypoint_collision`` (contact at the waypoints alone) and the facts
-            ``first_contact_s`` and ``hit`` (instance identifier of the object that is touched first).
+            ``first_contact_s``, ``hit`` (instance identifier of the object that is touched first), ``hit_adversary``
+            (whether that is an adversary) and ``adversary_contact_s`` (when an adversary is first touched, whatever
+            was touched before).
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         truths = [truth.by_clock for truth in truths]
         stacked = stack(truths)
         ego = ego_boxes(plans)
         contact = np.zeros(ego.shape[:2], dtype=np.bool_)
-        first: list[tuple[float | None, str | None]] = []
+        first: list[FirstContact] = []
         for start in range(0, len(truths), _SAMPLES_AT_ONCE):
             batch = slice(start, start + _SAMPLES_AT_ONCE)
             contact[batch], first_of_batch = contacts(ego[batch], truths[batch])
@@ -98,7 +120,12 @@ class Exact:
             valid=stacked.ego_future_valid,
             counted=stacked.ego_future_valid.all(axis=-1) | _cut_short(truths),
             steps={"waypoint_collision": by_step[..., -1]},
-            facts={"first_contact_s": tuple(time for time, _ in first), "hit": tuple(name for _, name in first)},
+            facts={
+                "first_contact_s": tuple(each.time_s for each in first),
+                "hit": tuple(each.instance for each in first),
+                HIT_ADVERSARY: tuple(each.adversary for each in first),
+                ADVERSARY_S: tuple(each.adversary_s for each in first),
+            },
         )
 
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
@@ -201,7 +228,7 @@ def _fractions() -> Floats:
     return np.arange(1, INSTANTS_PER_STEP + 1) / INSTANTS_PER_STEP
 
 
-def contacts(ego: Floats, truths: Sequence[SampleTruth]) -> tuple[Bools, list[tuple[float | None, str | None]]]:
+def contacts(ego: Floats, truths: Sequence[SampleTruth]) -> tuple[Bools, list[FirstContact]]:
     """Contacts of any rectangle with the annotated objects.
 
     Args:
@@ -209,7 +236,7 @@ def contacts(ego: Floats, truths: Sequence[SampleTruth]) -> tuple[Bools, list[tu
         truths: S samples.
 
     Returns:
-        (S, 30) verdicts, and for each sample when (seconds) and whom it touches first, or two ``None``.
+        (S, 30) verdicts, and the first contact of each sample.
     """
     boxes = np.concatenate([truth.boxes for truth in truths])
     annotated = np.concatenate([truth.annotated for truth in truths])
@@ -226,9 +253,15 @@ def contacts(ego: Floats, truths: Sequence[SampleTruth]) -> tuple[Bools, list[tu
     contact = np.zeros(ego.shape[:2], dtype=np.bool_)
     contact[sample_of[which], instant] = True
     names = [name for truth in truths for name in truth.instances]
-    first: list[tuple[float | None, str | None]] = [(None, None)] * len(truths)
+    first = [FirstContact()] * len(truths)
     # Earliest contact of each sample; objects that are touched at the same instant are told apart by their names.
     for sample, at, name in sorted(zip(sample_of[which].tolist(), instant.tolist(), (names[row] for row in which))):
-        if first[sample][0] is None:
-            first[sample] = (round((at + 1) * PLAN_STEP_S / INSTANTS_PER_STEP, 3), name)
+        known, adversary = first[sample], name in truths[sample].adversaries
+        if known.time_s is not None and (known.adversary_s is not None or not adversary):
+            continue
+        time_s = round((at + 1) * PLAN_STEP_S / INSTANTS_PER_STEP, 3)
+        if known.time_s is None:
+            first[sample] = FirstContact(time_s, name, adversary, time_s if adversary else None)
+        else:
+            first[sample] = replace(known, adversary_s=time_s)
     return contact, first

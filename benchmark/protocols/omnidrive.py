@@ -66,6 +66,7 @@ class OmniDrive:
     name = "omnidrive"
     version = 1
     counts_incomplete = False
+    uses_categories = True
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
         """Vehicles that are annotated now, until their first gap.

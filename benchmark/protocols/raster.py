@@ -11,6 +11,7 @@ comparison with stored rasters and for pictures.
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,6 +21,7 @@ from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats
 from benchmark.protocols.contract import Outcomes
 from benchmark.protocols.stacked import StackedTruths, displacement, stack
+from benchmark.protocols.touched import touched_facts
 from benchmark.truth import SampleTruth
 
 CELLS = 200
@@ -99,6 +101,30 @@ def occupied(
     return found
 
 
+def covering(
+    polygons: NDArray[np.int32], place_of: NDArray[np.int64], cells: Cells, counts: Bools | None = None
+) -> Bools:
+    """Which polygons cover a cell of their place: `occupied`, asked of each polygon.
+
+    Args:
+        polygons: (N, 4, 2) corners, column first.
+        place_of: (N,) which of P places a polygon belongs to.
+        cells: (P, C, 2) cells to look at, row first.
+        counts: (P, C) which of them count, if not all.
+
+    Returns:
+        (N,) verdicts.
+    """
+    found = np.zeros(len(polygons), dtype=np.bool_)
+    grid = np.zeros((CELLS, CELLS), np.uint8)
+    for index, place in enumerate(place_of.tolist()):
+        cv2.fillPoly(grid, [polygons[index]], (1,))
+        at = cells[place] if counts is None else cells[place][counts[place]]
+        found[index] = grid[at[:, 0], at[:, 1]].any()
+        grid[:] = 0
+    return found
+
+
 def _may_reach(
     boxes: Floats, place_of: NDArray[np.int64], bounds: Sequence[tuple[Cells, Cells]], rows: Floats
 ) -> Bools:
@@ -140,10 +166,12 @@ class RasterProtocol(ABC):
 
     Attributes:
         counts_incomplete: Whether samples count whose recording ends before 3 s.
+        uses_categories: Whether it depends on an object's category whether it is drawn.
         first_row_ahead: Whether row 0 of the grid lies far ahead, not far behind.
     """
 
     counts_incomplete: bool
+    uses_categories: bool
     first_row_ahead: bool
 
     @abstractmethod
@@ -228,8 +256,9 @@ class RasterProtocol(ABC):
         inside = ((point >= 0) & (point < CELLS)).all(axis=-1)
         groups = (plan, recorded, truncated(point)[..., None, :])
         on_plan, on_recorded, at_point = self._covered(stacked, self.counted_objects(stacked), groups)
+        collision = on_plan & ~on_recorded
         return Outcomes(
-            collision=on_plan & ~on_recorded,
+            collision=collision,
             l2=displacement(plans, stacked),
             valid=stacked.ego_future_valid,
             counted=stacked.ego_future_valid.all(axis=-1) | self.counts_incomplete,
@@ -239,7 +268,16 @@ class RasterProtocol(ABC):
                 "recorded_adversary": self.recorded_contacts(stacked, stacked.adversarial),
                 "obj_col": at_point & inside & ~on_recorded,
             },
+            facts=self._touched(stacked, collision, plan),
         )
+
+    def _touched(self, truths: StackedTruths, collision: Bools, cells: Cells) -> dict[str, tuple[Any, ...]]:
+        """Whose polygons cover (S, 6, C, 2) cells at (S, 6) colliding steps."""
+        objects, steps = np.nonzero(self.counted_objects(truths) & collision[truths.sample_of])
+        places = truths.sample_of[objects] * PLAN_STEPS + steps
+        flat = cells.reshape(-1, cells.shape[-2], 2)
+        hit = covering(self.drawn_polygons(self.drawn_boxes(truths, objects, steps)), places, flat)
+        return touched_facts(truths, collision, objects[hit], steps[hit])
 
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
         """The ground-truth check: whether the recorded ego's block covers a cell of some objects.

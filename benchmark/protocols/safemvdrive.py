@@ -50,6 +50,7 @@ class SafeMVDrive:
     name = "safemvdrive"
     version = 1
     counts_incomplete = True
+    uses_categories = True
 
     def __init__(self) -> None:
         self.uniad = UniAD()
@@ -131,6 +132,7 @@ class SafeMVDriveBox:
 
     version = 1
     counts_incomplete = False
+    uses_categories = False
 
     def __init__(self, name: str, *, needs_points: bool) -> None:
         self.name, self.needs_points = name, needs_points

@@ -24,12 +24,14 @@ other times (scenes at another rate are not counted, `benchmark.datasets.steps`)
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmark.constants import EGO_LENGTH_M, EGO_WIDTH_M, PLAN_STEPS
 from benchmark.geometry import Bools, Floats, boxes_overlap, directions_of, ego_footprints
 from benchmark.protocols.averages import means_up_to
 from benchmark.protocols.contract import Outcomes
 from benchmark.protocols.stacked import StackedTruths, displacement, stack
+from benchmark.protocols.touched import touched_facts
 from benchmark.truth import SampleTruth
 
 STANDING_M = 0.5
@@ -45,6 +47,7 @@ class SparseDrive:
 
     version = 1
     counts_incomplete = False
+    uses_categories = False
 
     def __init__(self, name: str = "sparsedrive") -> None:
         self.name = name
@@ -89,10 +92,13 @@ class SparseDrive:
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
-        on_plan = self._touched(stacked, self.counted_objects(stacked), plans)
+        objects = self.counted_objects(stacked)
+        pairs = contact_pairs(stacked, objects, plans, self.headings(plans))
+        on_plan = _at_steps(stacked, pairs) & stacked.ego_future_valid
         on_recorded = self.recorded_contacts(stacked, np.ones_like(stacked.adversarial))
+        collision = on_plan & ~on_recorded
         return Outcomes(
-            collision=on_plan & ~on_recorded,
+            collision=collision,
             l2=displacement(plans, stacked),
             valid=stacked.ego_future_valid,
             counted=stacked.ego_future_valid.all(axis=-1),
@@ -101,6 +107,7 @@ class SparseDrive:
                 "recorded": on_recorded,
                 "recorded_adversary": self.recorded_contacts(stacked, stacked.adversarial),
             },
+            facts=touched_facts(stacked, collision, *pairs),
         )
 
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
@@ -113,10 +120,7 @@ class SparseDrive:
         Returns:
             (S, 6) verdicts.
         """
-        return self._touched(truths, self.counted_objects(truths) & among[:, None], truths.ego_future[..., :2])
-
-    def _touched(self, truths: StackedTruths, objects: Bools, waypoints: Floats) -> Bools:
-        """Where (S, 6, 2) waypoints put the ego on (M, 6) objects, at steps that were recorded."""
+        objects, waypoints = self.counted_objects(truths) & among[:, None], truths.ego_future[..., :2]
         return waypoint_contacts(truths, objects, waypoints, self.headings(waypoints)) & truths.ego_future_valid
 
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
@@ -147,6 +151,17 @@ def waypoint_contacts(truths: StackedTruths, objects: Bools, plans_lidar: Floats
     Returns:
         (S, 6) verdicts.
     """
+    return _at_steps(truths, contact_pairs(truths, objects, plans_lidar, heading_rad))
+
+
+def contact_pairs(
+    truths: StackedTruths, objects: Bools, plans_lidar: Floats, heading_rad: Floats
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Which objects the ego's rectangle touches; arguments as of `waypoint_contacts`.
+
+    Returns:
+        (N,) objects and (N,) steps.
+    """
     ego = ego_footprints(np.concatenate([plans_lidar, heading_rad[..., None]], axis=-1))
     which, step = np.nonzero(objects)
     mine, theirs = ego[truths.sample_of[which], step], truths.boxes[which, step + 1]
@@ -155,6 +170,11 @@ def waypoint_contacts(truths: StackedTruths, objects: Bools, plans_lidar: Floats
     reach = 0.5 * (np.hypot(theirs[:, 2], theirs[:, 3]) + np.hypot(EGO_LENGTH_M, EGO_WIDTH_M)) + 1e-6
     near = (offset**2).sum(axis=-1) <= reach**2
     hit = boxes_overlap(mine[near], theirs[near])
-    contact = np.zeros(plans_lidar.shape[:2], dtype=np.bool_)
-    contact[truths.sample_of[which[near][hit]], step[near][hit]] = True
+    return which[near][hit], step[near][hit]
+
+
+def _at_steps(truths: StackedTruths, pairs: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Bools:
+    """(S, 6) steps at which any object is touched."""
+    contact = np.zeros(truths.ego_future_valid.shape, dtype=np.bool_)
+    contact[truths.sample_of[pairs[0]], pairs[1]] = True
     return contact

@@ -26,7 +26,7 @@ other times (scenes at another rate are not counted, `benchmark.datasets.steps`)
 """
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +35,9 @@ from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats, box_corners, to_global, to_local
 from benchmark.protocols.averages import masked_columns, means_up_to
 from benchmark.protocols.contract import Outcomes
-from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, Cells, ego_cells, occupied, truncated
+from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, Cells, covering, ego_cells, occupied, truncated
 from benchmark.protocols.stacked import StackedTruths, displacement, stack
+from benchmark.protocols.touched import touched_facts
 from benchmark.truth import SampleTruth
 
 KEYFRAMES_BEFORE: Final = 2
@@ -50,6 +51,7 @@ class STP3:
     name = "stp3"
     version = 1
     counts_incomplete = False
+    uses_categories = True
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
         """People and vehicles of the step that were seen now or in the second before.
@@ -92,8 +94,9 @@ class STP3:
         inside = ((point >= 0) & (point < CELLS)).all(axis=-1)
         blocks = [ego_block(plans), ego_block(stacked.ego_future[..., :2]), truncated(point)[..., None, :]]
         on_plan, on_recorded, at_point = _covered(stacked, blocks, *drawn_polygons(self, stacked))
+        collision = on_plan & ~on_recorded
         return Outcomes(
-            collision=on_plan & ~on_recorded,
+            collision=collision,
             l2=displacement(plans, stacked),
             valid=stacked.ego_future_valid,
             counted=stacked.ego_future_valid.all(axis=-1) & (stacked.keyframes_before >= KEYFRAMES_BEFORE),
@@ -103,7 +106,16 @@ class STP3:
                 "recorded_adversary": self.recorded_contacts(stacked, stacked.adversarial),
                 "obj_col": at_point & inside & ~on_recorded,
             },
+            facts=self._touched(stacked, collision, blocks[0]),
         )
+
+    def _touched(self, truths: StackedTruths, collision: Bools, block: Cells) -> dict[str, tuple[Any, ...]]:
+        """Whose warped polygons cover (S, 6, C, 2) cells at (S, 6) colliding steps."""
+        objects, steps = np.nonzero(self.counted_objects(truths) & collision[truths.sample_of])
+        polygons, places = _polygons_of(truths, objects, steps)
+        cells, on_grid = _cells_before_warp(truths, block)
+        hit = covering(polygons, places, cells.reshape(-1, cells.shape[-2], 2), on_grid.reshape(-1, cells.shape[-2]))
+        return touched_facts(truths, collision, objects[hit], steps[hit])
 
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
         """The ground-truth check: whether the block touches some objects on the recorded way.
@@ -146,7 +158,13 @@ def drawn_polygons(
         (N, 4, 2) column (left) and row (forward) of each corner, and (N,) the place of each: sample times 6 plus step.
     """
     asked = np.True_ if among is None else among[:, None]
-    objects, steps = np.nonzero(definition.counted_objects(truths) & asked)
+    return _polygons_of(truths, *np.nonzero(definition.counted_objects(truths) & asked))
+
+
+def _polygons_of(
+    truths: StackedTruths, objects: NDArray[np.int64], steps: NDArray[np.int64]
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """`drawn_polygons` of (N,) objects at (N,) steps."""
     samples = truths.sample_of[objects]
     boxes = truths.boxes_in_ego(objects, steps + 1)
     now, then = truths.axle_poses[samples, 0], truths.axle_poses[samples, steps + 1]
@@ -207,11 +225,15 @@ def _covered(
     truths: StackedTruths, blocks: Sequence[Cells], polygons: NDArray[np.int32], place_of: NDArray[np.int64]
 ) -> list[Bools]:
     """For each of some (S, 6, C, 2) cells of the warped picture whether (S, 6) any is covered by polygons."""
-    sources = [_before_warp(cells, *warps(truths.axle_poses)) for cells in blocks]
-    groups = [np.clip(cells, 0, CELLS - 1).reshape(-1, cells.shape[-2], 2) for cells in sources]
-    on_grid = [((cells >= 0) & (cells < CELLS)).all(axis=-1) for cells in sources]
-    found = occupied(polygons, place_of, groups)
+    groups, on_grid = zip(*(_cells_before_warp(truths, cells) for cells in blocks))
+    found = occupied(polygons, place_of, [cells.reshape(-1, cells.shape[-2], 2) for cells in groups])
     return [(hit.reshape(there.shape) & there).any(axis=-1) for hit, there in zip(found, on_grid)]
+
+
+def _cells_before_warp(truths: StackedTruths, cells: Cells) -> tuple[Cells, Bools]:
+    """Where (S, 6, C, 2) cells of the warped picture are taken from, squeezed into the grid, and whether they are."""
+    source = _before_warp(cells, *warps(truths.axle_poses))
+    return np.clip(source, 0, CELLS - 1), ((source >= 0) & (source < CELLS)).all(axis=-1)
 
 
 def _before_warp(cells: Cells, tx: Singles, ty: Singles, angle: Singles) -> Cells:

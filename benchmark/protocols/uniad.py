@@ -51,6 +51,7 @@ class UniAD(RasterProtocol):
     name = "uniad"
     version = 1
     counts_incomplete = True
+    uses_categories = True
     first_row_ahead = False
 
     def counted_objects(self, truths: StackedTruths) -> Bools:

@@ -81,6 +81,7 @@ class VAD(RasterProtocol):
 
     version = 2
     counts_incomplete = False
+    uses_categories = True
     first_row_ahead = True
 
     def __init__(self, name: str, categories: frozenset[str]) -> None:

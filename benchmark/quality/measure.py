@@ -30,7 +30,7 @@ from benchmark.runs.kept_shards import (
     require_shards,
     require_undivided,
 )
-from benchmark.runs.scene_work import reopen_root
+from benchmark.runs.scene_work import reopening
 from benchmark.runs.shards import Shard, forget_shards, shard_folder
 from benchmark.weights.folders import content_hash, folder_of
 
@@ -127,7 +127,7 @@ def measure_quality(
     }
     with only_writer(job.directory):
         require_shards(job.directory, SCORES, job.work)
-        opener = reopen or partial(reopen_root, data.root, data.version, data.name)
+        opener = reopen or reopening(data)
         rows = list(_scored(job, data, opener, _processes(settings)))
         record = write_quality(job.directory, described, rows)
         _tidy(job)
@@ -168,7 +168,7 @@ def measure_shard(
     mine = shard.part(chosen)
     require_undivided(job.directory, SCORES, shard)
     with only_writer(shard_folder(job.directory, shard)):
-        opener = reopen or partial(reopen_root, data.root, data.version, data.name)
+        opener = reopen or reopening(data)
         own = replace(job, keys={name: job.keys[name] for name in mine})
         for _ in _scored(own, data, opener, _processes(settings)):
             pass

@@ -121,7 +121,7 @@ class AblationReport(Stored):
 
         A study that is stored without the paper's numbers is still the same study.
         """
-        content = self.model_dump(mode="json", exclude={"planner": {"published_as", "miniature"}})
+        content = self.model_dump(mode="json", exclude={"planner": {"published_as", "miniature", "wants"}})
         for row in content["rows"]:
             row |= {"paper_rate": ABLATION[row["name"]]} if row["name"] in ABLATION else {}
         return content_key(json.dumps(content, sort_keys=True))[:12]

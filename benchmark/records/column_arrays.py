@@ -25,6 +25,8 @@ OUTCOMES: Final = "outcomes"
 CODES, TEXTS = "codes", "texts"
 """Of each row the number of its value; the different values, as JSON."""
 STEPS, FACTS = "steps", "facts"
+KNOWN: Final = "known"
+"""Of a protocol's verdicts, only where some are unknown."""
 _NUMBERS: Final = "bifu"
 """Kinds of arrays that are kept as they are."""
 _PLAIN: Final = frozenset({str, int, bool, type(None)})
@@ -37,7 +39,7 @@ def arrays_of(rows: Sequence[SampleRow]) -> dict[Name, NDArray[Any]]:
         rows: One for each sample.
 
     Returns:
-        ``planned``: places of the S rows; ``in_lidar`` (S, 6, 2) and ``moved`` (S, 3) as in
+        ``planned``: places of the S rows; ``in_lidar`` (S, 6, 2), ``recorded`` (S, 6, 2) and ``moved`` (S, 3) as in
         `benchmark.records.columns.RowColumns`; ``driving`` ``values`` and ``known``, where a row has scores; of each
         protocol whose verdicts go together its `Outcomes`; every field of `benchmark.records.columns.BriefRow`, coded.
     """
@@ -46,6 +48,7 @@ def arrays_of(rows: Sequence[SampleRow]) -> dict[Name, NDArray[Any]]:
         ("planned",): np.array([place for place, row in enumerate(rows) if row.status == "ok"], np.int64)
     }
     found[("in_lidar",)], found[("moved",)] = _plans(planned)
+    found[("recorded",)] = _recorded(planned)
     found |= _driving(rows)
     for name in sorted({name for row in planned for name in row.outcomes}):
         if all(name in row.outcomes for row in planned):
@@ -125,6 +128,7 @@ def outcomes_in(arrays: Arrays, protocol: str) -> Outcomes | None:
         counted=arrays[(*above, "counted")],
         steps={name[3]: values for name, values in arrays.items() if name[:3] == (*above, STEPS)},
         facts=Facts(arrays, protocol),
+        known=arrays.get((*above, KNOWN)),
     )
 
 
@@ -138,6 +142,8 @@ def _outcomes(protocol: str, planned: Sequence[SampleRow]) -> dict[Name, NDArray
     above: Name = (OUTCOMES, protocol)
     arrays = {(*above, name): getattr(found, name) for name in ("collision", "l2", "valid", "counted")}
     arrays |= {(*above, STEPS, name): values for name, values in found.steps.items()}
+    if found.known is not None:
+        arrays[(*above, KNOWN)] = found.known
     if any(values.dtype.kind not in _NUMBERS for values in arrays.values()):
         return {}
     for name, values in found.facts.items():
@@ -162,6 +168,14 @@ def _plans(rows: Sequence[SampleRow]) -> tuple[Floats, Floats]:
         if row.recorded_future and (pose := row.recorded_future[0]):
             moved[place] = pose
     return in_lidar, moved
+
+
+def _recorded(rows: Sequence[SampleRow]) -> Floats:
+    """Recorded positions of the lidar at the steps of plans; NaN past the end."""
+    ended = [np.nan, np.nan]
+    futures = [row.recorded_future if len(row.recorded_future) == PLAN_STEPS else [None] * PLAN_STEPS for row in rows]
+    points = [pose[:2] if pose is not None and len(pose) > 1 else ended for future in futures for pose in future]
+    return np.array(points, np.float64).reshape(-1, PLAN_STEPS, 2)
 
 
 def _driving(rows: Sequence[SampleRow]) -> dict[Name, NDArray[Any]]:

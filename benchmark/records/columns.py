@@ -108,6 +108,11 @@ class RowColumns:
         return self.arrays[("in_lidar",)]
 
     @property
+    def recorded(self) -> Floats:
+        """(S, 6, 2) recorded positions of the lidar origin at the same steps, metres; NaN past the end."""
+        return self.arrays[("recorded",)]
+
+    @property
     def moved(self) -> Floats:
         """(S, 3) x, y, yaw of the recorded lidar origin half a second later; NaN past the end."""
         return self.arrays[("moved",)]
@@ -135,11 +140,11 @@ class RowColumns:
         """(R,) whether a row counts under a protocol and its plan collides; rows without a plan do not."""
         found = np.zeros(len(self), np.bool_)
         outcomes = self.outcomes(protocol)
-        found[self.planned] = outcomes.counted & outcomes.collision.any(axis=1)
+        found[self.planned] = outcomes.decided & outcomes.collision.any(axis=1)
         return found
 
     def counted(self, protocol: str) -> Bools:
-        """(R,) whether a row counts under a known protocol, at all three horizons."""
+        """(R,) whether a row counts under a known protocol, at all three horizons, and its collisions are known."""
         found = np.zeros(len(self), np.bool_)
         found[self.planned] = says_all(PROTOCOLS[protocol], self.outcomes(protocol))
         return found

@@ -241,6 +241,8 @@ class DriveRow(Stored):
         ladder: What came of reference drivers in the same encounter; not written where none drove.
         passed: Contacts before `contact` that did not end it, none of them the ego's fault; not written where there
             were none.
+        unlabelled: Whether the scene has no annotations, or in a part only: the drive says nothing of contacts then.
+            Not written where it is labelled throughout.
     """
 
     scene: Name
@@ -257,10 +259,11 @@ class DriveRow(Stored):
     adversary: AdversaryRow | None = None
     ladder: dict[str, LadderRow] | None = None
     passed: list[ContactRow] = Field(default_factory=list)
+    unlabelled: bool = False
 
     @model_serializer(mode="wrap")
     def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return _without_empty(write(self), "adversary", "ladder", "passed")
+        return _without_empty(write(self), "adversary", "ladder", "passed", "unlabelled")
 
     @property
     def first_contact(self) -> ContactRow | None:

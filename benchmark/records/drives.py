@@ -70,11 +70,23 @@ class DriveRecord:
         return len(self.facts.scenes) == self.facts.scenes_in_split
 
 
+_WITHOUT_OTHERS: Final = ("route", "progress_m", "comfortable", "off_road", "nuplan_dac", "nuplan_ddc", "nuplan_c")
+"""Columns for which it does not matter who is around."""
+
+
 def values_of(row: DriveRow) -> dict[str, float | None]:
     """What a drive that did not fail adds to each column; ``None`` where it says nothing there.
 
-    Columns of NeuroNCAP's engine and of the default one have different names and are never both there.
+    Columns of NeuroNCAP's engine and of the default one have different names and are never both there. Of a scene that
+    is not labelled throughout nothing is said that depends on others.
     """
+    values = _values(row)
+    if not row.unlabelled:
+        return values
+    return {name: value if name in _WITHOUT_OTHERS else None for name, value in values.items()}
+
+
+def _values(row: DriveRow) -> dict[str, float | None]:
     scores, contact, first = row.scores, row.contact, row.first_contact
     assert scores is not None, "a failed drive adds to no column"
     common: dict[str, float | None] = {

@@ -40,8 +40,8 @@ def published_table(engine: str, rows: Sequence[DriveRow]) -> PublishedTable | N
 
 
 def _metrics(row: DriveRow) -> Metrics | None:
-    """What the published code would have of a run; a failed one left nothing."""
-    if row.scores is None or row.scores.neuroncap is None:
+    """What the published code would have of a run; a failed one left nothing, and without labels there is nothing."""
+    if row.scores is None or row.scores.neuroncap is None or row.unlabelled:
         return None
     score = row.scores.neuroncap.score
     return {_SCORE: float("nan") if score is None else score, _COLLISION: row.contact is not None}

@@ -15,7 +15,7 @@ from pydantic import Field
 from benchmark.errors import InputError
 from benchmark.foreign.limits import RECORD
 from benchmark.machine.storage import content_key, read_json, write_json, writing_to
-from benchmark.records.run_schema import PlannerFacts
+from benchmark.records.run_schema import LABELS, PlannerFacts
 from benchmark.records.store import validated
 from benchmark.records.stored import Stored
 
@@ -222,7 +222,7 @@ def cost_of(path: Path, facts: PlannerFacts) -> PlannerCost | None:
 
 def _who(facts: PlannerFacts) -> str:
     # What a planner is called elsewhere makes it no slower.
-    return content_key(facts.model_dump(mode="json", exclude={"native_protocol", "published_as", "miniature"}))
+    return content_key(facts.model_dump(mode="json", exclude=LABELS))
 
 
 def _fault(path: Path, where: str, why: str) -> str:

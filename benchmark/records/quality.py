@@ -15,6 +15,7 @@ import numpy as np
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, file_sha256, read_json, read_json_lines, write_json, write_json_lines
 from benchmark.metrics.rates import Rate, ratios_over_scenes
+from benchmark.records.caveats import Caveat
 from benchmark.records.quality_schema import (
     QUALITY_SCHEMA,
     GroupSummary,
@@ -29,6 +30,7 @@ from benchmark.records.quality_schema import (
 from benchmark.records.run_schema import RateRow, SceneFacts
 from benchmark.records.store import read_each, validated
 from benchmark.records.stored import Stored
+from benchmark.report.words import counted
 
 _Read = TypeVar("_Read", bound=Stored)
 
@@ -67,6 +69,26 @@ class QualityRecord:
     def masks(self) -> str:
         """Source of masks."""
         return str(self.facts.definition["masks"])
+
+    @property
+    def caveats(self) -> tuple[Caveat, ...]:
+        """Scenes without a mask, of any vehicle or of an adversary: they are in none of these numbers."""
+        scenes, facts = self.facts.scenes, self.facts.scene_facts
+        made = [name for name in scenes if name in facts and facts[name].adversaries]
+        seen = {row.scene for row in self.subjects}, {row.scene for row in self.subjects if row.adversary}
+        missing = [
+            (sum(name not in masked for name in of), len(of), what)
+            for masked, of, what in zip(seen, (scenes, made), ("a vehicle", "an adversary"))
+        ]
+        return tuple(
+            Caveat(
+                kind="masks",
+                sentence=f"{count} of {counted(whole, 'scene')} have no mask of {what} from {self.masks}: they are in "
+                "none of its numbers",
+            )
+            for count, whole, what in missing
+            if count
+        )
 
 
 def summarise_quality(scenes: Sequence[SceneRows], facts: Mapping[str, SceneFacts]) -> QualitySummary:

@@ -30,9 +30,18 @@ class PlanRow(Stored):
 
 
 class OutcomeRow(Stored):
-    """The verdict of one protocol on one sample (`benchmark.protocols.Outcomes`)."""
+    """The verdict of one protocol on one sample (`benchmark.protocols.Outcomes`).
 
-    collision: list[bool]
+    Attributes:
+        collision: At each step; null where the data do not say whom a plan could touch. What ``steps`` has of contacts
+            is no verdict then.
+        l2: Metres, null past the end of the scene.
+        counted: Whether the protocol lets the sample into its denominators.
+        steps: Further columns of the protocol.
+        facts: Further values of the protocol.
+    """
+
+    collision: list[bool] | None
     l2: list[float | None]
     counted: bool
     steps: dict[str, list[Any]]
@@ -99,11 +108,11 @@ class LongerRow(Stored):
     """What ``exact`` says of a plan that goes on beyond 3 s: all its steps up to 6 s, judged as one plan.
 
     Attributes:
-        collision: Contact at each step.
+        collision: Contact at each step; null where the data do not say whom a plan could touch.
         l2: Displacement from the recorded ego, metres; null past the end of the scene.
     """
 
-    collision: list[bool]
+    collision: list[bool] | None
     l2: list[float | None]
 
 
@@ -171,12 +180,13 @@ class SampleRow(Stored):
         diagnosis: Why the plan collides, or null where it does not under ``exact``.
         disagreements: For each protocol whose verdict on the sample differs from that of ``exact``, the cause
             (`benchmark.metrics.disagreement`).
-        driving: Sub-scores of the plan, or null where there is no plan, the recording ends within 3 s or there is no
-            map with lanes; null in records of schema 1 and 2.
+        driving: Sub-scores of the plan, or null where there is no plan, the recording ends within 3 s, there is no map
+            with lanes or the surroundings are not annotated; null in records of schema 1 and 2.
         longer: Verdicts beyond 3 s, or null where the plan ends there.
         place: What kind of place the recorded car is on (docs/manoeuvres.md); null in older records.
         speed_m_s: Its speed; null in older records.
-        severity: How severe the plan is (docs/severity.md); null where there is no plan, and in older records.
+        severity: How severe the plan is (docs/severity.md); null where there is no plan or the surroundings are not
+            annotated, and in older records.
     """
 
     scene: str

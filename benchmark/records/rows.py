@@ -131,8 +131,13 @@ class Rows(Sequence[SampleRow]):
 
     def lines(self) -> Iterator[str]:
         """One JSON text a row, as files have them."""
-        for _, _, packed in self._blocks:
-            yield from zlib.decompress(packed).decode().split("\n")
+        for _, lines in self.texts():
+            yield from lines
+
+    def texts(self) -> Iterator[tuple[str, list[str]]]:
+        """Name and JSON texts of the rows of each scene."""
+        for scene, _, packed in self._blocks:
+            yield scene, zlib.decompress(packed).decode().split("\n")
 
     def of_scene(self, scene: str) -> list[SampleRow]:
         """Rows of one scene; none of a scene that is not there."""

@@ -236,6 +236,10 @@ def _removed_by_mask(outcomes: Outcomes, touching: str = "recorded") -> int | No
     removed = outcomes.steps["before_mask"] & outcomes.steps[touching]
     # Some protocols leave out whole samples.
     enters = outcomes.counted | np.array(outcomes.facts.get("left_out", False), np.bool_)
+    if outcomes.known is not None:
+        if not outcomes.known.any():
+            return None
+        enters = enters & outcomes.known
     return int((removed & outcomes.valid & enters[:, None]).sum())
 
 
@@ -247,8 +251,8 @@ def scene_failures(rows: Sequence[SampleRow] | RowColumns, protocol: str) -> dic
         protocol: Name of the protocol that judges.
 
     Returns:
-        Scene name to verdict, by name; ``None`` where no verdict is possible: no counted sample, or no contact but the
-        planner raised on a sample that could have shown one.
+        Scene name to verdict, by name; ``None`` where no verdict is possible: no counted sample whose collisions are
+        known, or no contact but the planner raised on a sample that could have shown one.
 
     Raises:
         InputError: If the protocol is unknown or did not judge the rows.

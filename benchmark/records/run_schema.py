@@ -24,7 +24,12 @@ Told = str | int | float | bool | None
 Name = Annotated[str, Field(max_length=200)]
 """Of something that files are named after, and text wherever it is shown."""
 SceneCount = Annotated[int, Field(strict=True, ge=0, le=10_000_000)]
+BoxCount = Annotated[int, Field(strict=True, ge=0)]
 LightName = Literal["day", "dusk", "night", "rain"]
+
+
+Want = Literal["map", "motion", "images"]
+"""What a planner goes without where a data set lacks it: lanes of the map, measured motion (CAN bus), cameras."""
 
 
 class PlannerFacts(Stored):
@@ -40,6 +45,7 @@ class PlannerFacts(Stored):
         native_protocol: Protocol of the planner's own repository, if it has one.
         published_as: What the paper calls it, if it ran it.
         miniature: Whether it is a small network that shows the pipeline and ranks nothing (docs/miniatures.md).
+        wants: What its plans depend on beside boxes, as far as it is known; empty in older records.
     """
 
     name: str
@@ -51,6 +57,37 @@ class PlannerFacts(Stored):
     native_protocol: str | None = None
     published_as: str | None = None
     miniature: bool = False
+    wants: list[Want] = Field(default_factory=list)
+
+
+LABELS: Final = {"native_protocol", "published_as", "miniature", "wants"}
+"""What is said of a planner and changes no plan."""
+
+
+class InputFacts(Stored):
+    """What a data set holds of a scene beside annotations, and what of it cannot be.
+
+    Attributes:
+        samples: Samples of the scene.
+        lanes: Lanes of the map around the ego; 0 where the map has none, or there is no map.
+        off_road: Samples at which the recorded ego is off the drivable area; null where the map has none.
+        cameras: Cameras of the rig.
+        lidar: Whether the data set says where the lidar sits; if not, it is taken to sit as on nuScenes' cars.
+        jumps: Boxes that went faster than anything on a road since their last annotation.
+        moving: Objects that move fast enough to tell their direction.
+        across: Those of them whose boxes lie across it.
+        turned_quaternions: Whether rotations make sense only if read as x, y, z, w.
+    """
+
+    samples: Annotated[int, Field(strict=True, ge=0)]
+    lanes: Annotated[int, Field(strict=True, ge=0)]
+    off_road: Annotated[int, Field(strict=True, ge=0)] | None
+    cameras: Annotated[int, Field(strict=True, ge=0)]
+    lidar: bool
+    jumps: Annotated[int, Field(strict=True, ge=0)]
+    moving: Annotated[int, Field(strict=True, ge=0)]
+    across: Annotated[int, Field(strict=True, ge=0)]
+    turned_quaternions: bool
 
 
 class TruthFacts(Stored):
@@ -58,15 +95,26 @@ class TruthFacts(Stored):
 
     Attributes:
         annotations: Boxes at its samples; without any there is no truth, and nothing can be said of contacts.
+        unlabelled: Samples of which nothing can be said of contacts because labels are missing now or within 3 s
+            (`benchmark.datasets.labelled`).
+        without_size: Boxes without length, width or height; they are ignored.
+        unknown: Boxes of categories that nuScenes does not have, by name.
+        motionless: Whether the ego pose is the same number at every sample of a scene of 5 s and more.
         irregular: Samples some of whose key frames ahead are not half a second apart.
         cut_short: Of these those whose recording goes on for 3 s, with a gap in it that leaves steps unknown.
         interval_s: Median interval of its key frames where that is not 0.5 s.
+        inputs: What else it holds; null in older records.
     """
 
-    annotations: Annotated[int, Field(strict=True, ge=0)]
+    annotations: BoxCount
+    unlabelled: BoxCount = 0
+    without_size: BoxCount = 0
+    unknown: dict[Name, BoxCount] = Field(default_factory=dict)
+    motionless: bool = False
     irregular: Annotated[int, Field(strict=True, ge=0)] = 0
     cut_short: Annotated[int, Field(strict=True, ge=0)] = 0
     interval_s: Annotated[float, Field(gt=0)] | None = None
+    inputs: InputFacts | None = None
 
 
 class SceneFacts(Stored):
@@ -204,6 +252,11 @@ class RecordFacts(Stored):
     environment: dict[str, Told | dict[str, Told]]
     files: dict[str, str]
 
+    @property
+    def says_truth(self) -> bool:
+        """Whether the record says what the data set holds of the truth of its scenes; older ones do not."""
+        return all(name in self.scene_facts and self.scene_facts[name].truth is not None for name in self.scenes)
+
     @model_validator(mode="after")
     def _scenes_agree(self) -> Self:
         """Judging anew replaces much of this, so that damage in it would be gone without a word."""
@@ -254,8 +307,9 @@ class ProtocolSummary(Stored):
     Attributes:
         version: Version of the protocol.
         columns: Column name (``collision``, ``l2``, ...) to horizon (``1s``, ``2s``, ``3s``, ``avg``) to rate.
-        counted: Samples in the denominators of all horizons.
-        incomplete: The other samples that were planned: the protocol does not count them, or not at every horizon.
+        counted: Samples in the denominators of collision rates at all horizons.
+        incomplete: The other samples that were planned: the protocol does not count them, or not at every horizon, or
+            nothing is known of their contacts.
         scenes_failed: Scenes with a counted sample that collides.
         scenes_decided: Scenes of which that can be said (see `scene_failures`).
         mask_removed_steps: Colliding steps that do not count because the recorded ego collides there too under the same

@@ -1,12 +1,17 @@
 """The caveats of a run record, put together in one place; each kind is decided in the room that knows of it."""
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 
+from benchmark.plausibility.compared import ComparedPlans
+from benchmark.plausibility.verdicts import plan_caveats
 from benchmark.records.caveats import OF_THE_DOOR, Caveat, in_order
-from benchmark.records.drive_schema import DriveRow
+from benchmark.records.drive_schema import DriveRow, Measured
 from benchmark.records.rows import Rows
 from benchmark.records.run_schema import PlannerFacts, SceneFacts
+from benchmark.runs.input_caveats import data_caveats, drive_input_caveats, planner_caveats
 from benchmark.runs.time_caveat import time_caveats
+from benchmark.runs.truth_caveats import drive_truth, run_truth
 
 
 def run_caveats(
@@ -24,11 +29,26 @@ def run_caveats(
     Returns:
         The caveats, in order.
     """
-    return in_order((*(caveat for caveat in known if caveat.kind in OF_THE_DOOR), *time_caveats(scenes)))
+    columns = rows.columns
+    return in_order(
+        chain(
+            _of_the_door(known),
+            run_truth(scenes, rows),
+            time_caveats(scenes),
+            data_caveats(scenes),
+            planner_caveats(planner, scenes, rows),
+            _of_plans(ComparedPlans.of(columns.in_lidar, columns.recorded), known),
+        )
+    )
 
 
 def drive_caveats(
-    planner: PlannerFacts, scenes: Mapping[str, SceneFacts], rows: Sequence[DriveRow], known: Sequence[Caveat] = ()
+    planner: PlannerFacts,
+    scenes: Mapping[str, SceneFacts],
+    rows: Sequence[DriveRow],
+    measured: Measured,
+    compared: ComparedPlans,
+    known: Sequence[Caveat] = (),
 ) -> list[Caveat]:
     """`run_caveats` of a record of drives.
 
@@ -36,9 +56,30 @@ def drive_caveats(
         planner: Who drove.
         scenes: As there.
         rows: One for each drive.
+        measured: Engine, agents and sensor.
+        compared: Its plans of the instants at which the ego was still where it was recorded.
         known: As there.
 
     Returns:
         The caveats, in order.
     """
-    return in_order((*(caveat for caveat in known if caveat.kind in OF_THE_DOOR), *time_caveats(scenes)))
+    return in_order(
+        chain(
+            _of_the_door(known),
+            drive_truth(scenes),
+            time_caveats(scenes),
+            data_caveats(scenes),
+            drive_input_caveats(planner, scenes, measured),
+            _of_plans(compared, known),
+        )
+    )
+
+
+def _of_the_door(known: Sequence[Caveat]) -> list[Caveat]:
+    """What is kept of what is known."""
+    return [caveat for caveat in known if caveat.kind in OF_THE_DOOR]
+
+
+def _of_plans(compared: ComparedPlans, known: Sequence[Caveat]) -> list[Caveat]:
+    """Whether plans fit better otherwise; of those that a file was taken in with, that has been said."""
+    return [] if any(caveat.kind == "as-is" for caveat in known) else plan_caveats(compared)

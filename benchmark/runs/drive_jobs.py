@@ -9,7 +9,7 @@ from benchmark.closed_loop.drives.riding import RideMaker
 from benchmark.closed_loop.drives.sensors import Sensor
 from benchmark.machine.storage import content_key, file_name
 from benchmark.records.drive_schema import Measured
-from benchmark.records.run_schema import PlannerFacts
+from benchmark.records.run_schema import LABELS, PlannerFacts
 from benchmark.runs.code_identity import code_sha256
 from benchmark.runs.plan_rows import PlannerFactory
 
@@ -63,7 +63,7 @@ class Job:
 
     def key(self, unit: Unit) -> str:
         """Content key of a unit. No score is part of it: kept drives are scored again."""
-        who = self.planner.model_dump(mode="json", exclude={"native_protocol", "published_as", "miniature"})
+        who = self.planner.model_dump(mode="json", exclude=LABELS)
         code = [code_sha256(type(self.maker)), code_sha256(type(self.sensor)), code_sha256(Stage, made_by=_LOOP)]
         # Nobody else than an adversary is made elsewhere.
         adversary = getattr(self.maker, "adversary", None)

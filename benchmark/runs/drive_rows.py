@@ -1,6 +1,6 @@
 """A drive as a row of its record."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Final
 
@@ -11,6 +11,7 @@ from benchmark.closed_loop.drives.driving import Drive, Stage
 from benchmark.closed_loop.scores.scoring import DriveScores
 from benchmark.records.considered import ConsideredFrame
 from benchmark.records.drive_schema import DriveRow
+from benchmark.records.run_schema import TruthFacts
 
 DECIMALS: Final = 6
 """Of stored states and scores; plans are stored as they were given."""
@@ -54,6 +55,23 @@ def row_of(stage: Stage, drive: Drive, scores: DriveScores | None) -> DriveRow:
             "adversary": None if drive.adversary is None else adversary_row(stage, drive.adversary),
         }
     )
+
+
+def with_labels(rows: Sequence[DriveRow], scenes: Mapping[str, TruthFacts]) -> list[DriveRow]:
+    """Rows that say whether their scenes are labelled throughout.
+
+    Args:
+        rows: One for each drive.
+        scenes: What the data set holds of the truth of their scenes.
+
+    Returns:
+        The rows.
+    """
+    missing = {name for name, truth in scenes.items() if truth.unlabelled}
+    return [
+        row if row.unlabelled == (row.scene in missing) else row.model_copy(update={"unlabelled": not row.unlabelled})
+        for row in rows
+    ]
 
 
 def adversary_row(stage: Stage, track: AdversaryTrack) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from benchmark.closed_loop.agents.adversary import AdversaryTrack
 from benchmark.closed_loop.drives.asking import Reason
@@ -23,15 +23,18 @@ from benchmark.machine.metering import Meter
 from benchmark.machine.pages import keep_pages_of
 from benchmark.machine.storage import content_key, content_seed, read_json, write_json
 from benchmark.planning import Planner, SupervisedPlanner
+from benchmark.plausibility.compared import ComparedPlans
 from benchmark.records.considered import read_considered, write_considered
 from benchmark.records.drive_schema import DriveRow
 from benchmark.records.planner_cost import SceneCost
 from benchmark.runs.beginning_again import begun_again
+from benchmark.runs.compared_drives import compared_drive
 from benchmark.runs.drive_jobs import Job, Task, Unit
 from benchmark.runs.drive_rows import considered_of, row_of
 from benchmark.runs.ladders import ladder_rows
 from benchmark.runs.plan_rows import cost_so_far, seed_everything
 from benchmark.runs.redriving import can_of, considered_again, driven_again
+from benchmark.scene import Scene
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -49,12 +52,14 @@ class UnitResult:
         row: Of the record.
         seconds: How long it took with those beside it, or ``None`` where it was kept from before.
         cost: What its planner took, likewise.
+        compared: Its plans of the instants at which the ego was still where it was recorded.
     """
 
     unit: Unit
     row: DriveRow
     seconds: float | None
     cost: SceneCost | None
+    compared: ComparedPlans
 
 
 def work_here(data: "DataSet", planners: "Planners", tasks: Sequence[Task]) -> list[UnitResult]:
@@ -79,22 +84,25 @@ def work_here(data: "DataSet", planners: "Planners", tasks: Sequence[Task]) -> l
         if kept is None:
             left[place] = key
             continue
-        row, scoring = kept
-        if scoring != VERSION:
-            row = driven_again(job.maker, data.scene(unit.scene), data, row)
-            write_kept(job.path(unit), key, row)
+        row, scoring, compared = kept
+        if scoring != VERSION or compared is None:
+            scene = data.scene(unit.scene)
+            row = row if scoring == VERSION else driven_again(job.maker, scene, data, row)
+            compared = compared_drive(scene, row)
+            write_kept(job.path(unit), key, row, compared)
         _keep_considered(data, job, row)
-        found[place] = UnitResult(unit, row, None, None)
+        found[place] = UnitResult(unit, row, None, None, compared)
     started = time.perf_counter()
     driven = _driven(data, planners, {place: tasks[place] for place in left}, [*left.values()]) if left else ()
-    for place, row, track, spent in driven:
+    for place, scene, row, track, spent in driven:
         job, unit = tasks[place]
         if job.keep_considered and track is not None:
             write_considered(job.directory, row, considered_of(track))
+        compared = compared_drive(scene, row)
         if row.failure is None or row.failure.reason not in _TRIED_AGAIN:
-            write_kept(job.path(unit), left[place], row)
+            write_kept(job.path(unit), left[place], row, compared)
         seconds = time.perf_counter() - started
-        found[place] = UnitResult(unit, row, seconds, spent(seconds))
+        found[place] = UnitResult(unit, row, seconds, spent(seconds), compared)
     results = [found[place] for place in range(len(tasks))]
     return [with_ladder(data, task, result) for task, result in zip(tasks, results, strict=True)]
 
@@ -178,23 +186,34 @@ def work_in_worker(reopen: Callable[[], "DataSet"], tasks: Sequence[Task]) -> li
     return work_here(_opened[fingerprint], _planners, tasks)
 
 
-def kept_drive(path: Path, key: str) -> tuple[DriveRow, int] | None:
-    """A drive that is kept under its content key, and the version of its scores; ``None`` if there is none."""
+class KeptDrive(NamedTuple):
+    """A drive that is kept: its row, the version of its scores, and its plans beside what was recorded, if kept too."""
+
+    row: DriveRow
+    scoring: int
+    compared: ComparedPlans | None
+
+
+def kept_drive(path: Path, key: str) -> KeptDrive | None:
+    """A drive that is kept under its content key; ``None`` if there is none."""
     try:
         kept: Any = read_json(path)
         head, row = kept["head"], kept["row"]
         if head != _header(key, row, int(head["scoring"])):
             return None
-        return DriveRow.model_validate(row), int(head["scoring"])
+        beside = kept.get("compared")
+        compared = None if beside is None else ComparedPlans.from_lists(beside["plan"], beside["recorded"])
+        return KeptDrive(DriveRow.model_validate(row), int(head["scoring"]), compared)
     except (InputError, ValueError, KeyError, TypeError):
         # What is absent or damaged is unfinished work: it is done again.
         return None
 
 
-def write_kept(path: Path, key: str, row: DriveRow) -> None:
+def write_kept(path: Path, key: str, row: DriveRow, compared: ComparedPlans) -> None:
     """Keep a drive."""
     stored = row.model_dump(mode="json")
-    write_json(path, {"head": _header(key, stored, VERSION), "row": stored}, indent=None)
+    beside = {"plan": compared.plan.tolist(), "recorded": compared.recorded.tolist()}
+    write_json(path, {"head": _header(key, stored, VERSION), "row": stored, "compared": beside}, indent=None)
 
 
 def _header(key: str, row: Any, scoring: int) -> dict[str, Any]:
@@ -203,8 +222,8 @@ def _header(key: str, row: Any, scoring: int) -> dict[str, Any]:
 
 def _driven(
     data: "DataSet", planners: Planners, tasks: Mapping[int, Task], keys: Sequence[str]
-) -> Iterator[tuple[int, DriveRow, AdversaryTrack | None, Callable[[float], SceneCost]]]:
-    """Rows of tasks by their places, as their drives end, with adversaries and what planners took in some seconds.
+) -> Iterator[tuple[int, Scene, DriveRow, AdversaryTrack | None, Callable[[float], SceneCost]]]:
+    """Scenes and rows of tasks by their places, as drives end, with adversaries and what planners took in some seconds.
 
     What cannot be driven is raised at last.
     """
@@ -228,7 +247,7 @@ def _driven(
         scores = None if found.failure is not None else score_drive(stage.scene, found)
         assert stage.meter is not None
         spent = partial(cost_so_far, ready[number], stage.meter)
-        yield places[number], row_of(stage, found, scores), found.adversary, spent
+        yield places[number], stage.scene, row_of(stage, found, scores), found.adversary, spent
     if broken:
         raise broken[0]
 

@@ -18,7 +18,8 @@ from benchmark.closed_loop.drives.default_engine import agents_facts, until_of
 from benchmark.closed_loop.drives.riding import RideMaker
 from benchmark.closed_loop.drives.sensors import NoSensor, RemoteSensor, Sensor
 from benchmark.closed_loop.scores.scoring import VERSION
-from benchmark.datasets.scene_facts import frozen_split_of
+from benchmark.datasets.annotation_counts import require_annotated
+from benchmark.datasets.scene_facts import frozen_split_of, with_truth
 from benchmark.drivers.driving import LADDER
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
@@ -28,6 +29,7 @@ from benchmark.machine.progress import Count
 from benchmark.machine.storage import content_key, file_name, only_writer, writing_to
 from benchmark.machine.workers import Executor, LocalProcesses
 from benchmark.planning import Planner, RemotePlanner, remembers_across_scenes
+from benchmark.plausibility.compared import ComparedPlans
 from benchmark.records.considered import FOLDER as CONSIDERED
 from benchmark.records.drive_schema import MOST_RUNS, Measured
 from benchmark.records.drives import DriveRecord, write_drives
@@ -38,13 +40,15 @@ from benchmark.records.seed_splits import generated_facts
 from benchmark.report.words import counted
 from benchmark.runs.caveats import drive_caveats
 from benchmark.runs.drive_jobs import KEPT, Job, Task, Unit
+from benchmark.runs.drive_rows import with_labels
 from benchmark.runs.drive_work import Planners, UnitResult, costs_of, kept_drive, work_here, work_in_worker
 from benchmark.runs.kept_shards import DRIVES, FinishedShard, note_done, require_shards
 from benchmark.runs.plan_rows import PlannerFactory, supervision_said
 from benchmark.runs.planner_facts import facts_of
+from benchmark.runs.reading import truths_of
 from benchmark.runs.redriving import can_of
 from benchmark.runs.run_directory import run_directory
-from benchmark.runs.scene_work import reopen_root
+from benchmark.runs.scene_work import reopening
 from benchmark.runs.shards import Shard, forget_shards, shard_folder
 
 if TYPE_CHECKING:
@@ -205,6 +209,7 @@ def drive_split(
     one = cast("Planner", planner)
     keep_pages_of(getattr(one, "weights_sha256", None))
     _require_drivable([one], settings)
+    require_annotated(data, split, settings.chosen(data, split))
     job = job_of(data, split, facts_of(one), out, settings)
     alone = replace(settings, executor=LocalProcesses(1), together=1)
     (record,) = _records(data, split, [job], alone, Planners(one), None)
@@ -304,11 +309,12 @@ def _ready(
     keep_pages_of(*(factory.facts.weights_sha256 for factory in planners))
     built = [factory() for factory in planners]
     _require_drivable(built, settings)
+    require_annotated(data, split, settings.chosen(data, split))
     jobs = [replace(job_of(data, split, factory.facts, out, settings), factory=factory) for factory in planners]
     if isinstance(settings.sensor, RemoteSensor) or any(isinstance(each, RemotePlanner) for each in built):
         # What is elsewhere holds one scene at a time.
         return jobs, replace(settings, together=1), None
-    open_again = reopen or partial(reopen_root, data.root, data.version, data.name)
+    open_again = reopen or reopening(data)
     return jobs, settings, partial(work_in_worker, open_again)
 
 
@@ -336,12 +342,17 @@ def _records(
                 gather_costs(job.costs, job.planner, division.of)
         results = list(_results(settings.groups(tasks), partial(work_here, data, planners), elsewhere, settings, label))
         records = []
+        truths = truths_of(data, scenes)
         for place, job in enumerate(jobs):
             described = _described(data, split, job, scenes, settings)
+            described["scene_facts"] = with_truth(described["scene_facts"], truths)
             own = results[place :: len(jobs)]
-            rows = [result.row for result in own]
+            rows = with_labels([result.row for result in own], truths)
             door = getattr(job.factory, "caveats", ())
-            described["caveats"] = drive_caveats(job.planner, described["scene_facts"], rows, door)
+            compared = ComparedPlans.joined(result.compared for result in own)
+            described["caveats"] = drive_caveats(
+                job.planner, described["scene_facts"], rows, job.measured, compared, door
+            )
             records.append(write_drives(job.directory, described, rows, seed=settings.seed))
             if job.costs is not None:
                 note_cost(job.costs, job.planner, costs_of(job, own, settings.processes))
@@ -437,7 +448,12 @@ def _described(
         "measured": settings.measured,
         "runs": settings.runs_made,
         "scoring": VERSION,
-        "config": {"seed": settings.seed, "timeout_s": settings.timeout_s, **supervision_said(job.factory)},
+        "config": {
+            "seed": settings.seed,
+            "timeout_s": settings.timeout_s,
+            **supervision_said(job.factory),
+            **({"categories": dict(data.categories)} if data.categories else {}),
+        },
         "environment": environment_facts(),
     }
 

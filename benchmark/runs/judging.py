@@ -3,7 +3,7 @@
 The verdict on a sample depends on that sample alone, so a scene judged today gives the bytes that it gave in the run.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import repeat
 from typing import TYPE_CHECKING, Any, Final
@@ -15,6 +15,7 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.metrics.diagnosis import diagnose
 from benchmark.metrics.disagreement import EXACT, disagreements
+from benchmark.pdm.definition import PDM
 from benchmark.pdm.judging import judge_planners as judge_driving
 from benchmark.pdm.recording import RecordedScene
 from benchmark.planning import Forecasts, Plan, PlanFrame
@@ -45,6 +46,7 @@ def judge(
     around: Sequence[Circumstances] | None = None,
     longer: Callable[[int], Sequence[SampleTruth]] | None = None,
     recorded: RecordedScene | None = None,
+    unjudged: Collection[str] = (),
 ) -> list[SampleRow]:
     """Put what really happened and the verdicts beside the plans.
 
@@ -58,16 +60,27 @@ def judge(
         longer: The truths with more steps than a plan of 3 s has, asked for where plans go on; without it nothing is
             said beyond 3 s.
         recorded: What the scene gives to judge driving by, if that is there already.
+        unjudged: Protocols, and perhaps ``pdm``, that cannot tell whom a plan could touch because the data have other
+            categories than they know (`benchmark.runs.vocabulary`).
 
     Returns:
         One row for each sample. A sample without a plan has no outcome, no diagnosis and no disagreement. Nothing is
-        diagnosed or compared without ``exact`` among the protocols.
+        diagnosed or compared without ``exact`` among the protocols. Where objects were not labelled there is L2 alone.
 
     Raises:
         InputError: If a protocol is unknown or a plan cannot be read.
         ValueError: If rows and truths are not of the same samples.
     """
-    return judge_planners([rows], truths, protocols, scene=scene, around=around, longer=longer, recorded=recorded)[0]
+    return judge_planners(
+        [rows],
+        truths,
+        protocols,
+        scene=scene,
+        around=around,
+        longer=longer,
+        recorded=recorded,
+        unjudged=unjudged,
+    )[0]
 
 
 def judge_planners(
@@ -79,6 +92,7 @@ def judge_planners(
     around: Sequence[Circumstances] | None = None,
     longer: Callable[[int], Sequence[SampleTruth]] | None = None,
     recorded: RecordedScene | None = None,
+    unjudged: Collection[str] = (),
 ) -> list[list[SampleRow]]:
     """`judge` of several planners together, each protocol asked once for all of them.
 
@@ -105,14 +119,18 @@ def judge_planners(
     plans = [plan.judged for plan in whole]
     in_lidar = _in_lidar(plans, happened)
     outcomes = {
-        name: _at_rate(protocol(name), protocol(name).evaluate(happened, in_lidar), happened)
+        name: _where_known(
+            _at_rate(protocol(name), protocol(name).evaluate(happened, in_lidar), happened),
+            happened,
+            told=name not in unjudged,
+        )
         for name in dict.fromkeys(protocols)
     }
     verdicts = {name: outcome.as_rows() for name, outcome in outcomes.items()}
     causes, differences = _explained(happened, plans, in_lidar, outcomes)
     recorded = None if scene is None else recorded or RecordedScene(scene)
     judged = _by_planner(len(rows_of), planned, plans)
-    driven = _driven(scene, recorded, judged, len(truths))
+    driven = _driven(None if PDM in unjudged else scene, recorded, judged, len(truths))
     # A map without roads or lanes would blame the ego for every contact at its sides.
     known = recorded is not None and bool(recorded.road.drivable and recorded.road.lanes)
     severe = plan_severities(
@@ -123,13 +141,16 @@ def judge_planners(
     findings: list[list[dict[str, Any]]] = [[{"outcomes": {}} for _ in truths] for _ in rows_of]
     for place, (which, at) in enumerate(planned):
         findings[which][at] = {
-            "driving": driven[which][at],
             "longer": beyond[which].get(at),
             "outcomes": {name: found[place] for name, found in verdicts.items()},
-            "diagnosis": causes[place],
-            "disagreements": differences[place],
-            "severity": severe[place],
         }
+        if truths[at].labelled:
+            findings[which][at] |= {
+                "driving": driven[which][at],
+                "diagnosis": causes[place],
+                "disagreements": differences[place],
+                "severity": severe[place],
+            }
     happening = [
         _recorded(truth, at) for truth, at in zip(truths, repeat(None, len(truths)) if around is None else around)
     ]
@@ -146,6 +167,12 @@ def _at_rate(definition: CollisionProtocol, outcomes: Outcomes, truths: Sequence
     if at_two_hz.all() or getattr(definition, "goes_by_clock", False):
         return outcomes
     return replace(outcomes, counted=outcomes.counted & at_two_hz)
+
+
+def _where_known(outcomes: Outcomes, truths: Sequence[SampleTruth], *, told: bool) -> Outcomes:
+    """Verdicts that say of which samples nothing is known of contacts: of all where categories do not tell."""
+    known = np.array([truth.labelled and told for truth in truths], np.bool_)
+    return outcomes if known.all() else replace(outcomes, known=known)
 
 
 def _in_lidar(plans: Sequence[Plan], truths: Sequence[SampleTruth]) -> Floats:
@@ -167,7 +194,10 @@ def _by_planner(count: int, planned: Sequence[tuple[int, int]], plans: Sequence[
 
 
 def judge_scene_plans(
-    rows: Sequence[Mapping[str, Any]], reading: "SceneReading", protocols: Sequence[str]
+    rows: Sequence[Mapping[str, Any]],
+    reading: "SceneReading",
+    protocols: Sequence[str],
+    unjudged: Collection[str] = (),
 ) -> list[SampleRow]:
     """`judge` with all that is known of a scene.
 
@@ -175,6 +205,7 @@ def judge_scene_plans(
         rows: One JSON object for each sample, as `benchmark.runs.plan_rows` writes them.
         reading: The scene.
         protocols: Who judges.
+        unjudged: As of `judge`.
 
     Returns:
         One row for each sample.
@@ -182,11 +213,14 @@ def judge_scene_plans(
     Raises:
         InputError: If the data is broken, a protocol is unknown or a plan cannot be read.
     """
-    return judge_all_plans([rows], reading, protocols)[0]
+    return judge_all_plans([rows], reading, protocols, unjudged)[0]
 
 
 def judge_all_plans(
-    rows_of: Sequence[Sequence[Mapping[str, Any]]], reading: "SceneReading", protocols: Sequence[str]
+    rows_of: Sequence[Sequence[Mapping[str, Any]]],
+    reading: "SceneReading",
+    protocols: Sequence[str],
+    unjudged: Collection[str] = (),
 ) -> list[list[SampleRow]]:
     """`judge_scene_plans` of several planners together; arguments and errors as there, of any of them."""
     found: list[list[SampleRow]] = []
@@ -199,6 +233,7 @@ def judge_all_plans(
             around=reading.around,
             longer=reading.longer,
             recorded=reading.recorded,
+            unjudged=unjudged,
         )
     return found
 
@@ -223,7 +258,8 @@ def longer_verdicts(
         longer: The truths of all samples with so many steps.
 
     Returns:
-        For each plan that goes on, contact at each step of the whole plan and its displacement, null past the scene.
+        For each plan that goes on, contact at each step of the whole plan, null where objects were not labelled, and
+        its displacement, null past the scene.
     """
     steps_of = {index: min(len(plan.waypoints), LONGEST_JUDGED) for index, plan in plans.items()}
     found: dict[int, dict[str, Any]] = {}
@@ -238,7 +274,8 @@ def longer_verdicts(
         ]
         collision, l2 = judged_longer([truths[index] for index in chosen], np.array(waypoints))
         for index, hits, metres in zip(chosen, collision.tolist(), l2.tolist()):
-            found[index] = {"collision": hits, "l2": [None if np.isnan(one) else one for one in metres]}
+            said = hits if truths[index].labelled else None
+            found[index] = {"collision": said, "l2": [None if np.isnan(one) else one for one in metres]}
     return found
 
 

@@ -39,7 +39,7 @@ from benchmark.planning import (
     reads_message_after,
 )
 from benchmark.records.planner_cost import SceneCost
-from benchmark.records.run_schema import PlannerFacts
+from benchmark.records.run_schema import LABELS, PlannerFacts
 from benchmark.runs.beginning_again import begun_again
 from benchmark.scene import Scene
 
@@ -118,7 +118,7 @@ def scene_key(fingerprint: str, split: str, scene: str, facts: PlannerFacts) -> 
         The key.
     """
     # What a planner is called elsewhere changes no plan.
-    who = facts.model_dump(mode="json", exclude={"native_protocol", "published_as", "miniature"})
+    who = facts.model_dump(mode="json", exclude=LABELS)
     return content_key("plan rows", ROW_FORMAT, fingerprint, split, scene, who)
 
 

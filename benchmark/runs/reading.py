@@ -1,6 +1,6 @@
 """A scene as runs need it, each part of it read once, however many planners or records are judged on it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -48,7 +48,7 @@ class SceneReading:
     @cached_property
     def truth_facts(self) -> TruthFacts:
         """What the data set holds of the scene's truth."""
-        return truth_facts(self.truth)
+        return truth_facts(self._data, self.name, self.truth)
 
     def longer(self, steps: int) -> tuple[SampleTruth, ...]:
         """The same for more steps than protocols need."""
@@ -71,3 +71,19 @@ class SceneReading:
     def recorded(self) -> RecordedScene | None:
         """What the scene gives to judge driving by, if it has a map."""
         return None if self.mapped is None else RecordedScene(self.mapped)
+
+
+def truths_of(data: "DataSet", scenes: Iterable[str]) -> dict[str, TruthFacts]:
+    """What a data set holds of the truth of scenes, for records whose units do not bring it along.
+
+    Args:
+        data: The data set.
+        scenes: Their names.
+
+    Returns:
+        The facts by name.
+
+    Raises:
+        InputError: If something in a scene is broken.
+    """
+    return {name: SceneReading(data, name).truth_facts for name in scenes}

@@ -1,11 +1,13 @@
 """Judge the stored plans of run records anew: after a change of protocols, no planner has to run again."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from benchmark.datasets.annotation_counts import AnnotationCount
+from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.scene_facts import with_truth
 from benchmark.errors import InputError
 from benchmark.machine.environment import facts as environment_facts
@@ -20,6 +22,7 @@ from benchmark.records.store import RUN_FILE, pending, settle, stored_schema
 from benchmark.runs.caveats import run_caveats
 from benchmark.runs.judging import judge_all_plans, judge_scene_plans
 from benchmark.runs.reading import SceneReading
+from benchmark.runs.vocabulary import unjudged
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -67,7 +70,7 @@ def rescore(record_directory: Path, data: "DataSet", *, protocols: Sequence[str]
         assert not isinstance(opened, str)
         for scene in opened.old.run.scenes:
             reading = SceneReading(data, scene)
-            opened.add(rows_judged_anew(opened.old, reading, tuple(opened.versions)), reading)
+            opened.add(rows_judged_anew(opened.old, reading, tuple(opened.versions), opened.silent), reading)
         return _replaced(opened)[0]
 
 
@@ -95,14 +98,10 @@ def rescore_all(
     protocols = tuple(PROTOCOLS) if protocols is None else protocols
     for name in protocols:
         protocol(name)
-    opened: dict[str, DataSet] = {}
+    opened: Opened = {}
 
     def open_for(record: RunRecord) -> "DataSet | None":
-        if record.run.data.name != data_name:
-            return None
-        if record.run.split not in opened:
-            opened[record.run.split] = open_split(record.run.split)
-        return opened[record.run.split]
+        return None if record.run.data.name != data_name else opened_as(record.run, opened, open_split)
 
     found: dict[Path, Rescored] = {}
     waiting: list[_Opened] = []
@@ -122,6 +121,39 @@ def rescore_all(
     yield from (found[directory] for directory in sorted(found))
 
 
+Opened = dict[tuple[str, CategoryNames], "DataSet"]
+"""Data sets by split, and by names of categories that are replaced in them."""
+
+
+def opened_as(facts: RecordFacts, opened: Opened, open_split: Callable[[str], "DataSet"]) -> "DataSet":
+    """The data set that a record ran on, with the names of categories that were replaced then.
+
+    Args:
+        facts: What the record says.
+        opened: Data sets that are open; gets those that are opened.
+        open_split: Opens the data set that holds a split.
+
+    Returns:
+        The data set.
+
+    Raises:
+        InputError: If it cannot be opened.
+    """
+    names = replaced_categories(facts)
+    as_it_is = (facts.split, ())
+    if as_it_is not in opened:
+        opened[as_it_is] = open_split(facts.split)
+    if (facts.split, names) not in opened:
+        opened[facts.split, names] = opened[as_it_is].with_categories(names)
+    return opened[facts.split, names]
+
+
+def replaced_categories(facts: RecordFacts) -> CategoryNames:
+    """Names of categories that were replaced when a record was made, and what by."""
+    said = facts.config.get("categories")
+    return tuple(sorted((str(name), str(to)) for name, to in said.items())) if isinstance(said, dict) else ()
+
+
 @dataclass(slots=True)
 class _Opened:
     """A record that is being judged anew.
@@ -130,6 +162,7 @@ class _Opened:
         old: As it is stored.
         data: What it ran on.
         versions: Who judges.
+        silent: Those of them that say nothing of contacts here (`benchmark.runs.vocabulary`).
         rows: Judged so far.
         truths: What the data set holds of the truth of their scenes.
     """
@@ -137,6 +170,7 @@ class _Opened:
     old: RunRecord
     data: "DataSet"
     versions: dict[str, int]
+    silent: tuple[str, ...]
     rows: Rows = field(default_factory=Rows)
     truths: dict[str, TruthFacts] = field(default_factory=dict)
 
@@ -165,7 +199,8 @@ def _open(
             return f"left alone, it is of the data set {old.run.data.name}; choose that one with --data"
         require_same_data(directory, old.run, data)
         held.enter_context(own.pop_all())
-    return _Opened(old, data, versions)
+    counts = AnnotationCount.together(list(data.annotation_counts(old.run.scenes).values()))
+    return _Opened(old, data, versions, unjudged(counts, tuple(versions)))
 
 
 def _rescored(waiting: Sequence[_Opened]) -> Iterator[Rescored]:
@@ -205,12 +240,16 @@ def _judged_together(
         return
     # All of them are judged by those that the command names.
     protocols = tuple(readable[0].versions)
+    if len({each.silent for each in readable}) > 1:
+        for each in readable:
+            yield from _judged_together([each], reading)
+        return
     try:
-        yield from zip(readable, judge_all_plans(plans_of, reading, protocols), strict=True)
+        yield from zip(readable, judge_all_plans(plans_of, reading, protocols, readable[0].silent), strict=True)
     except InputError:
         for each, plans in zip(readable, plans_of, strict=True):
             try:
-                yield each, judge_scene_plans(plans, reading, protocols)
+                yield each, judge_scene_plans(plans, reading, protocols, each.silent)
             except InputError as error:
                 yield each, error
 
@@ -273,13 +312,16 @@ def require_same_data(directory: Path, facts: RecordFacts, data: "DataSet", *, a
         )
 
 
-def rows_judged_anew(record: RunRecord, reading: SceneReading, protocols: tuple[str, ...]) -> list[SampleRow]:
+def rows_judged_anew(
+    record: RunRecord, reading: SceneReading, protocols: tuple[str, ...], silent: Collection[str] = ()
+) -> list[SampleRow]:
     """Rows of one scene, computed from the stored plans and the data set.
 
     Args:
         record: Holds the plans.
         reading: One of the record's scenes, in the data set that the planner ran on.
         protocols: Who judges.
+        silent: Those of them that say nothing of contacts here (`benchmark.runs.vocabulary`).
 
     Returns:
         One row for each sample.
@@ -287,7 +329,7 @@ def rows_judged_anew(record: RunRecord, reading: SceneReading, protocols: tuple[
     Raises:
         InputError: If the record does not hold the samples of the scene, or a protocol is unknown.
     """
-    return judge_scene_plans(stored_plans(record, reading), reading, protocols)
+    return judge_scene_plans(stored_plans(record, reading), reading, protocols, silent)
 
 
 def stored_plans(record: RunRecord, reading: SceneReading) -> list[dict[str, Any]]:

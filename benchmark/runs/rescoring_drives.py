@@ -6,14 +6,19 @@ from typing import TYPE_CHECKING
 
 from benchmark.closed_loop.engines import rides_as
 from benchmark.closed_loop.scores.scoring import VERSION
+from benchmark.datasets.scene_facts import with_truth
 from benchmark.errors import InputError
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.storage import only_writer
+from benchmark.plausibility.compared import ComparedPlans
 from benchmark.records.drives import DRIVE_FILE, DRIVE_FILES, DriveRecord, load_drives, summarise, write_drives
 from benchmark.records.store import pending, settle
 from benchmark.runs.caveats import drive_caveats
+from benchmark.runs.compared_drives import compared_drive
+from benchmark.runs.drive_rows import with_labels
+from benchmark.runs.reading import truths_of
 from benchmark.runs.redriving import driven_again
-from benchmark.runs.rescoring import Rescored, require_same_data, scene_facts_now
+from benchmark.runs.rescoring import Opened, Rescored, opened_as, require_same_data, scene_facts_now
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -56,15 +61,12 @@ def rescore_all_drives(root: Path, open_split: Callable[[str], "DataSet"], data_
     """
     if not root.is_dir():
         raise InputError(f"there is no folder {root}; run challenger-bench drive first, or name the right --out")
-    opened: dict[str, DataSet] = {}
+    opened: Opened = {}
 
     def open_for(record: DriveRecord) -> "DataSet | None":
-        split = record.facts.split
         if record.facts.data.name != data_name:
             return None
-        if split not in opened:
-            opened[split] = open_split(split)
-        return opened[split]
+        return opened_as(record.facts, opened, open_split)
 
     names = (DRIVE_FILE, pending(Path(), DRIVE_FILE).name)
     for directory in sorted({path.parent for name in names for path in root.rglob(name)}):
@@ -87,13 +89,15 @@ def _rescore(directory: Path, open_for: "Callable[[DriveRecord], DataSet | None]
             return old, f"left alone, it is of the data set {facts.data.name}; choose that one with --data"
         require_same_data(directory, facts, data, again="drive")
         maker = rides_as(measured)
-        rows = [driven_again(maker, data.scene(row.scene), data, row) for row in old.rows]
+        truths = truths_of(data, facts.scenes)
+        rows = with_labels([driven_again(maker, data.scene(row.scene), data, row) for row in old.rows], truths)
+        compared = ComparedPlans.joined(compared_drive(data.scene(row.scene), row) for row in rows)
         described = {name: getattr(facts, name) for name in type(facts).model_fields if name not in _MADE_BY_WRITING}
-        scene_facts = scene_facts_now(facts, data)
+        scene_facts = with_truth(scene_facts_now(facts, data), truths)
         described |= {
             "scoring": VERSION,
             "scene_facts": scene_facts,
-            "caveats": drive_caveats(facts.planner, scene_facts, rows, facts.caveats),
+            "caveats": drive_caveats(facts.planner, scene_facts, rows, measured, compared, facts.caveats),
         }
         same = list(old.rows) == rows and all(getattr(facts, name) == value for name, value in described.items())
         if same and old.summary == summarise(rows, described["scene_facts"], seed=facts.seed, engine=measured.engine):

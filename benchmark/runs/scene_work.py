@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ from benchmark.runs.plan_rows import PlannedScene, PlannerFactory, plan_scene, r
 from benchmark.runs.reading import SceneReading
 
 if TYPE_CHECKING:
+    from benchmark.datasets.categories import CategoryNames
     from benchmark.datasets.roots import DataSet
 
 
@@ -30,6 +32,8 @@ class Run:
         planner: Identity of the planner.
         protocols: Who judges.
         fresh: Plan again even where rows are kept.
+        unjudged: Those of them, and ``pdm``, that say nothing of contacts here because the categories are not
+            nuScenes' (`benchmark.runs.vocabulary`).
     """
 
     directory: Path
@@ -38,6 +42,7 @@ class Run:
     planner: PlannerFacts
     protocols: tuple[str, ...]
     fresh: bool
+    unjudged: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +101,8 @@ def judged_scenes(runs: Sequence[Run], reading: SceneReading, planned: Sequence[
     found: dict[int, SceneResult] = {}
     for protocols in dict.fromkeys(run.protocols for run in runs):
         those = [place for place, run in enumerate(runs) if run.protocols == protocols]
-        rows_of = judge_all_plans([planned[place].rows for place in those], reading, protocols)
+        unjudged = runs[those[0]].unjudged
+        rows_of = judge_all_plans([planned[place].rows for place in those], reading, protocols, unjudged)
         found |= {
             place: SceneResult(reading.name, rows, planned[place].cost, reading.truth_facts)
             for place, rows in zip(those, rows_of)
@@ -146,9 +152,13 @@ def work_in_worker(
     return work_here(runs, *_in_this_process[key], scene)
 
 
-def reopen_root(root: Path, version: str, name: str) -> "DataSet":
-    """Open a data set in a worker process."""
+def reopening(data: "DataSet") -> Callable[[], "DataSet"]:
+    """What opens a data set in a worker process."""
+    return partial(_reopened, data.root, data.version, data.name, data.categories)
+
+
+def _reopened(root: Path, version: str, name: str, categories: "CategoryNames") -> "DataSet":
     # The devkit behind it takes seconds to import.
     from benchmark.datasets.roots import open_data
 
-    return open_data(root, version=version, name=name)
+    return open_data(root, version=version, name=name, categories=dict(categories))

@@ -16,7 +16,7 @@ from benchmark.records.run_schema import DataFacts
 from benchmark.records.scenes import ROUNDS_FILE, SCENES_FOLDER, SHEET_FILE, Sheet, kept_rounds_path, split_folder
 from benchmark.records.statistics import Runtime
 from benchmark.report.words import counted
-from benchmark.runs.scene_work import reopen_root
+from benchmark.runs.scene_work import reopening
 from benchmark.sheets.making import Job, WrittenSheet, planned_sheet, rounds_fit, written_sheet
 from benchmark.sheets.split_sheets import write_split_sheet
 
@@ -138,7 +138,7 @@ def write_sheets(
         _tidy(directory, job.facts, data.scene_names(split))
         write_split_sheet(directory, data, split, job.facts, runtime, hyper)
         workers = settings.workers or default_workers()
-        opener = reopen or partial(reopen_root, data.root, data.version, data.name)
+        opener = reopen or reopening(data)
         work = partial(written_sheet, job, data) if workers == 1 else partial(_in_worker, job, opener)
         written = tuple(map_ordered(work, chosen, workers=workers, label="scene sheets", count=Count(kept=_was_there)))
         traced = sum(_show_rounds(job.folder(name), data.root, name) for name in chosen) if settings.rounds else None

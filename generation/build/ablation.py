@@ -137,7 +137,7 @@ def _counted(
     judged: Counter[str] = Counter()
     for row in () if record is None else record.rows:
         outcome = row.outcomes[PROTOCOL]
-        if outcome.counted and not outcome.cut_short:
+        if outcome.counted and outcome.collision is not None and not outcome.cut_short:
             judged[scene_of[row.scene]] += 1
             colliding[scene_of[row.scene]] += any(outcome.collision)
     tried = Counter(each.scene for each in attempts)

@@ -41,6 +41,8 @@ class BuildReport:
         estimate: How much work there is (dry run only).
         runtime: How long the work took, on this or an earlier run; no part of the JSON, which is the same every time.
         dry_run: Whether the work was only counted.
+        unlabelled: Recorded scenes that were skipped because they have no annotations; no part of the JSON where there
+            are none.
     """
 
     split: str
@@ -60,6 +62,7 @@ class BuildReport:
     estimate: Estimate | None = None
     runtime: RuntimeTable | None = None
     dry_run: bool = False
+    unlabelled: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -98,6 +101,9 @@ class BuildReport:
         """The report as JSON values."""
         values = asdict(self)
         del values["runtime"]
+        values["unlabelled"] = list(self.unlabelled)
+        if not self.unlabelled:
+            del values["unlabelled"]
         return {**values, "written": list(self.written)}
 
     def sentence(self) -> str:
@@ -120,7 +126,13 @@ class BuildReport:
         )
 
     def summary(self) -> str:
-        """The sentence, and below it how many vehicles were kept and dropped, by reason."""
+        """The sentence, and below it how many vehicles were kept and dropped, by reason, and what was skipped."""
+        if not self.unlabelled:
+            return self._summary()
+        names = ", ".join(self.unlabelled[:3]) + (", ..." if len(self.unlabelled) > 3 else "")
+        return f"{self._summary()}\n  skipped {counted(len(self.unlabelled), 'scene')} without annotations ({names})"
+
+    def _summary(self) -> str:
         if self.dry_run or self.split == "val-r":
             return self.sentence()
         kept = self.tried - sum(self.discarded.values()) - sum(self.dropped.values())

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+from benchmark.datasets.annotation_counts import require_annotated
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.storage import canonical_json, only_writer
@@ -156,11 +157,18 @@ def source_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
         settings: Which of them.
 
     Returns:
-        The names, in order.
+        The names, in order; scenes without annotations are skipped.
 
     Raises:
-        InputError: If a scene is unknown or there are none.
+        InputError: If a scene is unknown, there are none, or none has annotations.
     """
+    names = _asked_for(source, settings)
+    require_annotated(source, settings.source_split, names)
+    skipped = set(unlabelled_scenes(source, settings))
+    return tuple(name for name in names if name not in skipped)
+
+
+def _asked_for(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
     if settings.scenes is None:
         names = source.scene_names(settings.source_split)
     else:
@@ -175,6 +183,13 @@ def source_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
     if not names:
         raise InputError(f"{source.name} has no scenes in split {settings.source_split}")
     return names[: settings.limit]
+
+
+def unlabelled_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
+    """Scenes that a build asks for and skips: without annotations there is no traffic to change or to draw."""
+    names = _asked_for(source, settings)
+    counts = source.annotation_counts(names)
+    return tuple(name for name in names if not counts[name].annotations)
 
 
 def _counted(source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings) -> BuildReport:
@@ -201,6 +216,7 @@ def _counted(source: DataSet, search: Search, names: Sequence[str], settings: Bu
         adversaries=settings.adversaries,
         estimate=about,
         dry_run=True,
+        unlabelled=unlabelled_scenes(source, settings),
     )
 
 
@@ -273,7 +289,8 @@ def selected(
     plan = _plan(source, split, settings)
     chosen = select(source, plan, found, settings)
     said = None if chosen.judgement is None else chosen.judgement.as_json(settings.out)
-    report = replace(BuildReport.of(len(names), found, chosen.chains, said, settings.adversaries), split=split)
+    report = BuildReport.of(len(names), found, chosen.chains, said, settings.adversaries)
+    report = replace(report, split=split, unlabelled=unlabelled_scenes(source, settings))
     files = _report_files(report, found, chosen.chains)
     files["search.json"] = (canonical_json(search.as_json(), indent=1) + "\n").encode()
     plan = replace(plan, left_out=chosen.left_out)
@@ -295,8 +312,7 @@ def _build_adversarial(
     if not chosen.jobs:
         withdraw(settings.out)
         raise NothingSurvivedError(
-            f"no adversarial scene survived: {report.sentence()}; try more scenes or another --seed "
-            f"(details in {settings.out / ATTEMPTS_FILE})",
+            f"no adversarial scene survived: {report.sentence()}; {_what_to_do(report, settings)}",
             report,
         )
     chosen.take_over(plan)
@@ -305,6 +321,18 @@ def _build_adversarial(
         how = _choice(report, settings, plan.left_out)
         write_frozen(settings.freeze, freeze(source, plan, chosen.chains, search, how, settings.where_rendered))
     return replace(report, runtime=runtime_table([search.timing_path(tried.unit) for tried in found.tried], notes))
+
+
+def _what_to_do(report: BuildReport, settings: BuildSettings) -> str:
+    """Advice for a search of which nothing came."""
+    if report.tried:
+        return f"try more scenes or another --seed (details in {settings.out / ATTEMPTS_FILE})"
+    reasons = sorted(report.not_tried.items(), key=lambda row: (-row[1], row[0]))
+    said = ", ".join(f"{count} {reason}" for reason, count in reasons) or "nothing is annotated"
+    return (
+        f"of {counted(sum(report.not_tried.values()), 'object')} none can be tried ({said}): choose other scenes with "
+        "--source-split or --scenes"
+    )
 
 
 def _choice(report: BuildReport, settings: BuildSettings, rejected: Sequence[tuple[int, Judged]]) -> Choice:
@@ -340,7 +368,7 @@ def originals(
         The data set to write, its scenes, and what is said of it by file name.
     """
     jobs = [WritingJob(name.replace("/", "-"), name.replace("/", "-"), name, 0, _unchanged, {}) for name in names]
-    report = BuildReport("val-r", len(names), written=tuple(job.name for job in jobs))
+    report = _report_of_originals(source, jobs, settings)
     return _plan(source, "val-r", settings), jobs, _report_files(report, SearchResult(), [])
 
 
@@ -349,15 +377,21 @@ def _build_originals(source: DataSet, names: Sequence[str], settings: BuildSetti
         each = _rendering_seconds(source, names, settings)
         workers = workers_of(settings.where_rendered)
         about = Estimate(0, 0.0, len(names), each, workers, workers)
-        return BuildReport("val-r", len(names), estimate=about, dry_run=True)
+        skipped = unlabelled_scenes(source, settings)
+        return BuildReport("val-r", len(names), estimate=about, dry_run=True, unlabelled=skipped)
     plan, jobs, files = originals(source, names, settings)
-    report = BuildReport("val-r", len(names), written=tuple(job.name for job in jobs))
+    report = _report_of_originals(source, jobs, settings)
     with only_writer(settings.out):
         require_drawn(settings.out, partial(work_of_jobs, source, plan, jobs))
         forget_notes(settings.out)
         publish_reports(settings.out, files)
         notes = _write(source, plan, jobs, settings)
     return replace(report, runtime=runtime_table([], notes))
+
+
+def _report_of_originals(source: DataSet, jobs: Sequence[WritingJob], settings: BuildSettings) -> BuildReport:
+    written = tuple(job.name for job in jobs)
+    return BuildReport("val-r", len(jobs), written=written, unlabelled=unlabelled_scenes(source, settings))
 
 
 def _unchanged(scene: Scene) -> Scene:

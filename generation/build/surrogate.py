@@ -13,7 +13,9 @@ from benchmark.datasets.roots import open_data
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.machine.storage import write_bytes, writing_to
-from benchmark.records.run import RunRecord, scene_failures
+from benchmark.metrics.effect import attributed_collisions
+from benchmark.metrics.transfer import adversary_failures
+from benchmark.records.run import RunRecord
 from benchmark.report.words import counted
 from benchmark.runs.failures import FAILURES_FILE, first_failure
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
@@ -48,10 +50,11 @@ class Judgement:
 
     Attributes:
         planner: Its name.
-        failed: Scenes with at least one colliding sample, by the names that the evaluated data set has.
+        failed: Scenes in which it touches the adversary first in at least one sample, by the names that the evaluated
+            data set has.
         scenes: Scenes that were judged.
         samples: Samples that count.
-        colliding_samples: Those of them with a collision within three seconds.
+        colliding_samples: Those of them whose first contact within three seconds is with the adversary.
         record: Directory of the run record.
     """
 
@@ -127,15 +130,13 @@ def judged(record: RunRecord) -> Judgement:
         InputError: If the planner failed on any sample.
     """
     require_all_planned(record)
-    outcomes = [row.outcomes[PROTOCOL] for row in record.rows]
-    counted = [outcome for outcome in outcomes if outcome.counted and not outcome.cut_short]
-    verdicts = scene_failures(record.rows, PROTOCOL)
+    verdicts = adversary_failures(record)
     return Judgement(
         planner=record.planner,
         failed=frozenset(scene for scene, failed in verdicts.items() if failed),
         scenes=len(verdicts),
-        samples=len(counted),
-        colliding_samples=sum(any(outcome.collision) for outcome in counted),
+        samples=int(record.columns.counted(PROTOCOL).sum()),
+        colliding_samples=int(attributed_collisions(record).sum()),
         record=record.directory,
     )
 

@@ -232,7 +232,8 @@ def _manoeuvre_panels(data_name: str, protocol: str, runs: Sequence[RunRecord], 
         axes.set_axis_off()
     for axes, run in zip(panels, runs):
         manoeuvres, failures = _manoeuvres(run), scene_failures(run.rows, protocol_of(run, protocol))
-        scenes = Counter(manoeuvres.values())
+        decided = [scene for scene, fails in failures.items() if fails is not None and scene in manoeuvres]
+        scenes = Counter(manoeuvres[scene] for scene in decided)
         failed = Counter(manoeuvres[scene] for scene, fails in failures.items() if fails and scene in manoeuvres)
         rows = range(len(order))
         axes.barh(rows, [scenes[name] for name in order], 0.72, color=theme.good)

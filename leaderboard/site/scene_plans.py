@@ -77,9 +77,9 @@ def sample_entry(row: SampleRow, axle: Floats, protocols: Sequence[str], agents:
         at the sample and at the six waypoints, heading at the latter), ``modes`` (paths without the first point),
         ``forecasts`` (x, y, length and width in decimetres, yaw in hundredths of a radian, and the path in decimetres
         if it moves), ``verdicts`` (for each protocol six bits, the first step lowest, and `COUNTED`; null if it did not
-        judge), ``contact`` (seconds to each protocol's first contact, or null), ``cause``, ``reason``, ``hit`` and
-        ``l2`` (metres at the six steps; null past the recording). Every plan has ``path`` and ``yaw``, ``verdicts`` and
-        ``contact``; what there is none of beyond them is left out.
+        judge or the surroundings are not annotated), ``contact`` (seconds to each protocol's first contact, or null),
+        ``cause``, ``reason``, ``hit`` and ``l2`` (metres at the six steps; null past the recording). Every plan has
+        ``path`` and ``yaw``, ``verdicts`` and ``contact``; what there is none of beyond them is left out.
 
     Raises:
         InputError: If the plan has lists of the wrong lengths.
@@ -94,7 +94,7 @@ def sample_entry(row: SampleRow, axle: Floats, protocols: Sequence[str], agents:
     always: dict[str, Any] = {
         "path": packed_path(np.vstack([start, placed.waypoints]), CENTIMETRE),
         "yaw": packed(placed.at_waypoints[:, 4].tolist(), MILLIRADIAN),
-        "verdicts": [None if outcome is None else _bits(name, outcome) for name, outcome in zip(protocols, judged)],
+        "verdicts": [_bits(name, outcome) for name, outcome in zip(protocols, judged)],
         "contact": [_first_contact(name, outcome, row) for name, outcome in zip(protocols, judged, strict=True)],
     }
     sometimes: dict[str, Any] = {
@@ -137,7 +137,9 @@ def _forecasts(forecasts: PlacedForecasts, axle: Floats) -> list[list[Any]]:
     return shown
 
 
-def _bits(protocol: str, outcome: OutcomeRow) -> int:
+def _bits(protocol: str, outcome: OutcomeRow | None) -> int | None:
+    if outcome is None or outcome.collision is None:
+        return None
     steps = sum(1 << step for step, collides in enumerate(outcome.collision) if collides)
     # Without contact up to a gap in the recording nothing is said of the sample as a whole.
     unknown = protocol == EXACT and outcome.cut_short and not steps
@@ -146,7 +148,7 @@ def _bits(protocol: str, outcome: OutcomeRow) -> int:
 
 def _first_contact(protocol: str, outcome: OutcomeRow | None, row: SampleRow) -> float | None:
     """Seconds from the sample; protocols other than ``exact`` look at waypoints only."""
-    if outcome is None or not any(outcome.collision):
+    if outcome is None or outcome.collision is None or not any(outcome.collision):
         return None
     if protocol == EXACT and row.diagnosis is not None:
         return round(row.diagnosis.first_contact_s, 2)

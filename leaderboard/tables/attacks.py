@@ -15,8 +15,9 @@ SEVERITY: Final = "severity"
 """The definition behind these numbers (docs/severity.md), as groups and cells name it."""
 HEADS: Final[dict[Reading, str]] = {"contact": "contact", "at_fault": "at fault", "attributable": "attributable"}
 READINGS_NOTE: Final = (
-    "Contact: the plan touches anybody within 3 s (the paper's reading). At fault: the first contact is the planner's "
-    "fault, as nuPlan has it. Attributable: at fault, and the careful and competent human (UN R157) survives the scene."
+    "Contact: the plan touches the adversary before anything else within 3 s. At fault: that is the planner's fault, "
+    "as nuPlan has it. Attributable: at fault, and the careful and competent human (UN R157) survives the scene. "
+    "Bystander: the plan touches another than the adversary first; no reading counts it."
 )
 RULES_NOTE: Final = (
     "Of a scene one sample is enough. What nobody can tell is in neither part of a rate: attributable needs a scene "
@@ -66,10 +67,13 @@ def _success_table(data_name: str, runs: Sequence[RunRecord], notes: tuple[str, 
     columns = (
         *("planner", "split"),
         *(head for name in READINGS for head in (HEADS[name], f"95 % of {HEADS[name]}")),
+        *("bystander", "95 % of bystander"),
         *(head for name in READINGS for head in (f"{HEADS[name]}, scenes", f"95 % of {HEADS[name]}, scenes")),
+        *("bystander, scenes", "95 % of bystander, scenes"),
         *("samples", "scenes", "judged", "careful survives"),
     )
-    shown = (0, 1, *(8 + 2 * place for place in range(3)), columns.index("judged"))
+    of_scenes = [columns.index(f"{head}, scenes") for head in (*HEADS.values(), "bystander")]
+    shown = (0, 1, *of_scenes, columns.index("judged"))
     all_notes = (READINGS_NOTE, RULES_NOTE, *_unknown_notes(found), *notes)
     return table_of(
         "attack-success",
@@ -80,8 +84,8 @@ def _success_table(data_name: str, runs: Sequence[RunRecord], notes: tuple[str, 
         text_columns=2,
         groups=(
             ("", 2),
-            (f"of samples in %, {SEVERITY}", 6),
-            (f"of scenes in %, {SEVERITY}", 6),
+            (f"of samples in %, {SEVERITY}", 8),
+            (f"of scenes in %, {SEVERITY}", 8),
             (f"counted, {SEVERITY}", 4),
         ),
         # The rest of what has to be said of the runs stands below the rates already.
@@ -91,8 +95,8 @@ def _success_table(data_name: str, runs: Sequence[RunRecord], notes: tuple[str, 
 
 def _success_row(record: RunRecord, rates: AttackRates) -> Row:
     origin, scenes = origin_of(record, SEVERITY), len(record.run.scenes)
-    of_samples = [origin.percent(rates.samples[name]) for name in READINGS]
-    of_scenes = [origin.percent(rates.scenes[name], "scenes") for name in READINGS]
+    of_samples = [origin.percent(rate) for rate in (*rates.samples.values(), rates.bystander_samples)]
+    of_scenes = [origin.percent(rate, "scenes") for rate in (*rates.scenes.values(), rates.bystander_scenes)]
     return (
         *_who(record),
         *(shown for cell in (*of_samples, *of_scenes) for shown in (cell.shown(1), cell.interval())),

@@ -14,6 +14,7 @@ from benchmark.report.cells import UNDEFINED, Cell, Origin, Shown, origin_of, re
 from benchmark.report.table import Brief, Table, table_of
 from leaderboard.tables.attacks import success_table
 from leaderboard.tables.driving import driving_table
+from leaderboard.tables.effect import effect_table
 from leaderboard.tables.further_columns import further_table
 from leaderboard.tables.longer_plans import longer_table
 from leaderboard.tables.published import is_variant, published_cells, published_rate
@@ -24,8 +25,8 @@ BRIEF_NOTE = (
     "agree. Increase: (adv − val) / val of the averages, as the paper computes it."
 )
 RATES_NOTE = f"{BRIEF_NOTE.removesuffix('.')}; beside it the same over val-r."
-_BRIEF_COLUMNS = ("col. avg", "95 % of avg", "increase", "scenes failed")
-"""What a terminal shows behind planner, split and protocol."""
+_BRIEF_COLUMNS = ("col. avg", "95 % of avg", "increase", "L2 avg", "scenes failed")
+"""What a terminal shows behind planner, split and protocol; nonsense shows at once in L2."""
 BEFORE_MASK = "collision_before_mask"
 MASK_COLUMNS = ("avg before mask", "steps masked", "masked for adversaries", "masked for others")
 
@@ -90,7 +91,12 @@ def native_table(data_name: str, records: Sequence[RunRecord]) -> Table:
 
 
 def run_tables(
-    data_name: str, records: Sequence[RunRecord], protocols: Sequence[str] | None = None, *, allow_partial: bool = False
+    data_name: str,
+    records: Sequence[RunRecord],
+    protocols: Sequence[str] | None = None,
+    *,
+    allow_partial: bool = False,
+    against: Sequence[RunRecord] = (),
 ) -> list[Table]:
     """The tables that ``challenger-bench eval`` prints.
 
@@ -100,10 +106,12 @@ def run_tables(
         protocols: Protocols, ``native`` or ``pdm``; by default ``exact``, and ``native`` where a planner has one of its
             own.
         allow_partial: Whether runs count in which the planner failed on samples; their rates leave those out.
+        against: Further records that runs on adversarial splits may be compared with, the newest last.
 
     Returns:
-        One table for each protocol, one more for its further rates where it has some, and unasked one for plans that go
-        on beyond 3 s and one for attack success where there are adversaries; none if there are no runs to show.
+        Unasked the effect of adversaries first, where there are some. One table for each protocol, one more for its
+        further rates where it has some, and unasked one for plans that go on beyond 3 s and one for attack success
+        where there are adversaries; none if there are no runs to show.
     """
     shown = records if allow_partial else [record for record in records if record.complete]
     own = any(record.run.planner.native_protocol for record in shown)
@@ -117,7 +125,8 @@ def run_tables(
         if shown
     ]
     unasked = [longer_table(data_name, shown), success_table(data_name, shown)] if protocols is None else []
-    return [table for table in (*(table for both in tables for table in both), *unasked) if table is not None]
+    first = [effect_table(data_name, shown, against)] if protocols is None else []
+    return [table for table in (*first, *(table for both in tables for table in both), *unasked) if table is not None]
 
 
 def increase_over(baseline: float | None, rate: float | None) -> float | None:
@@ -174,7 +183,7 @@ def _table(
         rows,
         notes=(*notes, RATES_NOTE, *of_columns, *said),
         brief=Brief(
-            title.replace(" and L2 (m)", ""),
+            title,
             (*range(texts), *(columns.index(head) for head in _BRIEF_COLUMNS)),
             (*notes, BRIEF_NOTE, *_mask_notes(records, judge_of), *said),
             texts,

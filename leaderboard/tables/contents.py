@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from benchmark.errors import InputError
 from benchmark.metrics.attacks import has_adversaries, says_severity
 from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.effect import says_whom
 from benchmark.metrics.scores import require_current
 from benchmark.metrics.transfer import TransferMatrix, transfer
 from benchmark.records.ablation import AblationReport
@@ -23,6 +24,7 @@ from leaderboard.tables.diagnosis import diagnosis_tables
 from leaderboard.tables.disagreement import disagreement_table
 from leaderboard.tables.drawn_seeds import drawn_seeds_table
 from leaderboard.tables.driving import driving_table
+from leaderboard.tables.effect import effect_table
 from leaderboard.tables.further_columns import further_table
 from leaderboard.tables.judgements import judgement_tables
 from leaderboard.tables.longer_plans import longer_table
@@ -32,7 +34,7 @@ from leaderboard.tables.runtime import runtime_tables
 from leaderboard.tables.seeds import seed_spread_table
 from leaderboard.tables.slices import DIAGNOSIS, slice_tables
 from leaderboard.tables.statistics import statistics_tables
-from leaderboard.tables.transfer import agreement_table, transfer_table
+from leaderboard.tables.transfer import lift_table, transfer_table
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +77,7 @@ def data_set_tables(data_name: str, records: Sequence[RunRecord]) -> DataSetTabl
     """
     protocols = {name for record in records for name in record.summary.protocols}
     splits, verdicts = splits_of(records), Verdicts()
-    front: list[Table | None] = []
+    front: list[Table | None] = [effect_table(data_name, records)]
     matrices: dict[str, TransferMatrix] = {}
     names = [name for name in (EXACT, NATIVE) if name in protocols or (name == NATIVE and _has_native(records))]
     front += [
@@ -168,7 +170,11 @@ def _transfer_tables(
     if len(kept) < 2:
         return None, []
     matrix = transfer(kept, protocol=protocol)
-    tables = [transfer_table(data_name, matrix), agreement_table(data_name, matrix)]
+    tables = [transfer_table(data_name, matrix), lift_table(data_name, matrix)]
+    telling = [record for record in kept if says_whom(record)]
+    if protocol == EXACT and len(telling) > 1 and any(map(has_adversaries, telling)):
+        with_adversary = transfer(telling, adversary_only=True)
+        tables += [transfer_table(data_name, with_adversary), lift_table(data_name, with_adversary)]
     return matrix, [replace(table, notes=(*table.notes, *refused)) for table in tables]
 
 

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.effect import attributed_collisions
 from benchmark.metrics.rates import Rate, ratios_over_scenes
 from benchmark.metrics.scores import source_of_scenes
 from benchmark.records.row_schema import CAUSES, DiagnosisRow
@@ -19,7 +20,7 @@ from leaderboard.tables.rows import in_table_order, row_name, run_notes, stale_n
 _RULE: Final = (
     "Unseen: no forecast of the planner is near what it hits. Misforecast: the plan is clear of the planner's own "
     "forecast of it. Misplanned: it hits that forecast too. Not attributable: the planner gives no forecasts. The rule "
-    "is in docs/diagnosis.md."
+    "is in docs/diagnosis.md. On splits with adversaries only samples whose first contact is with one are diagnosed."
 )
 _CAUSE_GROUP: Final = (f"% of the colliding samples, {EXACT}", 2 * len(CAUSES))
 
@@ -41,7 +42,7 @@ class _Run:
     @classmethod
     def of(cls, record: RunRecord) -> "_Run":
         columns = record.columns
-        scenes, causes, hits = columns.values("scene"), columns.values("diagnosis"), columns.collides(EXACT)
+        scenes, causes, hits = columns.values("scene"), columns.values("diagnosis"), attributed_collisions(record)
         counted = columns.counted(EXACT)
         hits = hits & counted
         return cls(

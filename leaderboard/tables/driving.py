@@ -100,7 +100,8 @@ def _run_notes(records: Sequence[RunRecord]) -> list[str]:
         who, summary = f"{record.planner} on {record.run.split}", record.summary.driving
         if summary is None:
             told.append(
-                f"{who}: no driving scores; challenger-bench rescore computes them where the data set has a map."
+                f"{who}: no driving scores; challenger-bench rescore computes them where the data set has a map and "
+                "nuScenes' categories."
             )
         elif summary.version != VERSION:
             told.append(

@@ -16,7 +16,7 @@ CLOSED_LOOP: Final = "closed loop"
 """What tables of drives are shown under."""
 _RATES: Final = "collision rates"
 _GROUPS: Final = {
-    "planners and transfer": ("planners", "transfer", "agreement"),
+    "planners and transfer": ("planners", "transfer", "lift", "agreement"),
     "attacks and scenes": ("attack", "severity", "ladder", "validity", "realism"),
     "causes and protocols": ("diagnosis", "disagreement"),
     "driving scores": (PDM,),

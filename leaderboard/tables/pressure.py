@@ -161,13 +161,14 @@ def _transfer_table(number: int, pairs: Sequence[tuple[DriveRecord, DriveRecord]
 
 
 def _failed(record: DriveRecord) -> set[tuple[str, int]]:
-    return {(row.scene, row.run) for row in record.rows if row.contact is not None and row.contact.at_fault}
+    known = (row for row in record.rows if row.contact is not None and not row.unlabelled)
+    return {(row.scene, row.run) for row in known if row.contact is not None and row.contact.at_fault}
 
 
 def _transferred(source: DriveRecord, victim: DriveRecord, name: str) -> Shown | str:
     """Share of the source's failures that the victim fails too, with scenes as what is drawn."""
     failed, also = _failed(source), _failed(victim)
-    drove = {(row.scene, row.run) for row in victim.rows if row.status == "ok"}
+    drove = {(row.scene, row.run) for row in victim.rows if row.status == "ok" and not row.unlabelled}
     counted = sorted(failed & drove)
     if not counted:
         return UNDEFINED

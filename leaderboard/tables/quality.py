@@ -11,7 +11,7 @@ from benchmark.records.review import review_words
 from benchmark.report.cells import UNDEFINED, Origin, Shown, named_record
 from benchmark.report.table import Brief, Table, table_of
 from leaderboard.tables.published import quoted
-from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, part_of_split, split_place
+from leaderboard.tables.rows import CAVEAT_MARK, FEW_NOTE, FEW_SCENES, part_of_split, split_place
 
 _COLUMNS: Final = (
     "split",
@@ -103,7 +103,7 @@ def _rows(record: QualityRecord) -> list[tuple[str | Shown, ...]]:
         cells = [origin.amount(rate, unit, of) for rate, unit, of in rates]
         rows.append(
             (
-                *(split, group),
+                *(f"{split} {CAVEAT_MARK}" if record.caveats else split, group),
                 *(shown for cell in cells for shown in (cell.shown(4), cell.interval(3))),
                 *(() if is_whole else (UNDEFINED, UNDEFINED)),
                 origin.count(found.subjects, "vehicles").shown(),
@@ -133,6 +133,7 @@ def _what_was_seen(records: Sequence[QualityRecord]) -> list[str]:
     else:
         notes.append(f"Frames: {next(iter(seen.values()))}.")
     for record in records:
+        notes += [f"{CAVEAT_MARK} {record.facts.split}: {caveat.sentence}." for caveat in record.caveats]
         if record.facts.review is not None:
             notes.append(f"{record.facts.split}: {review_words(record.facts.review)}.")
         if not record.covers_split:

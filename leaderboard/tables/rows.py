@@ -18,6 +18,10 @@ PRIVILEGED_NOTE = f"{PRIVILEGED_MARK} sees what no car sees (boxes, map or the r
 STALE_MARK = "‡"
 REPRODUCED_MARK = "✓"
 CAVEAT_MARK = "¶"
+OLDER_WORDS = (
+    "older records, which do not say whether their scenes are annotated; rates may count scenes without annotations as "
+    "free of contacts until challenger-bench rescore"
+)
 MINIATURE_NOTE = f"{MINIATURE_WORDS} (docs/miniatures.md)."
 FEW_SCENES = 20
 """Below this many recorded scenes the intervals are clearly too narrow (docs/metrics.md has the measurement)."""
@@ -71,16 +75,21 @@ def caveat_notes(records: Iterable[RecordFacts]) -> list[str]:
         records: Facts of run records or of records of drives.
 
     Returns:
-        One sentence for each caveat and split, with the planners that it concerns.
+        One sentence for each caveat and split, with the planners that it concerns, and one for older records, of which
+        it is not known whether their scenes are annotated.
     """
     planners: dict[tuple[str, str], list[str]] = {}
+    older: list[str] = []
     for facts in records:
         for caveat in facts.caveats:
             planners.setdefault((facts.split, caveat.sentence), []).append(facts.planner.name)
-    return [
+        if not facts.says_truth:
+            older.append(f"{facts.planner.name} on {facts.split}")
+    notes = [
         f"{CAVEAT_MARK} {', '.join(dict.fromkeys(names))} on {split}: {sentence}."
         for (split, sentence), names in planners.items()
     ]
+    return [*notes, *([f"{', '.join(dict.fromkeys(older))}: {OLDER_WORDS}."] if older else [])]
 
 
 def mark_notes(*, privileged: bool, miniature: bool) -> list[str]:

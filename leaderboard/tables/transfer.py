@@ -1,9 +1,10 @@
 """Transfer tables: who else fails the scenes that one planner fails, and how far that is more than chance."""
 
 from collections.abc import Sequence
+from typing import Final
 
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.rates import Rate
+from benchmark.metrics.rates import Estimate, Rate
 from benchmark.metrics.transfer import Agreement, TransferMatrix, transfer
 from benchmark.records.planner_versions import labelled
 from benchmark.records.run import NATIVE, RunRecord
@@ -14,7 +15,12 @@ from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, in_table_order, judges
 
 
 def transfer_matrices(
-    records: Sequence[RunRecord], split: str, *, protocol: str = EXACT, data: str | None = None
+    records: Sequence[RunRecord],
+    split: str,
+    *,
+    protocol: str = EXACT,
+    data: str | None = None,
+    adversary_only: bool = False,
 ) -> dict[str, TransferMatrix]:
     """Transfer matrices of a split from whatever records there are; those of a part of the split are left out.
 
@@ -23,6 +29,7 @@ def transfer_matrices(
         split: The split.
         protocol: Whose verdicts count; ``native`` takes those of each planner's own repository.
         data: Only the data set of this name.
+        adversary_only: Whether only first contacts with an adversary fail a scene.
 
     Returns:
         A matrix for each data set that has records of the whole split, by its name; planners in the order of tables.
@@ -32,7 +39,11 @@ def transfer_matrices(
     """
     of_split = [record for record in labelled(records) if record.run.split == split and record.covers_split]
     return {
-        name: transfer(in_table_order([each for each in of_split if each.run.data.name == name]), protocol=protocol)
+        name: transfer(
+            in_table_order([each for each in of_split if each.run.data.name == name]),
+            protocol=protocol,
+            adversary_only=adversary_only,
+        )
         for name in sorted({record.run.data.name for record in of_split})
         if data in (None, name)
     }
@@ -66,15 +77,15 @@ def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
     everywhere = (_cell(rate, _origin(matrix, victim)) for victim, rate in enumerate(matrix.base_rates))
     rows.append(("all scenes", UNDEFINED, *everywhere))
     return table_of(
-        f"transfer-{matrix.split}-{matrix.protocol}",
-        f"{titled(data_name, matrix.split)}: transfer of failures (%), {judges(matrix.protocol)}",
+        f"transfer-{matrix.split}-{_kind(matrix)}",
+        f"{titled(data_name, matrix.split)}: transfer of {_failures(matrix)} (%), {judges(matrix.protocol)}",
         ("surrogate", "its failed scenes", *names),
         rows,
         notes=(
             "Cell: share of the surrogate's failed scenes that the victim (column) fails too, with counts and the 95 % "
             "bootstrap interval over recorded scenes. "
             f"{UNDEFINED}: the diagonal (100 by construction), or undefined because the surrogate fails no scene.",
-            "A scene fails a planner if any counted sample of it collides. Last row: the victim's failure rate over "
+            f"A scene fails a planner if {_FAILS[matrix.adversary_only]}. Last row: the victim's failure rate over "
             "all scenes; transfer is what exceeds it.",
             *_undecided(matrix),
             *_common_notes(matrix),
@@ -94,9 +105,10 @@ def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
         One row per pair of planners: counts, phi with its interval, lift.
     """
     return table_of(
-        f"agreement-{matrix.split}-{matrix.protocol}",
-        f"{titled(data_name, matrix.split)}: do planners fail the same scenes, {judges(matrix.protocol)}",
-        ("first", "second", "both", "only first", "only second", "neither", "φ", "95 % of φ", "lift"),
+        f"agreement-{matrix.split}-{_kind(matrix)}",
+        f"{titled(data_name, matrix.split)}: do planners fail the same scenes{_BY[matrix.adversary_only]}, "
+        f"{judges(matrix.protocol)}",
+        ("first", "second", "both", "only first", "only second", "neither", "φ", "95 % of φ", "lift", "95 % of lift"),
         [_agreement_row(matrix, agreement) for agreement in matrix.agreements],
         notes=(
             "φ: correlation of the two verdicts over the scenes that both were judged on: 1 the same scenes, 0 as by "
@@ -107,8 +119,70 @@ def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
             *_common_notes(matrix),
         ),
         text_columns=2,
-        groups=(("", 2), (f"scenes that fail, {_who(matrix)}", 4), (f"agreement, {_who(matrix)}", 3)),
+        groups=(("", 2), (f"scenes that fail, {_who(matrix)}", 4), (f"agreement, {_who(matrix)}", 4)),
     )
+
+
+def lift_table(data_name: str, matrix: TransferMatrix) -> Table:
+    """How far failures transfer beyond what failure rates give: lift and phi of every two planners, as a matrix.
+
+    Args:
+        data_name: Name of the data set, for the title.
+        matrix: From `benchmark.metrics.transfer.transfer`.
+
+    Returns:
+        One row and one column per planner: lift with its interval above the diagonal, phi with its below it.
+    """
+    names = planner_names(matrix)
+    cells: dict[tuple[int, int], Shown] = {}
+    for agreement in matrix.agreements:
+        first, second = (matrix.planners.index(name) for name in agreement.planners)
+        origin, scenes = _origin(matrix, first, second), agreement.scenes
+        lift = Estimate(agreement.lift, agreement.lift_low, agreement.lift_high)
+        for place, found, unit in (((first, second), lift, "×"), ((second, first), agreement.phi, "φ")):
+            cell = origin.cell(found.value, unit, scenes, "scenes", low=found.low, high=found.high)
+            ends = interval(cell.low, cell.high, digits=1)
+            cells[place] = cell.shown(1, after="" if ends == UNDEFINED else f" {ends}")
+    rows = [
+        (
+            Shown(name, miniature=matrix.miniatures[own]),
+            _origin(matrix, own).percent(matrix.base_rates[own], "scenes").shown(0),
+            *(cells.get((own, other), Shown(UNDEFINED)) for other in range(len(names))),
+        )
+        for own, name in enumerate(names)
+    ]
+    return table_of(
+        f"lift-{matrix.split}-{_kind(matrix)}",
+        f"{titled(data_name, matrix.split)}: do planners fail the same scenes{_BY[matrix.adversary_only]}, "
+        f"{judges(matrix.protocol)}",
+        ("planner", "fails %", *names),
+        rows,
+        notes=(
+            "Above the diagonal: lift, how many times more often both fail a scene than their failure rates give by "
+            "chance (1: as by chance). Below it: φ, the correlation of the two verdicts (0: as by chance). Brackets: "
+            f"95 % bootstrap interval over recorded scenes. {UNDEFINED}: one of them fails all scenes, or none.",
+            f"A scene fails a planner if {_FAILS[matrix.adversary_only]}.",
+            *_undecided(matrix),
+            *_common_notes(matrix),
+        ),
+        groups=(("", 1), (f"scenes in %, {_who(matrix)}", 1), (f"lift and φ, {_who(matrix)}", len(names))),
+    )
+
+
+def _kind(matrix: TransferMatrix) -> str:
+    """What files of a matrix are named after."""
+    return "adversary" if matrix.adversary_only else matrix.protocol
+
+
+def _failures(matrix: TransferMatrix) -> str:
+    return "contacts with the adversary" if matrix.adversary_only else "failures"
+
+
+_BY: Final = {False: "", True: " by contacts with the adversary"}
+_FAILS: Final = {
+    False: "any counted sample of it collides, whoever it is with",
+    True: "the first contact of any counted sample is with the adversary",
+}
 
 
 def planner_names(matrix: TransferMatrix) -> list[str]:
@@ -158,10 +232,12 @@ def _agreement_row(matrix: TransferMatrix, agreement: Agreement) -> tuple[str | 
     names, origin = planner_names(matrix), _origin(matrix, *places)
     counts = (agreement.both, agreement.only_first, agreement.only_second, agreement.neither)
     phi = origin.cell(agreement.phi.value, "φ", sum(counts), "scenes", low=agreement.phi.low, high=agreement.phi.high)
+    lift = origin.cell(agreement.lift, "×", sum(counts), "scenes", low=agreement.lift_low, high=agreement.lift_high)
     return (
         *(Shown(names[place], miniature=matrix.miniatures[place]) for place in places),
         *(origin.count(count, "scenes", sum(counts)).shown() for count in counts),
         phi.shown(2),
         phi.interval(2),
-        origin.cell(agreement.lift, "×", sum(counts), "scenes").shown(2),
+        lift.shown(2),
+        lift.interval(2),
     )

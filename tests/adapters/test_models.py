@@ -108,7 +108,7 @@ def test_the_own_entry_counts_and_where_things_are_defined_does_not(monkeypatch:
     assert replace(model, network=moved, published_as="VAD").identity == model.identity
     another = replace(model, network=replace(model.net, config="adapters.networks.vad.config:VADConfig.tiny"))
     assert another.identity != model.identity
-    monkeypatch.setitem(MODELS, "vad-tiny", replace(MODELS["vad-tiny"], blind=True))
+    monkeypatch.setitem(MODELS, "vad-tiny", replace(MODELS["vad-tiny"], wants=()))
     assert planner_factory("vad-mini").facts.code_sha256 == before
 
 

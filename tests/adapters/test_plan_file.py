@@ -91,6 +91,65 @@ def test_missing_and_extra_rows_are_named(tmp_path: Path) -> None:
         plan_file_factory(write(tmp_path / "b.csv", rows + extra), data, "val")
 
 
+def test_missing_rows_are_failed_samples_where_that_is_allowed(tmp_path: Path) -> None:
+    data = town_of_two()
+    rows = rows_for(data)
+    factory = plan_file_factory(write(tmp_path / "a.csv", rows[5:]), data, "val", allow_partial=True)
+    record = evaluate(data, "val", factory, tmp_path / "out")
+    assert record.run.status == "partial" and [row.status for row in record.rows] == ["failed"] * 5 + ["ok"] * 27
+    assert all("has no row for sample" in str(row.error) for row in record.rows[:5])
+    with pytest.raises(InputError, match=r"no row for 5 samples .*; every sample needs a plan, unless --allow-partial"):
+        plan_file_factory(tmp_path / "a.csv", data, "val")
+    with pytest.raises(InputError, match="no sample has one"):
+        plan_file_factory(write(tmp_path / "b.csv", rows[:16]), data, "val", scenes=("scene-9902",), allow_partial=True)
+
+
+def test_tokens_of_keyframe_rows_lead_to_their_samples(tmp_path: Path) -> None:
+    data = town_of_two()
+    rows = rows_for(data)
+    row_of: dict[str, str] = {}
+    for scene in data.scene_names():
+        row_of |= {sample: row for row, sample in data.keyframe_rows(scene).items()}
+    renamed = [{**row, "sample_token": row_of[row["sample_token"]]} for row in rows]
+    for name, some in {"all": renamed, "half": rows[:16] + renamed[16:]}.items():
+        factory = plan_file_factory(write(tmp_path / f"{name}.csv", some), data, "val")
+        assert ["tokens of sample_data rows" in sentence for sentence in factory.sentences] == [True]
+        record = evaluate(data, "val", pickle.loads(pickle.dumps(factory)), tmp_path / name)  # noqa: S301
+        assert all(row.plan and row.plan.waypoints[0][0] == 4.0 + 0.1 * row.index for row in record.rows)
+    assert not plan_file_factory(write(tmp_path / "plain.csv", rows), data, "val").sentences
+    with pytest.raises(InputError, match="more than one row for sample"):
+        plan_file_factory(write(tmp_path / "twice.csv", [*rows, renamed[0]]), data, "val")
+
+
+def test_a_file_of_another_split_is_told_which(tmp_path: Path) -> None:
+    data = replace(town_of_two(), train=("scene-9901",))
+    mine = write(tmp_path / "mine.csv", rows_for(town_of_two())[:16])
+    with pytest.raises(InputError, match="they are samples of its split 'train'; name that with --split"):
+        plan_file_factory(mine, data, "val")
+    assert plan_file_factory(mine, data, "train").facts.name == "mine"
+
+
+EXCEL = {"sep": ";", "decimal": ",", "index": False, "encoding": "utf-8-sig", "lineterminator": "\r\n"}
+
+
+@pytest.mark.parametrize("by_time", [False, True])
+@pytest.mark.parametrize("form", [EXCEL, {**EXCEL, "decimal": "."}, {"index": False, "encoding": "utf-8-sig"}], ids=str)
+def test_what_excel_writes_is_read(tmp_path: Path, form: dict[str, Any], by_time: bool) -> None:
+    rows = rows_for(town_of_two(), by_time=by_time)
+    pd.DataFrame(rows).to_csv(tmp_path / "excel.csv", **form)
+    plain, excel = read_plan_file(write(tmp_path / "plain.csv", rows)), read_plan_file(tmp_path / "excel.csv")
+    assert (plain.keys, plain.frames) == (excel.keys, excel.frames)
+    assert np.array_equal(plain.waypoints, excel.waypoints)
+
+
+def test_points_beside_decimal_commas_are_refused(tmp_path: Path) -> None:
+    """1.234 beside 0,25 is a thousand and more, or one and a bit: who knows."""
+    rows = [{**row, "x1": "1.234"} for row in rows_for(town_of_two())]
+    pd.DataFrame(rows).to_csv(tmp_path / "mixed.csv", **EXCEL)
+    with pytest.raises(InputError, match="column x1 has numbers with points, and others have decimal commas"):
+        read_plan_file(tmp_path / "mixed.csv")
+
+
 @pytest.mark.parametrize("by_time", [False, True])
 def test_a_file_for_other_data_says_so_and_for_which(tmp_path: Path, by_time: bool) -> None:
     data = town_of_two()

@@ -76,3 +76,37 @@ def without_annotations(root: Path, scenes: set[str] | None = None) -> None:
     named = {row["instance_token"] for row in left}
     edit(root, "sample_annotation", lambda _: left)
     edit(root, "instance", lambda rows: [row for row in rows if row["token"] in named])
+
+
+def annotated_until(root: Path, scene: str, samples: int) -> None:
+    """Take the annotations of a scene away from a sample on, as where labelling stopped half-way."""
+    tables = {name: json.loads(table_of(root, name).read_text()) for name in ("scene", "sample", "sample_annotation")}
+    (token,) = (row["token"] for row in tables["scene"] if row["name"] == scene)
+    own = sorted((row for row in tables["sample"] if row["scene_token"] == token), key=lambda row: row["timestamp"])
+    gone = {row["token"] for row in own[samples:]}
+    left = [row for row in tables["sample_annotation"] if row["sample_token"] not in gone]
+    tokens = {row["token"] for row in left}
+    chains: dict[str, list[Row]] = {}
+    for row in left:
+        row["next"] = row["next"] if row["next"] in tokens else ""
+        chains.setdefault(row["instance_token"], []).append(row)
+
+    def shortened(rows: list[Row]) -> list[Row]:
+        for row in rows:
+            chain = chains.get(row["token"], [])
+            row["nbr_annotations"] = len(chain)
+            row["last_annotation_token"] = next((each["token"] for each in chain if not each["next"]), "")
+        return [row for row in rows if row["token"] in chains]
+
+    edit(root, "sample_annotation", lambda _: left)
+    edit(root, "instance", shortened)
+
+
+def rename_categories(root: Path, renamed: Callable[[str], str]) -> None:
+    """Give the categories of a root other names."""
+
+    def change(rows: list[Row]) -> None:
+        for row in rows:
+            row["name"] = renamed(row["name"])
+
+    edit(root, "category", change)

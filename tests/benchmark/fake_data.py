@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
+from benchmark.datasets.annotation_counts import AnnotationCount
 from benchmark.datasets.can_bus import CanBus, ego_state
+from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.scene_facts import scene_facts_of
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.machine.storage import content_key, token
@@ -42,12 +44,24 @@ class FakeData:
     version: str = "v1.0-fake"
     name: str = "fake"
     views: dict[str, CameraView] = field(default_factory=dict)
+    train: tuple[str, ...] = ()
+    categories: CategoryNames = ()
+
+    def with_categories(self, categories: CategoryNames) -> "FakeData":
+        return self
+
+    def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
+        return {name: AnnotationCount(int(self.scenes[name].annotations.valid.sum()), {}) for name in names}
 
     def splits(self) -> dict[str, tuple[str, ...]]:
-        return {"val": tuple(sorted(self.scenes))}
+        return {split: self.scene_names(split) for split in self.split_names()}
+
+    def split_names(self) -> tuple[str, ...]:
+        return ("train", "val") if self.train else ("val",)
 
     def scene_names(self, split: str | None = None) -> tuple[str, ...]:
-        return tuple(sorted(self.scenes))
+        names = sorted(self.scenes)
+        return tuple(name for name in names if split is None or (name in self.train) == (split == "train"))
 
     def review(self, split: str | None = None) -> SplitReview:
         return SplitReview(waiting=self.scene_names(split))
@@ -55,7 +69,13 @@ class FakeData:
     def scene(self, name: str) -> Scene:
         return self.scenes[name]
 
+    def keyframe_rows(self, name: str) -> dict[str, str]:
+        return {token("CAM_FRONT", truth.sample_token): truth.sample_token for truth in self.truth(name)}
+
     def has_map(self, name: str) -> bool:
+        return True
+
+    def has_lidar(self, name: str) -> bool:
         return True
 
     def provenance(self) -> dict[str, Any] | None:

@@ -54,8 +54,8 @@ def test_constant_speed_hits_a_slow_leader_and_the_numbers_are_those_of_the_rows
     collision = record.summary.protocols["exact"].columns["collision"]["3s"]
     counted = [row.outcomes["exact"] for row in record.rows if row.outcomes["exact"].counted]
     assert collision.denominator == len(counted) == 20
-    assert collision.numerator == sum(any(outcome.collision) for outcome in counted) > 0
-    assert {row.scene for row in record.rows if any(row.outcomes["exact"].collision)} == {"scene-9902"}
+    assert collision.numerator == sum(any(outcome.collision or ()) for outcome in counted) > 0
+    assert {row.scene for row in record.rows if any(row.outcomes["exact"].collision or ())} == {"scene-9902"}
     assert record.complete and record.covers_split
     assert load_record(record.directory).rows == record.rows
 
@@ -301,9 +301,10 @@ def test_a_disk_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
         evaluate(town_of_two(), "val", Straight(), tmp_path / "file")
 
 
-def test_an_empty_road_is_evaluated(tmp_path: Path) -> None:
+def test_an_empty_road_is_no_truth_and_a_short_one_has_no_rate(tmp_path: Path) -> None:
     data = FakeData({"scene-9901": scene_on_straight_road(())})
-    assert evaluate(data, "val", Straight(), tmp_path).summary.protocols["exact"].scenes_failed == 0
+    with pytest.raises(InputError, match="cannot be judged: it has no annotation"):
+        evaluate(data, "val", Straight(), tmp_path)
     short = FakeData({"scene-9901": scene_on_straight_road((Car(80.0, 198.25),), seconds=1.0)})
     record = evaluate(short, "val", LogReplay(), tmp_path)
     assert record.summary.protocols["exact"].columns["collision"]["avg"].value is None

@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
-from adapters.result_files.recognition import NO_PLANS
+from adapters.result_files.recognition import NO_PLANS, no_format
 from adapters.result_files.samples import RecordedSamples
 from adapters.result_files.writing import pickles, texts
 from adapters.result_files.writing.dumped import DumpedPlans
-from benchmark.errors import InputError, did_you_mean
+from benchmark.errors import InputError
 from benchmark.records.run import RunRecord
 
 WRITERS: Final[Mapping[str, Callable[[Path, DumpedPlans], Path]]] = {
@@ -40,7 +40,7 @@ def require_writable(name: str) -> None:
     if name == NO_PLANS:
         raise InputError(f"{NO_PLANS} holds metrics of LAW and no plan, so none can be written into it; choose another")
     if name not in WRITERS:
-        raise InputError(f"no format {name!r}; {did_you_mean(name, WRITERS)}known are {', '.join(WRITERS)}")
+        raise no_format(name, WRITERS)
 
 
 def write_results(record: RunRecord, samples: RecordedSamples, name: str, folder: Path) -> Path:

@@ -214,3 +214,11 @@ def require_quality_weights(definition: "Definition", given: Path | None) -> Non
         "transformers",
         "video quality needs the package transformers; install it with: pip install 'challenger-bench[quality]'",
     )
+
+
+def require_categories(named: str | None) -> None:
+    """Refuse a map of categories that there is not; raises `InputError`."""
+    from benchmark.datasets.categories import read_categories
+
+    if named is not None:
+        read_categories(named)

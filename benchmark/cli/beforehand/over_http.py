@@ -37,6 +37,26 @@ def require_servers(
     api.require_answers(served, [sensor] if is_address(sensor) else [])
 
 
+def require_frame(models: Sequence[str], frame: str | None, *, of_file: bool = False) -> None:
+    """Refuse ``--frame`` where no file and no model behind HTTP is named: classes say in which frame they plan.
+
+    Args:
+        models: As ``--model`` takes them.
+        frame: As ``--frame`` takes it.
+        of_file: Whether plans of a file are judged.
+
+    Raises:
+        InputError: If there is nothing that the option could be about.
+    """
+    from benchmark.closed_loop.wire.address import is_address
+
+    if frame is not None and not of_file and not any(map(is_address, models)):
+        raise InputError(
+            "--frame says in which frame a file or a model at http://HOST:PORT plans; a class says so with PlanFrame "
+            "in its Plan, leave --frame out"
+        )
+
+
 def require_server(host: str, port: int) -> None:
     """Refuse to serve where nothing can listen, or without the packages that do.
 

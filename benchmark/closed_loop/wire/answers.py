@@ -24,6 +24,8 @@ _BOX_COLUMNS: Final = 5
 class ModelAnswer:
     """An answer as the wire has it, in the ego frame: x forward, y left of the rear axle.
 
+    A model may answer in another frame, which `plan` is told then.
+
     Attributes:
         trajectory: (N, 2) waypoints 0.5 s apart; accepted are other shapes too, of which `plan` says what is wrong.
         objects: (A, 5) x, y, length, width, yaw.
@@ -99,8 +101,11 @@ class ModelAnswer:
         said = {name: np.asarray(values).tolist() if len(values) else None for name, values in aux.items()}
         return encoded({"trajectory": self.trajectory.tolist(), _AUX: said})
 
-    def plan(self) -> Plan:
+    def plan(self, frame: PlanFrame = PlanFrame.EGO) -> Plan:
         """What can be driven of it. Of a third column, which the engine's own code hardly uses, nothing is kept.
+
+        Args:
+            frame: Frame of the model's answers: that of the protocol, or ``lidar``, as forks of VAD answer.
 
         Raises:
             WireError: If there are too few waypoints, too many, or NaN or infinity among them.
@@ -108,7 +113,7 @@ class ModelAnswer:
         columns = self.trajectory.shape[1] if self.trajectory.ndim == 2 else 0
         waypoints = self.trajectory[:, :2].copy() if columns == 3 else self.trajectory
         try:
-            return Plan(waypoints, PlanFrame.EGO, forecasts=self._forecasts())
+            return Plan(waypoints, frame, forecasts=self._forecasts())
         except InputError as error:
             raise WireError(str(error)) from error
 

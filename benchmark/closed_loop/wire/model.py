@@ -15,7 +15,7 @@ from benchmark.closed_loop.wire.values import WireError
 from benchmark.foreign.files import one_line
 from benchmark.foreign.json_text import parse_json
 from benchmark.foreign.limits import WIRE_ANSWER
-from benchmark.planning import Observation, Plan, PlannerGoneError, PlannerLateError, SceneInfo
+from benchmark.planning import Observation, Plan, PlanFrame, PlannerGoneError, PlannerLateError, SceneInfo
 from benchmark.runs.code_identity import outside_identity
 
 DEADLINE_S: Final = 120.0
@@ -41,20 +41,27 @@ class HttpPlanner:
         settings: Part of its identity.
         address: Where it is.
         form: How pictures are sent.
+        frame: Frame of its answers.
     """
 
-    def __init__(self, address: Address, form: ImageFormat, deadline_s: float) -> None:
+    def __init__(
+        self, address: Address, form: ImageFormat, deadline_s: float, frame: PlanFrame = PlanFrame.EGO
+    ) -> None:
         """Nothing is asked yet.
 
         Args:
             address: Where it is.
             form: How pictures are sent.
             deadline_s: How long a request may take.
+            frame: Frame of its answers; the protocol's is ``ego``.
         """
         self.name = address.name
         self.settings: dict[str, Any] = {**address.settings, "image_format": form.value}
+        if frame is not PlanFrame.EGO:
+            self.settings["frame"] = frame.value
         self.address = address
         self.form = form
+        self.frame = frame
         self._connection = Connection(address.url, "the model server", deadline_s)
         self._told = False
 
@@ -77,7 +84,7 @@ class HttpPlanner:
             observation: The next sample, with six pictures.
 
         Returns:
-            The plan, in the ego frame.
+            The plan, in the frame of its answers.
 
         Raises:
             InputError: If a picture is missing.
@@ -99,7 +106,7 @@ class HttpPlanner:
                 file=sys.stderr,
             )
         try:
-            return answer.plan()
+            return answer.plan(self.frame)
         except WireError as error:
             raise ModelFailedError(f"{self._who} answered what cannot be driven: {error}") from error
 
@@ -136,13 +143,20 @@ class HttpPlanner:
             )
 
 
-def http_planner(address: str, *, image_format: str = ImageFormat.TORCH, deadline_s: float = DEADLINE_S) -> HttpPlanner:
+def http_planner(
+    address: str,
+    *,
+    image_format: str = ImageFormat.TORCH,
+    deadline_s: float = DEADLINE_S,
+    frame: str = PlanFrame.EGO,
+) -> HttpPlanner:
     """The planner at an address.
 
     Args:
         address: ``http://HOST:PORT`` or ``NAME=http://HOST:PORT``.
         image_format: ``torch``, as NeuroNCAP sends pictures, or ``png``.
         deadline_s: How long a request may take.
+        frame: Frame of its answers: ``ego``, as the protocol has it, or ``lidar``.
 
     Returns:
         It; nothing is asked yet.
@@ -150,7 +164,7 @@ def http_planner(address: str, *, image_format: str = ImageFormat.TORCH, deadlin
     Raises:
         InputError: If it is no address.
     """
-    return HttpPlanner(Address.of(address, _OPTION), ImageFormat(image_format), deadline_s)
+    return HttpPlanner(Address.of(address, _OPTION), ImageFormat(image_format), deadline_s, PlanFrame(frame))
 
 
 @outside_identity

@@ -1,5 +1,6 @@
 """All checks of one data set, in the order in which a reader would trip over the faults."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,16 +8,19 @@ from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.integrity.files import check_files
 from benchmark.datasets.integrity.further_tables import check_further_tables
 from benchmark.datasets.integrity.links import check_chains, check_links, check_sample_chains
+from benchmark.datasets.integrity.maps import check_maps
+from benchmark.datasets.integrity.motion import EgoAtSamples, check_motion
 from benchmark.datasets.integrity.provenance import check_provenance, check_splits
 from benchmark.datasets.integrity.rates import check_gaps, check_rates
 from benchmark.datasets.integrity.tables import read_checked
+from benchmark.datasets.integrity.truth import check_truth
 from benchmark.datasets.integrity.values import check_copied_intrinsics, check_images, check_sensors, check_shared
 from benchmark.datasets.schema import Fault, FaultList
 from benchmark.datasets.tables import variant_folders, version_folders
 from benchmark.errors import InputError
 
 
-def check_tables(root: Path, *, version: str | None = None) -> list[Fault]:
+def check_tables(root: Path, *, version: str | None = None, categories: Mapping[str, str] | None = None) -> list[Fault]:
     """Everything that is wrong with a nuScenes-format data set.
 
     Linear in the number of rows. Of each kind of fault in each table the first few are told and the rest counted.
@@ -25,6 +29,7 @@ def check_tables(root: Path, *, version: str | None = None) -> list[Fault]:
         root: Root of the data set; a folder that directly holds tables, or one root a variant (``v0``, ``v1``, ...:
             the tables of the faults then begin with the variant's name), will do too.
         version: Version folder, or ``None`` to take the only one.
+        categories: What other names of categories mean (`benchmark.datasets.categories.read_categories`).
 
     Returns:
         The faults, errors first; empty if there are none.
@@ -39,14 +44,14 @@ def check_tables(root: Path, *, version: str | None = None) -> list[Fault]:
         faults = [
             replace(fault, table=f"{variant}/{fault.table}")
             for variant in variants
-            for fault in check_tables(root / variant, version=version)
+            for fault in check_tables(root / variant, version=version, categories=categories)
         ]
         return sorted(faults, key=lambda fault: fault.severity)
     folder, data_root = _table_folder(root, version)
-    return _check(folder, data_root)
+    return _check(folder, data_root, categories or {})
 
 
-def _check(folder: Path, data_root: Path) -> list[Fault]:
+def _check(folder: Path, data_root: Path, categories: Mapping[str, str]) -> list[Fault]:
     faults = FaultList()
     tables = read_checked(folder, faults)
     check_links(tables, faults)
@@ -59,6 +64,10 @@ def _check(folder: Path, data_root: Path) -> list[Fault]:
     check_copied_intrinsics(tables, faults)
     check_sensors(tables, faults)
     check_files(data_root, tables, faults)
+    ego = EgoAtSamples.of(tables)
+    check_maps(data_root, tables, ego, faults)
+    check_motion(tables, ego, faults)
+    check_truth(tables, categories, faults)
     check_splits(folder, data_root, tables, faults)
     check_provenance(folder, tables, faults)
     check_further_tables(folder, data_root, tables, faults)

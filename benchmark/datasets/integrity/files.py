@@ -4,24 +4,20 @@ import os
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from benchmark.constants import MAP_LAYERS, OFFICIAL_LOCATIONS
 from benchmark.datasets.can_bus import CanBus
 from benchmark.datasets.integrity.tables import CheckedTables, Row
-from benchmark.datasets.map_layers import read_road_map
 from benchmark.datasets.schema import FaultList
 from benchmark.errors import InputError
-from benchmark.machine.storage import read_json
 
 _PNG_START: Final = b"\x89PNG\r\n\x1a\n"
 _PNG_END: Final = b"IEND\xaeB`\x82"
-_EXPANSION_KEYS: Final = (*MAP_LAYERS, "canvas_edge", "connectivity", "arcline_path_3")
 _JPEG_SIZES: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """Start-of-frame markers, which carry the image size."""
 _LIDAR_POINT_BYTES: Final = 20
 
 
 def check_files(root: Path, tables: CheckedTables, faults: FaultList) -> None:
-    """Note sensor files and maps that are missing, broken, or of another size."""
+    """Note sensor files and map masks that are missing, broken, or of another size."""
     folders = _Folders(root)
     owners: dict[str, str] = {}
     undrawn = _without_sweep_images(folders, tables)
@@ -53,9 +49,6 @@ def check_files(root: Path, tables: CheckedTables, faults: FaultList) -> None:
             faults.add("missing map masks", "map", row["token"], sentence)
         elif not _is_png(root / row["filename"]):
             faults.add("broken map masks", "map", row["token"], f"{row['filename']} is not a whole PNG image")
-    for location in sorted({row["location"] for row in tables.having("log", "location")}):
-        if location in OFFICIAL_LOCATIONS:
-            _check_expansion(root, f"maps/expansion/{location}.json", faults)
     for scene in tables.having("scene", "name"):
         try:
             CanBus.read(root, scene["name"])
@@ -158,20 +151,3 @@ def _tail(stream: BinaryIO, count: int) -> bytes:
     end = stream.seek(0, os.SEEK_END)
     stream.seek(max(end - count, 0))
     return stream.read()
-
-
-def _check_expansion(root: Path, name: str, faults: FaultList) -> None:
-    path = root / name
-    if not path.is_file():
-        sentence = f"{name} is missing; planners and generation that need the vector map cannot use the data set"
-        faults.add("missing map expansions", name, "", sentence, severity="warning")
-        return
-    try:
-        read_road_map(path)
-    except InputError as error:
-        faults.add("broken map expansions", name, "", str(error))
-        return
-    missing = [layer for layer in _EXPANSION_KEYS if layer not in read_json(path)]
-    if missing:
-        sentence = f"{name} lacks {', '.join(missing)}, which other readers of map expansions need"
-        faults.add("incomplete map expansions", name, "", sentence, severity="warning")

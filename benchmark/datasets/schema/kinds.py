@@ -125,8 +125,8 @@ def _of_norm_one(values: Any) -> Any:
         return np.abs((values * values).sum(axis=-1) - 1.0) <= 2 * NORM_TOLERANCE
 
 
-def _positive(values: Any) -> Any:
-    return ((values > 0) & (values <= LARGEST_M)).all(axis=-1)
+def _size(values: Any) -> Any:
+    return ((values >= 0) & (values <= LARGEST_M)).all(axis=-1)
 
 
 def is_file_name(value: Any) -> bool:
@@ -229,5 +229,5 @@ COUNT: Final = whole_number("a whole number, at least 0", 0, MOST_COUNTED)
 POSITION: Final = numbers("three finite numbers, metres within the earth", 3, _within(EARTH_M, EARTH_M, HIGHEST_M))
 MOUNTING: Final = numbers("three finite numbers, metres within the car", 3, _within(CAR_M, CAR_M, CAR_M))
 ROTATION: Final = numbers("four finite numbers (w, x, y, z) of norm one", 4, _of_norm_one)
-SIZE: Final = numbers(f"three positive numbers, at most {LARGEST_M:g} metres", 3, _positive)
+SIZE: Final = numbers(f"three numbers from 0 to {LARGEST_M:g} metres", 3, _size)
 MATRIX: Final = Kind("an empty list or three rows of three numbers", _is_matrix, _one_by_one(_is_matrix))

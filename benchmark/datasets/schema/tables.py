@@ -85,8 +85,8 @@ SCHEMA: Final[Mapping[str, Mapping[str, Field]]] = {
         **_TOKEN,
         "category_token": Field(LINK, "category"),
         "nbr_annotations": Field(COUNT),
-        "first_annotation_token": Field(LINK, "sample_annotation"),
-        "last_annotation_token": Field(LINK, "sample_annotation"),
+        "first_annotation_token": Field(LINK_OR_NONE, "sample_annotation"),
+        "last_annotation_token": Field(LINK_OR_NONE, "sample_annotation"),
     },
     "log": {
         **_TOKEN,

@@ -13,7 +13,7 @@ from benchmark.errors import InputError
 from benchmark.records.drives import DRIVE_FILE, DriveRecord, load_drives
 from benchmark.records.run import RunRecord, load_record
 from benchmark.records.run_schema import PlannerFacts, RecordFacts
-from benchmark.runs.rescoring import record_directories
+from benchmark.runs.rescoring import Opened, opened_as, record_directories
 from benchmark.runs.submissions.claims import claims_of, split_findings
 from benchmark.runs.submissions.findings import Finding, Level, Said
 from benchmark.runs.submissions.identity import OursLike, planner_findings
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
 
 Record = RunRecord | DriveRecord
-_LABELS: Final = {"published_as", "miniature"}
+_LABELS: Final = {"published_as", "miniature", "wants"}
 """What makes no other planner of one."""
 
 
@@ -64,7 +64,7 @@ def check_submission(
             Finding(folder, Level.ERROR, "holds no run record (run.json, samples.jsonl, summary.json) and no drives "
                     "(drive.json, ...); submit what challenger-bench eval and drive write below OUT")
         ]  # fmt: skip
-    opened: dict[str, DataSet] = {}
+    opened: Opened = {}
     sound: list[Record] = []
     findings: list[Finding] = []
     for directory, load in places:
@@ -74,9 +74,8 @@ def check_submission(
             facts = facts_of_record(record)
             found += [Finding(directory, level, says) for level, says in _claims(record, data_name, ours_like)]
             if facts.data.name == data_name:
-                if facts.split not in opened:
-                    opened[facts.split] = open_split(facts.split)
-                found += [Finding(directory, level, says) for level, says in _anew(record, opened[facts.split])]
+                data = opened_as(facts, opened, open_split)
+                found += [Finding(directory, level, says) for level, says in _anew(record, data)]
         except InputError as error:
             findings += [*found, Finding(directory, Level.ERROR, str(error))]
             continue

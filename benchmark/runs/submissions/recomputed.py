@@ -7,27 +7,42 @@ from pydantic import BaseModel
 
 from benchmark.closed_loop.engines import rides_as
 from benchmark.closed_loop.scores.scoring import VERSION as DRIVE_SCORING
+from benchmark.datasets.annotation_counts import AnnotationCount
 from benchmark.datasets.scene_facts import with_truth
 from benchmark.errors import InputError
 from benchmark.pdm.definition import DEFINITION, VERSION
 from benchmark.protocols import PROTOCOLS
+from benchmark.protocols.touched import ADVERSARY_S, HIT_ADVERSARY, TOUCHED, TOUCHED_ADVERSARY
 from benchmark.records.drives import DriveRecord
 from benchmark.records.drives import summarise as summarise_drives
 from benchmark.records.row_schema import OutcomeRow, SampleRow
 from benchmark.records.run import RunRecord, summarise
 from benchmark.records.run_schema import Summary, TruthFacts
 from benchmark.report.words import counted
-from benchmark.runs.reading import SceneReading
+from benchmark.runs.drive_rows import with_labels
+from benchmark.runs.reading import SceneReading, truths_of
 from benchmark.runs.redriving import driven_again
 from benchmark.runs.rescoring import require_same_data, rows_judged_anew
 from benchmark.runs.submissions.findings import Level, Said
+from benchmark.runs.vocabulary import unjudged
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
 
 SAME_M_S: Final = 0.01
 """Speeds that are this close are the same: processors differ in the last bits of a fit."""
-_LATER: Final = frozenset({"recorded_adversary", "recorded", "before_mask", "left_out"})
+_LATER: Final = frozenset(
+    {
+        "recorded_adversary",
+        "recorded",
+        "before_mask",
+        "left_out",
+        TOUCHED,
+        TOUCHED_ADVERSARY,
+        HIT_ADVERSARY,
+        ADVERSARY_S,
+    }
+)
 """Columns and facts of verdicts that records of the same protocol version need not have yet."""
 _LATER_COUNTS: Final = frozenset({"mask_removed_steps", "mask_removed_for_adversary"})
 """Counts of a summary that may be null in older records."""
@@ -77,9 +92,10 @@ def run_anew(record: RunRecord, data: "DataSet") -> Iterator[Said]:
     names = tuple(name for name in run.protocols if name in PROTOCOLS and name not in record.stale_protocols)
     anew: list[SampleRow] = []
     truths: dict[str, TruthFacts] = {}
+    counts = AnnotationCount.together(list(data.annotation_counts(run.scenes).values()))
     for scene in run.scenes:
         reading = SceneReading(data, scene)
-        anew += rows_judged_anew(record, reading, names)
+        anew += rows_judged_anew(record, reading, names, unjudged(counts, names))
         truths[scene] = reading.truth_facts
     if len(anew) != len(record.rows):
         yield Level.ERROR, f"has {counted(len(record.rows), 'sample')}, its scenes have {len(anew)}; run eval again"
@@ -137,8 +153,9 @@ def drives_anew(record: DriveRecord, data: "DataSet") -> Iterator[Said]:
         yield Level.ERROR, "has a drive twice, or scenes without one; run the same drive again"
         return
     maker = rides_as(measured)
+    truths = truths_of(data, facts.scenes)
     for row in record.rows:
-        if row != driven_again(maker, data.scene(row.scene), data, row):
+        if [row] != with_labels([driven_again(maker, data.scene(row.scene), data, row)], truths):
             yield Level.ERROR, f"claims other scores than its plans give on {row.scene}, run {row.run}; drive again"
             return
     found = summarise_drives(record.rows, facts.scene_facts, seed=facts.seed)

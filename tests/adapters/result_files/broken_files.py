@@ -244,6 +244,8 @@ MISPLACED = (
     _plans("axes of the ego pose", _each(lambda plan: turned(plan, -np.pi / 2)), "frame"),
     _plans("turned about", _each(lambda plan: -plan), "frame"),
     _plans("mirrored", _each(lambda plan: plan * [-1.0, 1.0]), "frame"),
+    _plans("one step late", _each(lambda plan: np.concatenate([np.zeros((1, 2)), plan[:-1]])), "time"),
+    _plans("points at 10 Hz", _each(lambda plan: np.outer(np.arange(1, 7) / 5, plan[0])), "time"),
     _plans("measured from the rear axle", _each(lambda plan: plan + [0.0, 0.943713]), "origin", "frame"),
     _written("a sample twice", "uniad", lambda file: {"bbox_results": [*file["bbox_results"], file["bbox_results"][0]]},
              "duplicate"),

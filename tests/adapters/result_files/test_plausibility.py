@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adapters.result_files.plausibility import FEWEST, require_plausible
+from adapters.result_files.plausibility import require_plausible
 from benchmark.foreign.refusals import RefusedFile
 from benchmark.geometry import Floats
+from benchmark.plausibility.measuring import FEWEST, TESTS
 from tests.adapters.result_files.broken_files import SAMPLES
 
 TIMES = 0.5 * np.arange(1, 7)
@@ -47,18 +48,18 @@ PLANNERS: dict[str, Callable[[int], Floats]] = {
 @pytest.mark.parametrize("planner", PLANNERS)
 def test_bad_planners_pass(planner: str) -> None:
     plans = np.array([PLANNERS[planner](row) for row in ROWS.tolist()])
-    said = require_plausible(PATH, plans, ROWS, SAMPLES).said
-    assert set(said) == {"unit", "offsets", "axes", "mirror", "origin"}
+    said = require_plausible(PATH, plans, ROWS, SAMPLES).measured
+    assert set(said) == set(TESTS)
 
 
 def test_a_planner_that_stands_is_said_to_show_little() -> None:
-    said = require_plausible(PATH, np.zeros((len(ROWS), 6, 2)), ROWS, SAMPLES).said
+    said = require_plausible(PATH, np.zeros((len(ROWS), 6, 2)), ROWS, SAMPLES).measured
     assert said["offsets"] == f"not testable (0 of {FEWEST} samples)"
 
 
 def test_below_the_counts_nothing_is_tested() -> None:
     moving = ROWS[: FEWEST - 1]
-    said = require_plausible(PATH, 100.0 * SAMPLES.future[moving], moving, SAMPLES).said
+    said = require_plausible(PATH, 100.0 * SAMPLES.future[moving], moving, SAMPLES).measured
     assert all(text.startswith("not testable") for text in said.values())
 
 

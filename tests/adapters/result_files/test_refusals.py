@@ -7,13 +7,19 @@ from pathlib import Path
 
 import pytest
 
+from adapters.registry import planner_factory
 from adapters.result_files.importing import import_results
+from adapters.result_files.planner import result_file_factory
 from adapters.result_files.recognition import recognise, require_format
-from adapters.result_files.writing.formats import require_writable
+from adapters.result_files.samples import samples_of_data
+from adapters.result_files.writing.formats import require_writable, write_results
 from benchmark.errors import InputError
+from benchmark.evaluation import evaluate
 from benchmark.foreign.refusals import CATEGORIES, RefusedFile
 from tests.adapters.result_files.broken_files import BROKEN, HOSTILE, SAMPLES, Broken, valid
 from tests.benchmark.cli.cli_runs import refusal
+from tests.benchmark.fake_data import FakeData
+from tests.hand_made import scene_on_straight_road
 
 
 def test_there_are_enough_kinds_of_all_categories() -> None:
@@ -52,7 +58,8 @@ def test_the_command_refuses_it_before_anything_is_built_and_writes_nothing(
 WRONG_USE: dict[str, tuple[Callable[[], object], str]] = {
     "an unknown format": (lambda: require_format("unaid"), "did you mean uniad"),
     "a format without plans": (lambda: require_format("law-out"), "no plan"),
-    "an unknown format to write": (lambda: require_writable("vad"), "did you mean vad-out"),
+    "an unknown format to write": (lambda: require_writable("vad"), "did you mean vad-results or vad-out"),
+    "a planner for its format": (lambda: require_writable("agent-driver"), r"did you mean pred-trajs\?"),
     "a format without plans to write": (lambda: require_writable("law-out"), "no plan"),
     "no such file": (lambda: recognise(Path("nowhere.pkl")), "there is no result file"),
 }
@@ -78,3 +85,20 @@ def test_files_of_two_formats_or_without_tokens_are_not_judged_together(tmp_path
         import_results([opened["pred-trajs"], opened["uniad"]], SAMPLES)
     with pytest.raises(InputError, match="name no samples"):
         import_results([opened["sparsedrive"], opened["sparsedrive"]], SAMPLES)
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("uniad", r"16 of its 16 samples, .* are samples of split 'train', not of split 'val' of fake; judge it with"),
+        ("sparsedrive", r"16 entries without tokens, and split 'val' of fake has 10 samples; split 'train' has 16;"),
+    ],
+)
+def test_a_file_of_another_split_is_told_which(name: str, says: str, tmp_path: Path) -> None:
+    scenes = {each: scene_on_straight_road(name=each, seconds=s) for each, s in (("scene-1", 8.0), ("scene-2", 5.0))}
+    data = FakeData(scenes, train=("scene-1",))
+    record = evaluate(data, "train", planner_factory("constant-velocity"), tmp_path / "runs")
+    path = write_results(record, samples_of_data(data, "train"), name, tmp_path / name)
+    assert result_file_factory([recognise(path)], data, "train").facts.name
+    with pytest.raises(RefusedFile, match=f"{says}.*--split train"):
+        result_file_factory([recognise(path)], data, "val")

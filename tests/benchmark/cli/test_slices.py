@@ -51,13 +51,13 @@ def test_machines_get_tables_with_the_facts_behind_them(runs: Path, capsys: pyte
 def test_eval_prints_them_behind_its_tables_and_in_its_json(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record = evaluate(town_of_two(slow_leader=True), "val", Straight(), runs)
     settings = {"allow_partial": False, "wide": False}
-    assert _show_runs("fake", [record], None, [SliceName.PLACE], json_output=False, **settings)
+    assert _show_runs("fake", [record], None, [SliceName.PLACE], runs, json_output=False, **settings)
     text = capsys.readouterr().out
     assert text.index("protocol exact (version") < text.index("by place, protocol exact")
-    assert _show_runs("fake", [record], None, [SliceName.PLACE], json_output=True, **settings)
+    assert _show_runs("fake", [record], None, [SliceName.PLACE], runs, json_output=True, **settings)
     said = json.loads(capsys.readouterr().out)
     assert said["slices"][0]["name"] == "slices-place-exact" and said["runs"][0]["status"] == "complete"
-    assert _show_runs("fake", [record], None, [], json_output=True, **settings)
+    assert _show_runs("fake", [record], None, [], runs, json_output=True, **settings)
     assert json.loads(capsys.readouterr().out)[0]["status"] == "complete"
 
 

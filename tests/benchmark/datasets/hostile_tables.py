@@ -258,7 +258,6 @@ HOSTILE_ROOTS: Final[tuple[HostileRoot, ...]] = (
         "sample_annotation",
         "size",
         ("negative", [-1.0, 4.0, 2.0]),
-        ("flat", [1.0, 0.0, 2.0]),
         ("words", ["a", "b", "c"]),
         ("a mountain", [1.0, 1e5, 2.0]),
     ),

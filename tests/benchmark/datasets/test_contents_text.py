@@ -14,6 +14,7 @@ FOUND: dict[str, Any] = {
             **{"samples": 1200, "instances": 720, "annotations": 158400, "adversaries": 30},
         }
     },
+    "unusable_splits": {},
 }
 
 

@@ -19,16 +19,19 @@ def test_three_readings_of_samples_and_of_scenes() -> None:
     record = attacked("p", {"a": "f.r.", "b": "F...", "c": "f...", "d": "r..."}, CAREFUL)
     found = attack_rates(record)
     assert {name: (rate.numerator, rate.denominator) for name, rate in found.samples.items()} == {
-        "contact": (5, 16),
-        "at_fault": (3, 16),
+        # The contact in scene b is with another than the adversary.
+        "contact": (4, 16),
+        "at_fault": (2, 16),
         # Scene c was not judged: none of its samples says anything, not even those without contact.
         "attributable": (1, 12),
     }
     assert {name: (rate.numerator, rate.denominator) for name, rate in found.scenes.items()} == {
-        "contact": (4, 4),
-        "at_fault": (3, 4),
+        "contact": (3, 4),
+        "at_fault": (2, 4),
         "attributable": (1, 3),
     }
+    assert (found.bystander_samples.numerator, found.bystander_samples.denominator) == (1, 16)
+    assert (found.bystander_scenes.numerator, found.bystander_scenes.denominator) == (1, 4)
     assert (found.judged, found.spared, found.unknown_blame) == (3, 2, 0)
 
 

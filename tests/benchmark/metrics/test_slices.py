@@ -143,7 +143,7 @@ def test_intervals_draw_recordings_of_the_whole_split() -> None:
     (junction,) = [one for one in rates_by(record, "place", "exact") if one.name == "junction"]
     rows = [row for row in record.rows if row.status == "ok" and row.outcomes["exact"].counted]
     weights = np.array([[float(row.place == "junction")] for row in rows])
-    hit = np.array([[float(any(row.outcomes["exact"].collision))] for row in rows])
+    hit = np.array([[float(any(row.outcomes["exact"].collision or ()))] for row in rows])
     sources = source_of_scenes(record)
     (expected,) = ratios_over_scenes(hit * weights, weights, [sources[row.scene] for row in rows], seed=0)
     rate = junction.columns["collision"]["3s"]

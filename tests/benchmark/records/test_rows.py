@@ -52,7 +52,8 @@ def test_columns_say_what_rows_say(real: RunRecord) -> None:
         expected = Outcomes.from_rows([vars(row.outcomes[name]) for row in plain if row.status == "ok"])
         assert columns.outcomes(name).as_rows() == expected.as_rows()
         hits = [
-            row.status == "ok" and row.outcomes[name].counted and any(row.outcomes[name].collision) for row in plain
+            row.status == "ok" and row.outcomes[name].counted and any(row.outcomes[name].collision or ())
+            for row in plain
         ]
         assert columns.collides(name).tolist() == hits
     for brief, row in zip(columns.brief, plain, strict=True):

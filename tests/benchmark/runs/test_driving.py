@@ -73,7 +73,8 @@ def test_finished_units_are_read_and_nothing_is_driven_again(tmp_path: Path) -> 
     first = driven(tmp_path, planner, data=data)
     before, calls, read = bytes_below(tmp_path), planner.calls, len(data.read)
     assert driven(tmp_path, planner, data=data) == first
-    assert planner.calls == calls and len(data.read) == read and bytes_below(tmp_path) == before
+    # Once each, for what the record says of the scenes.
+    assert planner.calls == calls and data.read[read:] == sorted(data.scenes) and bytes_below(tmp_path) == before
     driven(tmp_path, planner, replace(SETTINGS, fresh=True))
     assert planner.calls == 2 * calls and bytes_below(tmp_path) == before
 

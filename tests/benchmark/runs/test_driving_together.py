@@ -107,7 +107,8 @@ def test_what_was_finished_before_an_interruption_is_not_driven_again(tmp_path: 
     resumed = driven(tmp_path / "cut", settings, [PLANNERS[0], Factory(Straight, facts=facts)], data)
     assert resumed[0].rows == whole[0].rows and resumed[1].rows == whole[1].rows
     assert bytes_below(tmp_path / "cut") == bytes_below(tmp_path / "whole")
-    assert "scene-9901" not in data.read
+    # Once, for what the record says of it.
+    assert data.read.count("scene-9901") == 1
 
 
 def test_a_scene_that_cannot_be_driven_costs_the_others_nothing(tmp_path: Path) -> None:

@@ -92,7 +92,7 @@ def test_what_is_diagnosed_is_what_exact_calls_a_collision(
     rows: list[dict[str, Any]], truths: tuple[SampleTruth, ...]
 ) -> None:
     judged = [row for row in judge(rows, truths, ALL) if row.outcomes]
-    hits = [any(row.outcomes["exact"].collision) for row in judged]
+    hits = [any(row.outcomes["exact"].collision or ()) for row in judged]
     assert any(hits) and not all(hits)
     assert [row.diagnosis is not None for row in judged] == hits
     without = judge(rows, truths, ("uniad", "vad"))

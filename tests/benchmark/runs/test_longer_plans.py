@@ -67,7 +67,7 @@ def test_a_longer_plan_is_kept_whole_and_gets_the_verdicts_of_its_first_3_s(tmp_
         assert len(one.plan.waypoints) == 16 and one.plan.waypoints[:6] == other.plan.waypoints
         assert one.plan.modes is not None and len(one.plan.modes[0]) == 16
         assert one.outcomes == other.outcomes and one.diagnosis == other.diagnosis
-        assert other.longer is None and one.longer is not None and len(one.longer.collision) == 12
+        assert other.longer is None and one.longer is not None and len(one.longer.l2) == 12
     assert long.summary == short.summary
 
 

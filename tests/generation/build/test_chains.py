@@ -137,6 +137,12 @@ def test_too_few_vehicles_is_a_reason(tmp_path: Path) -> None:
     assert [row["dropped"] for row in rows] == [Dropped.TOO_FEW_ADVERSARIES]
 
 
+def test_no_vehicle_to_try_is_counted_by_reason(tmp_path: Path) -> None:
+    parked = write_source(tmp_path / "source", recorded("scene-9903", (Car(62.0, 204.0, 0.0),)))
+    with pytest.raises(NothingSurvivedError, match=r"of 1 object none can be tried \(1 [a-z-]+\): choose other scenes"):
+        build_split(parked, "adv", replace(CHEAP, out=tmp_path / "out"))
+
+
 def test_an_earlier_adversary_that_is_disturbed_discards_the_next(
     source: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

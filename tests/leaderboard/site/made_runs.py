@@ -269,7 +269,7 @@ def _row(
     differing = {
         name: f"{MISS}: between waypoints"
         for name, outcome in judged.items()
-        if exact.counted and outcome.counted and any(outcome.collision) != any(exact.collision)
+        if exact.counted and outcome.counted and any(outcome.collision or ()) != any(exact.collision or ())
     }
     future = [
         [float(x), float(y), float(yaw)] if valid else None

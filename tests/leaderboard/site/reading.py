@@ -45,7 +45,7 @@ def colliding_frames(site: Site, planner: str, scene: str, protocol: str = "exac
         if row.scene == scene
         and row.status == "ok"
         and row.outcomes[protocol].counted
-        and any(row.outcomes[protocol].collision)
+        and any(row.outcomes[protocol].collision or ())
     ]
 
 

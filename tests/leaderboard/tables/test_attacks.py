@@ -39,7 +39,8 @@ def test_attack_success_is_that_of_the_metric_with_its_counts() -> None:
     rates = attack_rates(runs[0])
     assert bold["attributable"] == f"{100 * (rates.samples['attributable'].value or 0):.1f}"
     # Nobody judged scene c, and whose fault the contact in d is nobody can tell.
-    assert bold["attributable, scenes"] == "50.0" and bold["at fault, scenes"] == "100.0"
+    assert bold["attributable, scenes"] == "50.0" and bold["at fault, scenes"] == "66.7"
+    assert bold["contact, scenes"] == "75.0" and bold["bystander, scenes"] == "25.0"
     assert (bold["judged"], bold["careful survives"], bold["scenes"]) == ("3", "2", "4")
     assert calm["contact, scenes"] == calm["attributable, scenes"] == "0.0"
     assert any("3 of 4 scenes were judged: attributable is of these alone" in note for note in table.notes)
@@ -51,7 +52,7 @@ def test_without_judgements_attributable_is_a_dash_and_never_a_zero() -> None:
     assert table is not None
     row = row_of(table, "p")
     assert row["attributable"] == row["attributable, scenes"] == "–" and row["judged"] == "0"
-    assert row["contact, scenes"] == "100.0"
+    assert row["contact, scenes"] == "75.0"
     assert any("nobody judged its scenes: attributable is unknown" in note for note in table.notes)
 
 

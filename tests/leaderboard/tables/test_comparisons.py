@@ -132,7 +132,7 @@ def test_records_that_lack_a_protocol_are_named_and_in_no_matrix() -> None:
 def test_exact_and_native_come_first_and_others_have_tables_of_their_own() -> None:
     found = data_set_tables("d", [*pair("a", "vad"), *pair("b", "uniad")])
     names = [table.name for table in found.front]
-    assert names[:4] == ["collision-exact", "collision-native", "changes-exact", "changes-native"]
+    assert names[:5] == ["effect", "collision-exact", "collision-native", "changes-exact", "changes-native"]
     assert "planners-adv-exact" in names and "planners-adv-native" not in names
     assert list(found.others) == ["uniad", "vad"]
     assert [tables[0].name for tables in found.others.values()] == ["collision-uniad", "collision-vad"]

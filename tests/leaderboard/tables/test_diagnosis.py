@@ -56,7 +56,7 @@ def with_manoeuvres(record: RunRecord, manoeuvres: Mapping[str, str | None]) -> 
 
 
 def counted(record: RunRecord) -> list[bool]:
-    return [any(row.outcomes["exact"].collision) for row in record.rows if row.outcomes["exact"].counted]
+    return [any(row.outcomes["exact"].collision or ()) for row in record.rows if row.outcomes["exact"].counted]
 
 
 def test_without_forecasts_every_collision_is_not_attributable(straight: RunRecord) -> None:
@@ -98,7 +98,7 @@ def test_by_manoeuvre_the_collision_rate_stands_beside_the_causes(straight: RunR
         ("leading", "straight"),
     ]
     second = [row for row in straight.rows if row.scene == "scene-9902" and row.outcomes["exact"].counted]
-    colliding = sum(any(row.outcomes["exact"].collision) for row in second)
+    colliding = sum(any(row.outcomes["exact"].collision or ()) for row in second)
     assert float(rows[0]["col. 3s"]) == pytest.approx(100 * colliding / len(second), abs=0.005)
     assert (rows[0]["scenes"], rows[0]["colliding"], rows[0]["not attributable"]) == ("1", str(colliding), "100.0")
     # No collision is no share of a cause, and one scene has no interval.
@@ -154,7 +154,7 @@ def test_a_planner_with_forecasts_is_attributed_from_end_to_end(tmp_path: Path) 
     record = evaluate(town_of_two(slow_leader=True), "adv", IntelligentDriver(), tmp_path)
     for row in record.rows:
         assert row.plan is not None and row.plan.forecasts is not None
-        assert (row.diagnosis is None) == (not any(row.outcomes["exact"].collision))
+        assert (row.diagnosis is None) == (not any(row.outcomes["exact"].collision or ()))
         assert row.diagnosis is None or row.diagnosis.cause != "not attributable"
     (cells,) = rows_of(tables_of(record)["diagnosis"])
     assert cells["planner"] == "idm †"

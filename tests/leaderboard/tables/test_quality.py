@@ -9,6 +9,7 @@ import pytest
 from benchmark.quality.definition import Definition
 from benchmark.records.quality import QualityRecord, write_quality
 from benchmark.records.quality_schema import SceneRows, SubjectRow, Sum, VideoRow
+from benchmark.records.run_schema import SceneFacts
 from leaderboard.build import leaderboard_files, stale_files, write_leaderboard
 from leaderboard.tables.published import published_quality_table
 from leaderboard.tables.quality import quality_tables
@@ -52,12 +53,16 @@ def made(folder: Path, split: str, **changes: Any) -> QualityRecord:
     scenes = [
         rows(name, adversary=split == "adv", level=0.8 + 0.1 * index, size=size) for index, name in enumerate(names)
     ]
+    scenes = [
+        each.model_copy(update={"subjects": []}) if each.scene in changes.get("unmasked", ()) else each
+        for each in scenes
+    ]
     described = {
         "data": {"name": "mini", "version": "v1", "fingerprint": "f"},
         "split": split,
         "scenes": names,
         "scenes_in_split": changes.get("scenes_in_split", 2),
-        "scene_facts": {},
+        "scene_facts": {name: SceneFacts(source=name, adversaries=int(split == "adv")) for name in names},
         "definition": definition.as_json(),
         "weights": {"dino-vitb16": {"repository": "r", "revision": "v", "content": changes.get("content", "c")}},
         "device": "cpu",
@@ -80,6 +85,15 @@ def test_splits_stand_in_the_order_of_the_paper_with_its_values_beside(tmp_path:
     assert table.rows[2][-2:] == ("–", "–")
     assert any("448 x 256 pixels, jpg" in note for note in table.notes)
     assert any("Table 3" in source for source in table.sources) and any("Fewer than 20" in note for note in table.notes)
+
+
+def test_scenes_without_masks_are_said_and_mark_the_rows(tmp_path: Path) -> None:
+    (table,) = quality_tables([made(tmp_path, "adv", unmasked=("adv-1",)), made(tmp_path, "val")])
+    assert [row[0] for row in table.rows] == ["val", "adv ¶", "adv ¶", "adv ¶"]
+    assert [note for note in table.notes if note.startswith("¶")] == [
+        f"¶ adv: 1 of 2 scenes have no mask of {what} from boxes: they are in none of its numbers."
+        for what in ("a vehicle", "an adversary")
+    ]
 
 
 def test_what_does_not_compare_has_a_table_of_its_own(tmp_path: Path) -> None:

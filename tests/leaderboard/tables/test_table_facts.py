@@ -39,12 +39,12 @@ def explained(record: RunRecord) -> RunRecord:
     rows: list[SampleRow] = []
     turn = 0
     for row in record.rows:
-        if row.status == "ok" and any(row.outcomes["exact"].collision):
+        if row.status == "ok" and any(row.outcomes["exact"].collision or ()):
             cause = CAUSES[turn % len(CAUSES)]
             diagnosis = DiagnosisRow(cause=cause, reason="plan hits forecast", hit="a", first_contact_s=1.0)
             row, turn = row.model_copy(update={"diagnosis": diagnosis}), turn + 1
         if row.status == "ok":
-            touches = any(row.outcomes["exact"].collision)
+            touches = any(row.outcomes["exact"].collision or ())
             severity = contact("fFrs"[len(rows) % 4]) if touches else near(row.index)
             row = row.model_copy(update={"severity": severity})
         rows.append(row)

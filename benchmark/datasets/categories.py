@@ -1,0 +1,192 @@
+"""Names of categories that are not nuScenes', and what they mean there: without that most protocols see nobody."""
+
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Final
+
+from benchmark.constants import CATEGORIES, NUMBERED_CATEGORIES
+from benchmark.errors import InputError, did_you_mean
+from benchmark.foreign.json_text import read_json
+from benchmark.foreign.limits import SETTINGS
+
+CategoryNames = tuple[tuple[str, str], ...]
+"""Pairs of a data set's own name and nuScenes' name for it."""
+
+KNOWN: Final = frozenset(NUMBERED_CATEGORIES)
+"""Names that mean what they say: the 23 of annotations, and those of lidarseg, which no annotation has."""
+
+_SHORT: Final = {
+    "car": "vehicle.car",
+    "truck": "vehicle.truck",
+    "bus": "vehicle.bus.rigid",
+    "trailer": "vehicle.trailer",
+    "construction_vehicle": "vehicle.construction",
+    "motorcycle": "vehicle.motorcycle",
+    "motorbike": "vehicle.motorcycle",
+    "bicycle": "vehicle.bicycle",
+    "cyclist": "vehicle.bicycle",
+    "motorcyclist": "vehicle.motorcycle",
+    "pedestrian": "human.pedestrian.adult",
+    "person": "human.pedestrian.adult",
+    "animal": "animal",
+    "barrier": "movable_object.barrier",
+    "traffic_cone": "movable_object.trafficcone",
+    "cone": "movable_object.trafficcone",
+    "debris": "movable_object.debris",
+    "vehicle": "vehicle.car",
+    "vehicle_bus": "vehicle.bus.rigid",
+}
+_LYFT: Final = {
+    "car": "vehicle.car",
+    "truck": "vehicle.truck",
+    "bus": "vehicle.bus.rigid",
+    "emergency_vehicle": "vehicle.emergency.ambulance",
+    "other_vehicle": "vehicle.construction",
+    "motorcycle": "vehicle.motorcycle",
+    "bicycle": "vehicle.bicycle",
+    "pedestrian": "human.pedestrian.adult",
+    "animal": "animal",
+}
+_T4: Final = {
+    "vehicle.bus (bendy & rigid)": "vehicle.bus.rigid",
+    "vehicle.bus": "vehicle.bus.rigid",
+    "vehicle.emergency (ambulance & police)": "vehicle.emergency.ambulance",
+    "vehicle.ambulance": "vehicle.emergency.ambulance",
+    "vehicle.fire": "vehicle.truck",
+    "vehicle.police": "vehicle.emergency.police",
+    "vehicle.motorbike": "vehicle.motorcycle",
+    "pedestrian.adult": "human.pedestrian.adult",
+    "pedestrian.child": "human.pedestrian.child",
+    "pedestrian.construction_worker": "human.pedestrian.construction_worker",
+    "pedestrian.personal_mobility": "human.pedestrian.personal_mobility",
+    "pedestrian.police_officer": "human.pedestrian.police_officer",
+    "pedestrian.stroller": "human.pedestrian.stroller",
+    "pedestrian.wheelchair": "human.pedestrian.wheelchair",
+    "movable_object.traffic_cone": "movable_object.trafficcone",
+    "static_object.bicycle rack": "static_object.bicycle_rack",
+    "static_object.bollard": "movable_object.barrier",
+    "car": "vehicle.car",
+    "police_car": "vehicle.emergency.police",
+    "ambulance": "vehicle.emergency.ambulance",
+    "fire_truck": "vehicle.truck",
+    "kart": "vehicle.construction",
+    "forklift": "vehicle.construction",
+    "construction_vehicle": "vehicle.construction",
+    "other_vehicle": "vehicle.construction",
+    "truck": "vehicle.truck",
+    "tractor_unit": "vehicle.truck",
+    "semi_trailer": "vehicle.trailer",
+    "trailer": "vehicle.trailer",
+    "bus": "vehicle.bus.rigid",
+    "motorcycle": "vehicle.motorcycle",
+    "motorbike": "vehicle.motorcycle",
+    "bicycle": "vehicle.bicycle",
+    "motorbike_without_rider": "vehicle.motorcycle",
+    "bicycle_without_rider": "vehicle.bicycle",
+    "pedestrian": "human.pedestrian.adult",
+    "other_pedestrian": "human.pedestrian.adult",
+    "police_officer": "human.pedestrian.police_officer",
+    "construction_worker": "human.pedestrian.construction_worker",
+    "personal_mobility": "human.pedestrian.personal_mobility",
+    "stroller": "human.pedestrian.stroller",
+    "wheelchair": "human.pedestrian.wheelchair",
+    "barrier": "movable_object.barrier",
+    "traffic_cone": "movable_object.trafficcone",
+    "pushable_pullable": "movable_object.pushable_pullable",
+    "debris": "movable_object.debris",
+}
+_ARGOVERSE_2: Final = {
+    "REGULAR_VEHICLE": "vehicle.car",
+    "LARGE_VEHICLE": "vehicle.truck",
+    "TRUCK": "vehicle.truck",
+    "BOX_TRUCK": "vehicle.truck",
+    "TRUCK_CAB": "vehicle.truck",
+    "VEHICULAR_TRAILER": "vehicle.trailer",
+    "MESSAGE_BOARD_TRAILER": "vehicle.trailer",
+    "TRAFFIC_LIGHT_TRAILER": "vehicle.trailer",
+    "BUS": "vehicle.bus.rigid",
+    "SCHOOL_BUS": "vehicle.bus.rigid",
+    "ARTICULATED_BUS": "vehicle.bus.bendy",
+    "RAILED_VEHICLE": "vehicle.bus.bendy",
+    "MOTORCYCLE": "vehicle.motorcycle",
+    "MOTORCYCLIST": "vehicle.motorcycle",
+    "BICYCLE": "vehicle.bicycle",
+    "BICYCLIST": "vehicle.bicycle",
+    "WHEELED_DEVICE": "human.pedestrian.personal_mobility",
+    "WHEELED_RIDER": "human.pedestrian.personal_mobility",
+    "PEDESTRIAN": "human.pedestrian.adult",
+    "OFFICIAL_SIGNALER": "human.pedestrian.police_officer",
+    "STROLLER": "human.pedestrian.stroller",
+    "WHEELCHAIR": "human.pedestrian.wheelchair",
+    "DOG": "animal",
+    "ANIMAL": "animal",
+    "BOLLARD": "movable_object.barrier",
+    "CONSTRUCTION_BARREL": "movable_object.barrier",
+    "CONSTRUCTION_CONE": "movable_object.trafficcone",
+    "SIGN": "movable_object.barrier",
+    "STOP_SIGN": "movable_object.barrier",
+    "MOBILE_PEDESTRIAN_CROSSING_SIGN": "movable_object.barrier",
+    "MOBILE_PEDESTRIAN_SIGN": "movable_object.barrier",
+}
+READY: Final[Mapping[str, Mapping[str, str]]] = {
+    "short": _SHORT,
+    "lyft": _LYFT,
+    "t4": _T4,
+    "argoverse2": _ARGOVERSE_2,
+}
+"""What ``--categories`` knows by name (docs/data.md)."""
+
+
+def read_categories(named: str) -> dict[str, str]:
+    """The map that ``--categories`` names.
+
+    Args:
+        named: One of `READY`, or a JSON file ``{"name": "nuscenes.category"}``.
+
+    Returns:
+        nuScenes' names by names of the data set. Ready maps have nuScenes' own names in other spellings, too.
+
+    Raises:
+        InputError: If there is no such map or file, or the file holds anything else.
+    """
+    if named in READY:
+        return {**{name: name for name in CATEGORIES}, **READY[named]}
+    path = Path(named)
+    if not path.is_file():
+        raise InputError(
+            f"--categories {named!r} is no ready map and no file; {did_you_mean(named, READY)}ready are "
+            f"{', '.join(READY)}"
+        )
+    read = read_json(path, SETTINGS)
+    wrong = None
+    if not isinstance(read, dict) or not read:
+        wrong = "is no object of names"
+    else:
+        wrong = next((f"maps {name!r} to {to!r}" for name, to in read.items() if to not in CATEGORIES), None)
+    if wrong is not None:
+        raise InputError(
+            f'{path} {wrong}; a map of categories is {{"name": "nuscenes.category"}} with the names of nuScenes, such '
+            f"as {CATEGORIES[-3]}"
+        )
+    return dict(read)
+
+
+def names_in(own: Iterable[str], given: Mapping[str, str]) -> CategoryNames:
+    """The part of a map that renames categories of a data set.
+
+    Args:
+        own: Names that the data set has.
+        given: As `read_categories` gives it.
+
+    Returns:
+        Pairs for those of them that get another name, sorted. A name that is not in the map is looked up without
+        regard to case and to what stands between its words, so that ``CAR`` and ``vehicle_car`` are found.
+    """
+    loose = {_loosely(name): to for name, to in reversed([*given.items()])}
+    found = {name: given.get(name) or (None if name in KNOWN else loose.get(_loosely(name))) for name in own}
+    return tuple(sorted((name, to) for name, to in found.items() if to is not None and to != name))
+
+
+def _loosely(name: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "_", name.casefold()).strip("_")

@@ -1,0 +1,257 @@
+"""The effect of the adversary: how much more often a planner collides because of it (docs/metrics.md).
+
+Each recording weighs as often as it has samples, however many adversarial variants were made of it: a sample weighs
+1 / (variants of its recording in the split). An adversarial sample is paired with the sample of the same recording and
+key frame on the unchanged recording; both must count. All contacts are those of ``exact``.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.geometry import Bools, Floats
+from benchmark.metrics.attacks import has_adversaries
+from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.paired_interval import PairedDifference, paired_difference
+from benchmark.metrics.rates import with_average
+from benchmark.metrics.scores import require_current, source_of_scenes
+from benchmark.protocols import PROTOCOLS, published_values
+from benchmark.protocols.touched import HIT_ADVERSARY
+from benchmark.records.run import RunRecord
+
+HORIZON_S: Final = (1.0, 2.0, 3.0)
+AT_3_S: Final = 2
+"""Column of values at 1, 2 and 3 s and their mean."""
+
+
+@dataclass(frozen=True, slots=True)
+class SampleContacts:
+    """Contacts of the samples of a record under ``exact``, as whom they are with.
+
+    Attributes:
+        keys: S pairs of recording and key-frame index.
+        counted: (S,) whether a verdict on contacts up to 3 s exists.
+        weights: (S,) 1 / variants of the recording.
+        any_contact: (S, 4) any contact up to 1, 2 and 3 s, and their mean; 0..1.
+        adversary: (S, 4) the same of first contacts with an adversary.
+        at_fault: (S, 4) the same of those that are the planner's fault.
+        unknown_fault: (S,) first contacts with an adversary of which it is not known whose fault they are.
+    """
+
+    keys: tuple[tuple[str, int], ...]
+    counted: Bools
+    weights: Floats
+    any_contact: Floats
+    adversary: Floats
+    at_fault: Floats
+    unknown_fault: Bools
+
+
+@dataclass(frozen=True, slots=True)
+class PairedEffect:
+    """A planner on adversarial scenes beside the same recordings unchanged; contacts up to 3 s.
+
+    Attributes:
+        adversarial: Rate of samples with any contact on the adversarial side of the pairs.
+        unchanged: The same on the unchanged side.
+        difference: The first less the second, with its interval over recordings.
+        new_others: Share of pairs with a first contact with another than the adversary, and none unchanged.
+        lost_others: Share of pairs with a contact unchanged, and none with another than the adversary.
+        pairs: Adversarial samples with a partner.
+        unpaired_scenes: Scenes of either side without any partner, by name.
+        unpaired: Adversarial samples that count and have no partner.
+    """
+
+    adversarial: float | None
+    unchanged: float | None
+    difference: PairedDifference
+    new_others: float | None
+    lost_others: float | None
+    pairs: int
+    unpaired_scenes: tuple[str, ...]
+    unpaired: int
+
+    @property
+    def ratio(self) -> float | None:
+        """How many times as often; ``None`` over a rate of zero."""
+        return None if not self.unchanged or self.adversarial is None else self.adversarial / self.unchanged
+
+
+@dataclass(frozen=True, slots=True)
+class AdversaryEffect:
+    """What an adversarial split does to a planner.
+
+    Attributes:
+        record: Of the planner on the split.
+        touched: Weighted rates of first contacts with an adversary: at 1, 2, 3 s and their mean.
+        at_fault: The same of those at the planner's fault.
+        unknown_fault: Samples of which that is not known.
+        samples: Samples that count.
+        recordings: Recordings that they come from.
+        unchanged: The record of the same planner on the unchanged recordings, if there is one.
+        paired: The comparison with it.
+    """
+
+    record: RunRecord
+    touched: tuple[float, ...] | None
+    at_fault: tuple[float, ...] | None
+    unknown_fault: int
+    samples: int
+    recordings: int
+    unchanged: RunRecord | None
+    paired: PairedEffect | None
+
+
+def says_whom(record: RunRecord) -> bool:
+    """Whether a record says of its contacts whether they are with an adversary; older ones do not until rescored."""
+    facts = [record.run.scene_facts.get(scene) for scene in record.run.scenes]
+    known = all(fact is not None and fact.adversaries is not None for fact in facts)
+    return known and EXACT in record.run.protocols and HIT_ADVERSARY in record.columns.outcomes(EXACT).facts
+
+
+def effect_of(record: RunRecord, unchanged: RunRecord | None) -> AdversaryEffect | None:
+    """The effect of the adversaries of a split on a planner.
+
+    Args:
+        record: Of the planner on the split with adversaries.
+        unchanged: Of the same planner on the recordings that they were made from.
+
+    Returns:
+        The effect; ``None`` of a split without adversaries, or where the record does not say whom contacts are with.
+
+    Raises:
+        InputError: If either record was judged by another version of ``exact``.
+    """
+    if not (has_adversaries(record) and says_whom(record)):
+        return None
+    found = sample_contacts(record)
+    rows = np.flatnonzero(found.counted)
+    weights = found.weights[rows]
+    total = float(weights.sum())
+    return AdversaryEffect(
+        record=record,
+        touched=_weighted(found.adversary[rows], weights) if total else None,
+        at_fault=_weighted(found.at_fault[rows], weights) if total else None,
+        unknown_fault=int(found.unknown_fault[rows].sum()),
+        samples=len(rows),
+        recordings=len({found.keys[row][0] for row in rows.tolist()}),
+        unchanged=unchanged,
+        paired=None if unchanged is None else _paired(found, record, unchanged),
+    )
+
+
+def sample_contacts(record: RunRecord) -> SampleContacts:
+    """Whom the plans of a record touch.
+
+    Args:
+        record: The record, with verdicts of ``exact``.
+
+    Returns:
+        One entry for each sample with a plan.
+
+    Raises:
+        InputError: If it was judged by another version of ``exact``.
+    """
+    require_current(record, EXACT)
+    columns = record.columns
+    outcomes, planned = columns.outcomes(EXACT), columns.planned.tolist()
+    sources = source_of_scenes(record)
+    variants: dict[str, int] = {}
+    for source in sources.values():
+        variants[source] = variants.get(source, 0) + 1
+    recordings = [sources[scene] for scene in columns.planned_scenes]
+    index = columns.values("index")
+    any_contact = with_average(published_values(PROTOCOLS[EXACT], outcomes)["collision"]).reshape(-1, 4)
+    facts, severity = outcomes.facts, columns.values("severity")
+    hit, first_s, adversary = (facts.get(name, (None,) * len(planned)) for name in _FIRST)
+    contacts = [None if (own := severity[place]) is None else own.contact for place in planned]
+    with_adversary = np.array([bool(each) for each in adversary], np.bool_)
+    same = [one is not None and one.agent == name for one, name in zip(contacts, hit)]
+    faults = [one.at_fault if known and one is not None else None for one, known in zip(contacts, same)]
+    by_horizon = np.array([[time is not None and time <= horizon for horizon in HORIZON_S] for time in first_s])
+    touched = by_horizon.reshape(-1, 3) & with_adversary[:, None]
+    return SampleContacts(
+        keys=tuple((recording, int(index[place])) for recording, place in zip(recordings, planned)),
+        counted=outcomes.decided & ~np.isnan(any_contact).any(axis=1),
+        weights=np.array([1.0 / variants[recording] for recording in recordings]),
+        any_contact=np.nan_to_num(any_contact),
+        adversary=with_average(touched.astype(np.float64)),
+        at_fault=with_average((touched & np.array([bool(fault) for fault in faults])[:, None]).astype(np.float64)),
+        unknown_fault=with_adversary & np.array([fault is None for fault in faults], np.bool_),
+    )
+
+
+def attributed_collisions(record: RunRecord) -> Bools:
+    """(R,) samples that count under ``exact`` and whose collision is the adversary's doing.
+
+    Args:
+        record: Judged by ``exact``.
+
+    Returns:
+        On a split with adversaries those whose first contact is with one; of recordings, and where the record does not
+        say whom contacts are with, any collision.
+    """
+    columns = record.columns
+    found = columns.collides(EXACT)
+    if any(facts.adversaries for facts in record.run.scene_facts.values()) and says_whom(record):
+        hits = columns.outcomes(EXACT).facts[HIT_ADVERSARY]
+        found[columns.planned] &= np.array([bool(one) for one in hits], np.bool_)
+    return found
+
+
+_FIRST: Final = ("hit", "first_contact_s", HIT_ADVERSARY)
+
+
+def _weighted(values: Floats, weights: Floats) -> tuple[float, ...]:
+    return tuple((values * weights[:, None]).sum(axis=0) / weights.sum())
+
+
+def _paired(found: SampleContacts, record: RunRecord, unchanged: RunRecord) -> PairedEffect:
+    """Pairs by recording and key-frame index."""
+    base = sample_contacts(unchanged)
+    partner = _partners(base)
+    rows = np.array([row for row in np.flatnonzero(found.counted).tolist() if found.keys[row] in partner], np.int64)
+    weights = found.weights[rows]
+    adversarial = found.any_contact[rows, AT_3_S]
+    before = np.array([partner[found.keys[row]] for row in rows.tolist()])
+    others = adversarial * (found.adversary[rows, AT_3_S] == 0.0)
+    names = sorted({found.keys[row][0] for row in rows.tolist()})
+    place = {name: number for number, name in enumerate(names)}
+    own = np.array([place[found.keys[row][0]] for row in rows.tolist()], np.int64)
+    total = float(weights.sum())
+
+    def share(values: Floats) -> float | None:
+        return float((values * weights).sum()) / total if total else None
+
+    return PairedEffect(
+        adversarial=share(adversarial),
+        unchanged=share(before),
+        difference=paired_difference(_by(own, (adversarial - before) * weights, names), _by(own, weights, names)),
+        new_others=share(others * (1.0 - before)),
+        lost_others=share(before * (1.0 - others)),
+        pairs=len(rows),
+        unpaired_scenes=_without_partner(record, unchanged),
+        unpaired=int(found.counted.sum()) - len(rows),
+    )
+
+
+def _partners(base: SampleContacts) -> Mapping[tuple[str, int], float]:
+    """Contact up to 3 s of each sample that counts on the unchanged side; the mean where a recording is there twice."""
+    sums: dict[tuple[str, int], list[float]] = {}
+    for row in np.flatnonzero(base.counted).tolist():
+        sums.setdefault(base.keys[row], []).append(float(base.any_contact[row, AT_3_S]))
+    return {key: sum(values) / len(values) for key, values in sums.items()}
+
+
+def _by(places: NDArray[np.int64], values: Floats, names: list[str]) -> Floats:
+    return np.asarray(np.bincount(places, weights=values, minlength=len(names)), np.float64)
+
+
+def _without_partner(record: RunRecord, unchanged: RunRecord) -> tuple[str, ...]:
+    """Scenes whose recording the other side does not have."""
+    mine, theirs = source_of_scenes(record), source_of_scenes(unchanged)
+    lonely = [scene for scene, source in mine.items() if source not in set(theirs.values())]
+    return tuple(sorted(lonely))

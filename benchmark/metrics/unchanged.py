@@ -1,0 +1,82 @@
+"""Which record an adversarial run is compared with: the same planner on the same recordings, unchanged."""
+
+import glob
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from benchmark.errors import InputError
+from benchmark.machine.storage import file_name
+from benchmark.metrics.attacks import has_adversaries
+from benchmark.metrics.scores import source_of_scenes
+from benchmark.records.planner_versions import PLANS_SHA256, version_of
+from benchmark.records.run import RunRecord, load_record
+from benchmark.records.run_schema import PlannerFacts
+from benchmark.records.seed_splits import is_adversarial
+from benchmark.records.store import RUN_FILE
+
+UNCHANGED_SPLITS: Final = ("val-r", "val")
+"""In the order in which they are preferred for planners that see images: val-r is drawn by the renderer of adv."""
+
+
+def sees_images(planner: PlannerFacts) -> bool:
+    """Whether a planner is one of the networks, which see images; of others that is not known."""
+    return planner.native_protocol is not None or planner.miniature
+
+
+def unchanged_record(record: RunRecord, candidates: Iterable[RunRecord]) -> RunRecord | None:
+    """The record of the same planner on the unchanged recordings of an adversarial split.
+
+    Args:
+        record: Of the adversarial split.
+        candidates: Records, the newest of each split last.
+
+    Returns:
+        Of val-r before val for planners that see images, of val before val-r for others; of records of one split the
+        last that has most of the recordings. ``None`` where no candidate has any.
+    """
+    sources = set(source_of_scenes(record).values())
+    order = UNCHANGED_SPLITS if sees_images(record.run.planner) else UNCHANGED_SPLITS[::-1]
+    best: tuple[tuple[int, int], RunRecord] | None = None
+    for candidate in candidates:
+        shared = len(sources & set(source_of_scenes(candidate).values()))
+        split = candidate.run.split
+        if not shared or is_adversarial(split) or not _same_planner(record, candidate):
+            continue
+        rank = (shared, -order.index(split) if split in order else -len(order))
+        if best is None or rank >= best[0]:
+            best = rank, candidate
+    return None if best is None else best[1]
+
+
+def unchanged_candidates(root: Path, records: Iterable[RunRecord]) -> list[RunRecord]:
+    """Records below a folder that runs on adversarial splits may be compared with.
+
+    Args:
+        root: Folder of run directories.
+        records: Runs; those on other splits want no comparison.
+
+    Returns:
+        Records of the same planners on val-r and val, the newest last; damaged ones are left out.
+    """
+    wanted = {(record.run.data.name, record.run.planner.name) for record in records if has_adversaries(record)}
+    found: list[RunRecord] = []
+    for data_name, planner in sorted(wanted):
+        for split in UNCHANGED_SPLITS:
+            folder = root / file_name(data_name) / file_name(split)
+            for head in folder.glob(f"{glob.escape(file_name(planner))}*/{RUN_FILE}"):
+                with suppress(InputError):
+                    found.append(load_record(head.parent))
+    return sorted(found, key=lambda record: ((record.directory / RUN_FILE).stat().st_mtime_ns, record.directory))
+
+
+def _same_planner(first: RunRecord, second: RunRecord) -> bool:
+    """The same weights, code, settings and seed on the same data set; plan files hold one split each."""
+    one, other = first.run.planner, second.run.planner
+    settings = [{k: v for k, v in version_of(each).items() if k != PLANS_SHA256} for each in (one, other)]
+    return (one.name, one.code_sha256, settings[0]) == (
+        other.name,
+        other.code_sha256,
+        settings[1],
+    ) and first.run.data.name == second.run.data.name

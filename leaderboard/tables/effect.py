@@ -1,0 +1,177 @@
+"""The main table: what adversaries do to each planner, beside the same recordings unchanged."""
+
+from collections.abc import Sequence
+from typing import Final
+
+from benchmark.errors import InputError
+from benchmark.metrics.attacks import has_adversaries
+from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.effect import AdversaryEffect, PairedEffect, effect_of, says_whom
+from benchmark.metrics.paired_interval import PairedDifference
+from benchmark.metrics.unchanged import sees_images, unchanged_record
+from benchmark.records.run import RunRecord
+from benchmark.report.cells import UNDEFINED, Origin, Shown, record_name
+from benchmark.report.table import Brief, Table, table_of
+from benchmark.report.words import counted
+from leaderboard.tables.rows import in_table_order, notes_of_marks, row_name, run_notes
+
+_NOTE: Final = (
+    "Adversary: samples whose plan touches the adversary before anything else within 3 s (avg: mean of 1, 2 and 3 s); "
+    "at fault: those at the planner's fault. Any: contact with anything within 3 s, on the adversarial scenes and on "
+    "the same recordings unchanged, sample by sample. Difference in points of per cent, with its 95 % interval over "
+    "recordings. Each recording weighs once, however many variants it has (docs/metrics.md)."
+)
+_OTHERS_NOTE: Final = (
+    "New others: contacts with another than the adversary that the planner does not have on the unchanged recording; "
+    "lost others: the reverse."
+)
+_COLUMNS: Final = (
+    *("planner", "split"),
+    *("adversary avg", "adversary 3s", "at fault avg", "at fault 3s"),
+    *("any, adv", "any, unchanged", "difference", "95 % of difference", "ratio", "new others", "lost others"),
+    *("pairs", "recordings", "differing", "compared with"),
+)
+_BRIEF: Final = (
+    "planner",
+    "split",
+    "adversary 3s",
+    "at fault 3s",
+    "any, unchanged",
+    "difference",
+    "95 % of difference",
+)
+
+
+def effect_table(data_name: str, records: Sequence[RunRecord], against: Sequence[RunRecord] = ()) -> Table | None:
+    """What adversaries do to planners.
+
+    Args:
+        data_name: Name of the data set, for the title.
+        records: Runs on this data set.
+        against: Further records that they may be compared with, the newest last.
+
+    Returns:
+        A row for each planner and split with adversaries; ``None`` where there is none.
+    """
+    runs = [record for record in in_table_order(records) if has_adversaries(record)]
+    if not runs:
+        return None
+    candidates = (*against, *records)
+    rows, refused = [], []
+    found: list[AdversaryEffect] = []
+    for record in runs:
+        effect = None
+        try:
+            effect = effect_of(record, unchanged_record(record, candidates))
+        except InputError as refusal:
+            refused.append(f"Left out: {refusal}.")
+        rows.append(_row(record, effect))
+        found += [] if effect is None else [effect]
+    title = f"{data_name}: effect of the adversary (%, samples), protocol {EXACT}"
+    lacking = (*_missing(runs, found), *dict.fromkeys(refused))
+    return table_of(
+        "effect",
+        title,
+        _COLUMNS,
+        rows,
+        notes=(_NOTE, _OTHERS_NOTE, *lacking, *run_notes(runs, ())),
+        text_columns=2,
+        groups=(
+            ("", 2),
+            (f"touches the adversary first, in %, {EXACT}", 4),
+            (f"paired with the unchanged recordings, {EXACT}", 7),
+            (f"counted, {EXACT}", 4),
+        ),
+        # The rest of what has to be said of the runs stands below the rates already.
+        brief=Brief(title, tuple(_COLUMNS.index(head) for head in _BRIEF), (_NOTE, *lacking, *notes_of_marks(runs)), 2),
+    )
+
+
+def _row(record: RunRecord, effect: AdversaryEffect | None) -> tuple[str | Shown, ...]:
+    who = row_name(record, EXACT), record.run.split
+    if effect is None:
+        return (*who, *(UNDEFINED,) * (len(_COLUMNS) - 2))
+    origin = Origin(EXACT, record_name(*(run for run in (record, effect.unchanged) if run is not None)))
+    touched = [
+        origin.cell(None if rates is None else rates[place], "%", effect.samples, scale=100.0).shown(1)
+        for rates in (effect.touched, effect.at_fault)
+        for place in (3, 2)
+    ]
+    paired, unchanged = effect.paired, effect.unchanged
+    if paired is None or unchanged is None:
+        return (*who, *touched, *(UNDEFINED,) * (len(_COLUMNS) - 2 - len(touched)))
+    return (*who, *touched, *_paired_cells(origin, paired), unchanged.run.split)
+
+
+def _paired_cells(origin: Origin, paired: PairedEffect) -> list[str | Shown]:
+    """From the rates of both sides to the counts."""
+    found = paired.difference
+    difference = origin.cell(
+        found.value, "points", found.recordings, "recordings", low=found.low, high=found.high, scale=100.0
+    )
+    return [
+        origin.cell(paired.adversarial, "%", paired.pairs, scale=100.0).shown(1),
+        origin.cell(paired.unchanged, "%", paired.pairs, scale=100.0).shown(1),
+        difference.shown(1, signed=True),
+        difference.interval(1),
+        origin.cell(paired.ratio, "times", paired.pairs).shown(1, after=" times"),
+        origin.cell(paired.new_others, "%", paired.pairs, scale=100.0).shown(1),
+        origin.cell(paired.lost_others, "%", paired.pairs, scale=100.0).shown(1),
+        origin.count(paired.pairs, "samples").shown(),
+        origin.count(found.recordings, "recordings").shown(),
+        origin.count(found.differing, "recordings", found.recordings).shown(),
+    ]
+
+
+def _missing(runs: Sequence[RunRecord], found: Sequence[AdversaryEffect]) -> list[str]:
+    """What cannot be said and what would help, each once."""
+    notes: dict[str, None] = {}
+    for record in runs:
+        if not says_whom(record):
+            notes[f"{record.run.split}: {_unsaid(record)}."] = None
+    for effect in found:
+        record, paired = effect.record, effect.paired
+        split = record.run.split
+        if paired is None:
+            notes[
+                f"{split}: not run by the same planner on the unchanged recordings: {_who(found, split)}; "
+                "challenger-bench eval --split val --split adv runs both."
+            ] = None
+            continue
+        notes |= dict.fromkeys(_said_of_pairs(record, paired))
+        if effect.unchanged is not None and effect.unchanged.run.split == "val" and sees_images(record.run.planner):
+            notes[
+                "Compared with val: planners that see images also react to how adv was rendered; val-r is free of it."
+            ] = None
+    return list(notes)
+
+
+def _who(found: Sequence[AdversaryEffect], split: str) -> str:
+    return ", ".join(one.record.planner for one in found if one.paired is None and one.record.run.split == split)
+
+
+def _unsaid(record: RunRecord) -> str:
+    facts = [record.run.scene_facts.get(scene) for scene in record.run.scenes]
+    if any(fact is None or fact.adversaries is None for fact in facts):
+        return "it is not known which road users are adversaries, so that no contact is attributed to one"
+    return "older records do not say whom contacts are with; challenger-bench rescore brings that to them"
+
+
+def _said_of_pairs(record: RunRecord, paired: PairedEffect) -> list[str]:
+    notes = []
+    if paired.unpaired:
+        some = f" ({', '.join(paired.unpaired_scenes[:3])})" if paired.unpaired_scenes else ""
+        notes.append(
+            f"{record.planner} on {record.run.split}: {counted(paired.unpaired, 'sample')} without a partner on the "
+            f"unchanged recordings{some}: in no pair."
+        )
+    if (said := _too_few(paired.difference)) is not None:
+        notes.append(f"{record.planner} on {record.run.split}: {said}.")
+    return notes
+
+
+def _too_few(found: PairedDifference) -> str | None:
+    if found.value is None or found.low is not None:
+        return None
+    told = f"only {found.differing} of {counted(found.recordings, 'recording')} differ, too few for an interval"
+    return told if found.enough is None else f"{told}; about {found.enough} recordings would do"

@@ -1,0 +1,166 @@
+"""Every door tests plans: files are refused with what would fit, running planners are warned about, rows are marked."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from adapters.plan_file import WAYPOINT_COLUMNS
+from adapters.result_files.writing.tensors import write_pickle
+from benchmark.datasets.roots import open_data
+from benchmark.geometry import Floats
+from benchmark.records.drives import load_drives
+from benchmark.records.run import load_record
+from generation.sources.mini import TownSettings, build_town
+from leaderboard.tables.collision import run_tables
+from tests.benchmark.cli.in_process import run_here
+from tests.benchmark.closed_loop.wire.made import scripted
+from tests.benchmark.plausibility.misread import MISREAD, to_ego
+
+SCENES = 4
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Some scenes of mini with small pictures."""
+    settings = TownSettings(val_scenes=SCENES, width=96, height=54, frames="keyframes")
+    return build_town(tmp_path_factory.mktemp("town") / "root", settings, workers=1)
+
+
+@pytest.fixture(scope="module")
+def recorded(root: Path) -> dict[str, Floats]:
+    """(6, 2) recorded positions of the lidar by sample token; of the last samples they stay where the scene ends."""
+    data = open_data(root)
+    return {
+        truth.sample_token: truth.ego_future[:, :2] for name in data.scene_names("val") for truth in data.truth(name)
+    }
+
+
+def plan_file(path: Path, plans: dict[str, Floats], frame: str = "lidar") -> Path:
+    rows = [
+        {"sample_token": token, "frame": frame, **dict(zip(WAYPOINT_COLUMNS, plan.ravel().tolist(), strict=True))}
+        for token, plan in plans.items()
+    ]
+    pd.DataFrame(rows).to_csv(path, index=False)
+    return path
+
+
+def changed(plans: dict[str, Floats], change: Callable[[Floats], Floats]) -> dict[str, Floats]:
+    return dict(zip(plans, change(np.array([*plans.values()])), strict=True))
+
+
+def record_below(folder: Path) -> Any:
+    (path,) = folder.rglob("run.json")
+    return load_record(path.parent)
+
+
+@pytest.mark.parametrize("wrong", [name for name in MISREAD if name != "lidar labelled ego"])
+def test_plan_files_are_refused_with_what_fits_and_the_option_that_takes_them(
+    wrong: str, root: Path, recorded: dict[str, Floats], tmp_path: Path
+) -> None:
+    change, says = MISREAD[wrong]
+    path = plan_file(tmp_path / "mine.csv", changed(recorded, change))
+    options = ("--data", root, "--split", "val", "--workers", "1", "--out", tmp_path / "out")
+    refused = run_here("eval", "--plans", path, *options)
+    assert refused.code == 2 and says in refused.err and "--as-is takes it as it stands" in refused.err
+    assert ("--frame ego reads it so" in refused.err) == (wrong == "ego labelled lidar")
+    assert refused.err.strip().count("\n") == 0 and not (tmp_path / "out").exists()
+
+
+def test_a_label_is_overridden_and_the_file_is_judged_as_if_it_were_right(
+    root: Path, recorded: dict[str, Floats], tmp_path: Path
+) -> None:
+    options = ("--data", root, "--split", "val", "--workers", "1", "--out", tmp_path / "out")
+    wrong = plan_file(tmp_path / "wrong.csv", recorded, "ego")
+    refused = run_here("eval", "--plans", wrong, *options)
+    assert refused.code == 2 and "--frame lidar reads it so" in refused.err
+    taken = run_here("eval", "--plans", wrong, "--frame", "lidar", *options)
+    assert taken.code == 0 and "warning" not in taken.err and "checks: position: plans begin 1.00" in taken.err
+    found = record_below(tmp_path)
+    assert found.run.caveats == [] and found.summary.protocols["exact"].columns["l2"]["avg"].value < 1e-9
+    assert found.run.planner.settings["frame"] == "lidar"
+
+
+def test_a_file_that_is_taken_as_it_stands_is_marked_and_stays_so(
+    root: Path, recorded: dict[str, Floats], tmp_path: Path
+) -> None:
+    path = plan_file(tmp_path / "mine.csv", changed(recorded, MISREAD["mirrored"][0]))
+    options = ("--data", root, "--split", "val", "--workers", "1", "--out", tmp_path / "out")
+    taken = run_here("eval", "--plans", path, "--as-is", *options)
+    assert taken.code == 0 and "mine ¶" in taken.out
+    assert taken.err.count("warning: mine: taken as the file stands (--as-is), though left and right") == 1
+    (caveat,) = record_below(tmp_path).run.caveats
+    assert caveat.kind == "as-is" and "mirrored 0.00 m" in caveat.sentence
+    assert run_here("rescore", "--data", root, "--out", tmp_path / "out").code == 0
+    assert record_below(tmp_path).run.caveats == [caveat]
+
+
+def test_result_files_have_the_same_options(root: Path, recorded: dict[str, Floats], tmp_path: Path) -> None:
+    plans = changed(recorded, to_ego)
+    path = write_pickle(tmp_path / "pred_trajs_dict.pkl", plans, 4)
+    options = ("--data", root, "--split", "val", "--workers", "1", "--out", tmp_path / "out")
+    refused = run_here("eval", "--results", path, *options)
+    assert refused.code == 2 and "--frame ego reads it so, --as-is takes it as it stands" in refused.err
+    marked = run_here("eval", "--results", path, "--as-is", "--name", "sideways", *options)
+    assert marked.code == 0 and "sideways ¶" in marked.out
+
+
+def test_a_running_planner_is_warned_about_once_and_its_record_is_marked(root: Path, tmp_path: Path) -> None:
+    options = ("--data", root, "--split", "val", "--workers", "1", "--out", tmp_path / "out")
+    name = "tests.benchmark.plausibility.running:Sideways"
+    done = run_here("eval", "--model", name, "--model", "stop", *options)
+    assert done.code == 0 and done.err.count("warning:") == 1
+    assert "warning: sideways: x and y look exchanged and turned" in done.err
+    by_planner = {
+        found.planner: found for found in map(load_record, {path.parent for path in tmp_path.rglob("run.json")})
+    }
+    (caveat,) = by_planner["sideways"].run.caveats
+    assert caveat.kind == "plans" and by_planner["stop"].run.caveats == []
+    (table,) = run_tables("town", [*by_planner.values()], ["exact"])[:1]
+    assert f"¶ sideways on val: {caveat.sentence}." in table.notes
+
+
+def test_a_server_in_axes_of_the_lidar_is_named_and_driven_right_with_its_frame(root: Path, tmp_path: Path) -> None:
+    """As the fork of VAD that serves NeuroNCAP answers: x right, y forward."""
+
+    def ahead(path: str, body: bytes) -> tuple[int, bytes]:
+        if path != "/infer":
+            return 200, b"true"
+        speed = json.loads(body)["canbus"][13]
+        return 200, json.dumps(
+            {"trajectory": [[0.0, 0.5 * step * speed] for step in range(1, 7)], "aux_outputs": {}}
+        ).encode()
+
+    options = ("--data", root, "--split", "val", "--workers", "1", "--image-format", "png")
+    driving = ("--sensor", "schematic", "--no-baselines")
+    with scripted(ahead) as server:
+        asked = ("--model", f"fork={server.url}")
+        wrong = run_here("drive", *asked, *driving, *options, "--out", tmp_path / "wrong")
+        right = run_here("drive", *asked, *driving, *options, "--out", tmp_path / "right", "--frame", "lidar")
+        planned = run_here("eval", *asked, *options, "--out", tmp_path / "planned")
+        read = run_here("eval", *asked, *options, "--out", tmp_path / "read", "--frame", "lidar")
+    for done in (wrong, planned):
+        assert done.code == 0 and done.err.count("warning:") == 1 and "fork ¶" in done.out
+        assert (
+            "axes x right, y forward would fit" in done.err and "--frame lidar" in done.err and "NeuroNCAP" in done.err
+        )
+    for done in (right, read):
+        assert done.code == 0 and "warning" not in done.err and "¶" not in done.out
+    shares = {
+        name: [row.scores.route_share or 0.0 for row in load_drives(path.parent).rows if row.scores]
+        for name in ("wrong", "right")
+        for path in (tmp_path / name).rglob("drive.json")
+    }
+    sideways, along = ([share for share in shares[name] if share is not None] for name in ("wrong", "right"))
+    assert sideways and along and max(sideways) < 0.1 < min(along)
+
+
+def test_options_without_anything_that_they_are_about_are_refused(root: Path) -> None:
+    options = ("--data", root, "--split", "val")
+    assert "--frame says in which frame a file" in run_here("eval", "--model", "stop", "--frame", "ego", *options).err
+    assert "--frame says in which frame a file" in run_here("drive", "--model", "stop", "--frame", "ego", *options).err
+    assert "--as-is belongs to --plans and --results" in run_here("eval", "--model", "stop", "--as-is", *options).err

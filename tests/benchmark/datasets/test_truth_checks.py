@@ -1,0 +1,94 @@
+"""``data check`` on roots that are sound and lack truth: one warning each, and none on the town as it is."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmark.datasets.categories import read_categories
+from benchmark.datasets.integrity import check_tables
+from tests.benchmark.edited_roots import (
+    Row,
+    annotated_until,
+    copy_of,
+    edit,
+    rename_categories,
+    small_town,
+    table_of,
+    without_annotations,
+)
+
+GHOST = "f" * 32
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return small_town(tmp_path_factory.mktemp("town") / "town")
+
+
+@pytest.fixture
+def root(town: Path, tmp_path: Path) -> Path:
+    return copy_of(town, tmp_path / "data")
+
+
+def said(root: Path) -> str:
+    """The only fault, which is a warning."""
+    (fault,) = check_tables(root)
+    assert fault.severity == "warning"
+    return f"{fault.table}: {fault.sentence}"
+
+
+def scene_of(root: Path) -> str:
+    (row,) = json.loads(table_of(root, "scene").read_text())
+    return str(row["name"])
+
+
+def test_the_town_lacks_nothing(town: Path) -> None:
+    assert check_tables(town) == []
+
+
+def test_a_scene_without_annotations_is_named(root: Path) -> None:
+    without_annotations(root)
+    assert said(root).startswith(f"scene: {scene_of(root)} has no annotations: no contact there can be judged")
+
+
+def test_labels_that_stop_half_way_are_named(root: Path) -> None:
+    annotated_until(root, scene_of(root), 20)
+    assert "has no annotations at 20 of 40 samples, the first of them number 20" in said(root)
+
+
+def test_a_box_without_a_size_is_named(root: Path) -> None:
+    edit(root, "sample_annotation", lambda rows: rows[0]["size"].__setitem__(0, 0.0))
+    assert said(root).endswith("the box is ignored, nothing can touch it")
+
+
+def test_an_instance_without_a_track_is_named(root: Path) -> None:
+    def ghost(rows: list[Row]) -> None:
+        nothing = {"nbr_annotations": 0, "first_annotation_token": "", "last_annotation_token": ""}
+        rows.append({**rows[0], "token": GHOST, **nothing})
+
+    edit(root, "instance", ghost)
+    assert said(root) == "instance: no annotation is of this instance: it is ignored"
+
+
+def test_unknown_categories_are_counted_and_a_map_of_them_is_taken(root: Path) -> None:
+    rename_categories(root, lambda name: name.replace(".", "_"))
+    count = len(json.loads(table_of(root, "sample_annotation").read_text()))
+    assert f"{count:,} of {count:,} annotations have unknown categories ('vehicle_car', " in said(root)
+    assert check_tables(root, categories=read_categories("short")) == []
+
+
+def test_an_ego_pose_that_never_moves_is_named_and_one_that_trembles_is_not(root: Path) -> None:
+    def still(rows: list[Row]) -> None:
+        for row in rows:
+            row.update(translation=list(rows[0]["translation"]), rotation=rows[0]["rotation"])
+
+    edit(root, "ego_pose", still)
+    assert "is the same at every sample, as if there were none" in said(root)
+
+    def trembling(rows: list[Row]) -> None:
+        for number, row in enumerate(rows):
+            row["translation"][0] += 1e-6 * number
+
+    edit(root, "ego_pose", trembling)
+    assert check_tables(root) == []

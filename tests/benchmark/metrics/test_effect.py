@@ -1,0 +1,138 @@
+"""The effect of the adversary: paired by recording and key frame, every recording weighs once."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmark.metrics.effect import AdversaryEffect, effect_of
+from benchmark.metrics.paired_interval import FEWEST_DIFFERING, FEWEST_RECORDINGS, paired_difference
+from benchmark.metrics.unchanged import unchanged_record
+from benchmark.records.run import RunRecord
+from leaderboard.tables.effect import effect_table
+from tests.benchmark.metrics.made_attacks import attacked
+
+ADVERSARIAL = {"A-1": "f...", "A-2": "ff..", "B-1": "F..f"}
+UNCHANGED = {"A": "....", "B": "F..."}
+"""f: touches the adversary, F: a bystander, .: nothing; the worked example of docs/metrics.md."""
+
+
+def told(record: RunRecord) -> RunRecord:
+    """The record with what ``exact`` says of whom its plans touch."""
+    rows = []
+    for row in record.rows:
+        contact = None if row.severity is None else row.severity.contact
+        if (outcome := row.outcomes.get("exact")) is not None:
+            facts = {
+                "hit": contact and contact.agent,
+                "first_contact_s": contact and contact.time_s,
+                "hit_adversary": contact and contact.adversary,
+                "adversary_contact_s": contact.time_s if contact and contact.adversary else None,
+            }
+            row = row.model_copy(update={"outcomes": {"exact": outcome.model_copy(update={"facts": facts})}})
+        rows.append(row)
+    return replace(record, rows=tuple(rows))
+
+
+def ran(scenes: Mapping[str, str], split: str = "adv") -> RunRecord:
+    sources = {scene: scene.partition("-")[0] for scene in scenes}
+    return told(attacked("p", scenes, dict.fromkeys(scenes, True), split=split, sources=sources))
+
+
+def effect(adversarial: Mapping[str, str], unchanged: Mapping[str, str]) -> AdversaryEffect:
+    found = effect_of(ran(adversarial), ran(unchanged, "val"))
+    assert found is not None and found.paired is not None
+    return found
+
+
+def test_the_worked_example() -> None:
+    found = effect(ADVERSARIAL, UNCHANGED)
+    assert found.touched is not None and found.paired is not None and found.at_fault == found.touched
+    # Samples of A weigh one half each, those of B one: (3 x 0.5 + 1) / (8 x 0.5 + 4).
+    assert found.touched[2] == pytest.approx(2.5 / 8)
+    assert found.paired.adversarial == pytest.approx(3.5 / 8)
+    assert found.paired.unchanged == pytest.approx(1 / 8)
+    assert found.paired.difference.value == pytest.approx(2.5 / 8)
+    assert found.paired.ratio == pytest.approx(3.5)
+    assert (found.paired.new_others, found.paired.lost_others) == (0.0, 0.0)
+    assert (found.paired.pairs, found.paired.unpaired, found.recordings) == (12, 0, 2)
+
+
+def test_who_evades_into_a_bystander_has_a_new_contact_and_who_is_spared_one_has_lost_it() -> None:
+    found = effect({"A-1": "F...", "B-1": "f..."}, {"A": "....", "B": "F.F."}).paired
+    assert found is not None
+    assert found.new_others == pytest.approx(1 / 8) and found.lost_others == pytest.approx(2 / 8)
+
+
+def test_a_ratio_over_zero_does_not_exist() -> None:
+    found = effect({"A-1": "f..."}, {"A": "...."}).paired
+    assert found is not None and found.ratio is None and found.difference.value == pytest.approx(0.25)
+
+
+def test_what_has_no_pair_is_counted_and_named() -> None:
+    found = effect({"A-1": "f...", "C-1": "f..."}, {"A": "..", "B": "...."}).paired
+    assert found is not None
+    assert (found.pairs, found.unpaired, found.unpaired_scenes) == (2, 6, ("C-1",))
+
+
+def test_a_record_that_does_not_say_whom_contacts_are_with_has_dashes_and_no_zeros() -> None:
+    old = attacked("p", ADVERSARIAL, dict.fromkeys(ADVERSARIAL, True))
+    assert effect_of(old, None) is None
+    table = effect_table("d", [old])
+    assert table is not None and set(table.rows[0][2:]) == {"–"}
+    assert any("older records do not say whom contacts are with" in note for note in table.notes)
+
+
+letters = st.text("fF.", min_size=4, max_size=4)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(letters, letters, letters), min_size=5, max_size=8))
+def test_a_second_variant_that_is_the_same_changes_no_number_and_no_interval(
+    recordings: list[tuple[str, str, str]],
+) -> None:
+    unchanged = {f"R{place}": known for place, (known, _, _) in enumerate(recordings)}
+    once = {f"R{place}-{v}": text for place, (_, *own) in enumerate(recordings) for v, text in enumerate(own)}
+    twice = {f"{name}{copy}": text for name, text in once.items() for copy in "xy"}
+    one, two = effect(once, unchanged), effect(twice, unchanged)
+    assert one.paired is not None and two.paired is not None
+    assert two.touched == pytest.approx(one.touched)
+    for name in ("value", "low", "high"):
+        known = getattr(one.paired.difference, name)
+        assert getattr(two.paired.difference, name) == (None if known is None else pytest.approx(known))
+
+
+def test_too_few_recordings_that_differ_give_no_interval_and_say_how_many_would() -> None:
+    weights = np.full(10, 34.0)
+    few = paired_difference(np.array([3.0, 2.0, *[0.0] * 8]), weights)
+    assert (few.low, few.high, few.differing) == (None, None, 2) and few.value == pytest.approx(5 / 340)
+    assert few.enough == FEWEST_DIFFERING * 5
+    assert paired_difference(np.zeros(10), weights).enough is None
+    assert paired_difference(np.full(3, 2.0), weights[:3]).enough == FEWEST_RECORDINGS
+    assert paired_difference(np.zeros(0), np.zeros(0)).value is None
+
+
+def test_the_interval_is_that_of_t_over_recordings_of_equal_length() -> None:
+    sums, weights = np.array([2.0, 0.0, 5.0, 1.0, 3.0, 0.0]), np.full(6, 30.0)
+    found, means = paired_difference(sums, weights), sums / 30.0
+    reach = 2.5705818 * means.std(ddof=1) / np.sqrt(6)
+    assert (found.low, found.high) == pytest.approx((means.mean() - reach, means.mean() + reach), rel=1e-6)
+
+
+def test_the_partner_is_of_the_same_planner_and_has_most_of_the_recordings() -> None:
+    adversarial, val = ran(ADVERSARIAL), ran(UNCHANGED, "val")
+    part, rendered = ran({"A": "...."}, "val"), ran(UNCHANGED, "val-r")
+    assert unchanged_record(adversarial, [part, val, adversarial]) is val
+    assert unchanged_record(adversarial, [val, rendered]) is val
+    seeing = [
+        replace(
+            each, run=each.run.model_copy(update={"planner": each.run.planner.model_copy(update={"miniature": True})})
+        )
+        for each in (adversarial, val, rendered)
+    ]
+    assert unchanged_record(seeing[0], [seeing[2], seeing[1]]) is seeing[2]
+    other = val.run.planner.model_copy(update={"weights_sha256": "0" * 64})
+    assert unchanged_record(adversarial, [replace(val, run=val.run.model_copy(update={"planner": other}))]) is None

@@ -1,0 +1,1 @@
+"""Tests of whether plans can be what they are read as."""
