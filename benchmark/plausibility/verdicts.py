@@ -50,9 +50,6 @@ def plan_caveats(compared: ComparedPlans) -> list[Caveat]:
         return []
     remedy = ""
     if misreading.frame is not None:
-        remedy = (
-            f", which are PlanFrame.{misreading.frame.upper()} of a class and --frame {misreading.frame} of a server"
-        )
-    if misreading.frame == "lidar":
-        remedy += " (VAD's fork for NeuroNCAP answers so)"
+        remedy = f" (PlanFrame.{misreading.frame.upper()} of a class, --frame {misreading.frame} of a model server"
+        remedy += ", as VAD's fork for NeuroNCAP answers)" if misreading.frame == "lidar" else ")"
     return [Caveat(kind="plans", sentence=f"{misreading.sentence}{remedy}; {_RESTS}")]

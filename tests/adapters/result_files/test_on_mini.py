@@ -32,6 +32,7 @@ def test_every_format_gives_the_record_again(planned: tuple[DataSet, RunRecord],
     path = write_results(record, samples_of_data(data, "val"), name, tmp_path)
     factory = result_file_factory([recognise(path)], data, "val", native="vad")
     found = evaluate(data, "val", factory, tmp_path / "runs")
+    assert found.run.caveats == record.run.caveats == []
     assert found.complete and record.complete and os.fspath(found.directory) != os.fspath(record.directory)
     differing = 0
     for row, again in zip(record.rows, found.rows, strict=True):
