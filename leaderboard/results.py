@@ -7,7 +7,6 @@ from typing import Any, Final
 
 from benchmark.machine.storage import read_kept_json, write_bytes, write_json
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.transfer import transfer
 from benchmark.records.ablation import AblationReport
 from benchmark.records.run import RunRecord
 from benchmark.report.table import Table
@@ -17,7 +16,7 @@ from leaderboard.tables.comparisons import Verdicts, split_table
 from leaderboard.tables.diagnosis import diagnosis_tables
 from leaderboard.tables.effect import effect_table
 from leaderboard.tables.rows import in_table_order
-from leaderboard.tables.transfer import lift_table, transfer_table
+from leaderboard.tables.transfer import both_matrices, lift_table, transfer_table
 
 PAGE: Final = "README.md"
 NUMBERS: Final = "results.json"
@@ -75,8 +74,7 @@ def _results_tables(data_name: str, records: Sequence[RunRecord]) -> list[Table]
     ]
     adversarial = in_table_order([record for record in records if record.run.split == "adv"])
     if len(adversarial) > 1:
-        for adversary_only in (False, True):
-            matrix = transfer(adversarial, protocol=EXACT, adversary_only=adversary_only)
+        for matrix in both_matrices(adversarial, EXACT):
             tables += [transfer_table(data_name, matrix), lift_table(data_name, matrix)]
     tables += diagnosis_tables(data_name, records)
     return [table for table in tables if table is not None]

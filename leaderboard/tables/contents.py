@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 from benchmark.errors import InputError
 from benchmark.metrics.attacks import has_adversaries, says_severity
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import says_whom
 from benchmark.metrics.scores import require_current
-from benchmark.metrics.transfer import TransferMatrix, transfer
+from benchmark.metrics.transfer import TransferMatrix
 from benchmark.records.ablation import AblationReport
 from benchmark.records.driving import PDM
 from benchmark.records.run import NATIVE, RunRecord, protocol_of
@@ -34,7 +33,7 @@ from leaderboard.tables.runtime import runtime_tables
 from leaderboard.tables.seeds import seed_spread_table
 from leaderboard.tables.slices import DIAGNOSIS, slice_tables
 from leaderboard.tables.statistics import statistics_tables
-from leaderboard.tables.transfer import lift_table, transfer_table
+from leaderboard.tables.transfer import both_matrices, lift_table, transfer_table
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,13 +168,9 @@ def _transfer_tables(
         kept.append(record)
     if len(kept) < 2:
         return None, []
-    matrix = transfer(kept, protocol=protocol)
-    tables = [transfer_table(data_name, matrix), lift_table(data_name, matrix)]
-    telling = [record for record in kept if says_whom(record)]
-    if protocol == EXACT and len(telling) > 1 and any(map(has_adversaries, telling)):
-        with_adversary = transfer(telling, adversary_only=True)
-        tables += [transfer_table(data_name, with_adversary), lift_table(data_name, with_adversary)]
-    return matrix, [replace(table, notes=(*table.notes, *refused)) for table in tables]
+    matrices = both_matrices(kept, protocol)
+    tables = [make(data_name, each) for each in matrices for make in (transfer_table, lift_table)]
+    return matrices[0], [replace(table, notes=(*table.notes, *refused)) for table in tables]
 
 
 def _missing(records: Sequence[RunRecord]) -> tuple[str, ...]:

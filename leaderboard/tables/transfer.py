@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 from typing import Final
 
+from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.effect import says_whom
 from benchmark.metrics.rates import Estimate, Rate
 from benchmark.metrics.transfer import Agreement, TransferMatrix, transfer
 from benchmark.records.planner_versions import labelled
@@ -47,6 +49,26 @@ def transfer_matrices(
         for name in sorted({record.run.data.name for record in of_split})
         if data in (None, name)
     }
+
+
+def both_matrices(records: Sequence[RunRecord], protocol: str) -> list[TransferMatrix]:
+    """The paper's matrix and, under ``exact``, that of contacts with the adversary alone.
+
+    Args:
+        records: Of several planners on the same scenes.
+        protocol: Whose verdicts count.
+
+    Returns:
+        One or two matrices: the second of the planners whose records say whom contacts are with, if two do.
+
+    Raises:
+        InputError: As `benchmark.metrics.transfer.transfer`.
+    """
+    found = [transfer(records, protocol=protocol)]
+    telling = [record for record in records if says_whom(record)]
+    if protocol == EXACT and len(telling) > 1 and any(map(has_adversaries, telling)):
+        found.append(transfer(telling, adversary_only=True))
+    return found
 
 
 def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
