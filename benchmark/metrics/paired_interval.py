@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy import stats
 
 from benchmark.geometry import Floats
 
@@ -61,6 +60,9 @@ def paired_difference(differences: Floats, weights: Floats) -> PairedDifference:
         enough = None if not differing else max(FEWEST_RECORDINGS, math.ceil(FEWEST_DIFFERING * count / differing))
         # As many as there are, of which too few differ, are not enough either.
         return PairedDifference(value, None, None, count, differing, enough and max(enough, count + 1))
+    # scipy takes a second to import, and whoever only plans needs none of it.
+    from scipy import stats
+
     residuals = differences - value * weights
     deviation = math.sqrt(count / (count - 1) * float((residuals**2).sum())) / total
     reach = float(stats.t.ppf(0.975, count - 1)) * deviation

@@ -65,15 +65,15 @@ def test_a_reader_that_makes_up_what_it_cannot_read_is_found(
     import adapters.plan_file
     from benchmark.errors import InputError
 
-    honest: Callable[[Path], Any] = adapters.plan_file.read_plan_file
+    honest: Callable[..., Any] = adapters.plan_file.read_plan_file
 
-    def obliging(path: Path) -> Any:
+    def obliging(path: Path, *frame: Any) -> Any:
         try:
-            return honest(path)
+            return honest(path, *frame)
         except InputError:
             other = path.with_name("other.csv")
             other.write_text((campaign.valid / "plans.csv").read_text().replace("2.5", "0.5"))
-            return honest(other)
+            return honest(other, *frame)
 
     monkeypatch.setattr("adapters.plan_file.read_plan_file", obliging)
     assert Verdict.SILENT in verdicts(campaign, 6)

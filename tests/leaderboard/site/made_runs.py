@@ -265,7 +265,8 @@ def _row(
     if plan is not None and exact.facts["hit"] is not None:
         known = CAUSES_OF_FORECASTERS[int(rng.random() < 0.4)]
         cause, reason = known if planner.forecasts else ("not attributable", "no forecasts")
-        diagnosis = DiagnosisRow.model_validate({"cause": cause, "reason": reason, **exact.facts})
+        touched = {name: exact.facts[name] for name in ("hit", "first_contact_s")}
+        diagnosis = DiagnosisRow.model_validate({"cause": cause, "reason": reason, **touched})
     differing = {
         name: f"{MISS}: between waypoints"
         for name, outcome in judged.items()

@@ -59,7 +59,7 @@ def test_runs_without_scores_and_of_earlier_versions_are_named(record: RunRecord
     older = driving.model_copy(update={"version": VERSION - 1})
     stale = replace(record, summary=record.summary.model_copy(update={"driving": older}))
     table = driving_table("town", [stale])
-    assert "‡" in table.rows[0][0] and "now 1; run challenger-bench rescore" in table.markdown()
+    assert "‡" in table.rows[0][0] and f"now {VERSION}; run challenger-bench rescore" in table.markdown()
     table = driving_table("town", [without_driving(record)])
     assert table.rows == () and "no driving scores; challenger-bench rescore" in table.markdown()
 
