@@ -120,7 +120,7 @@ def write_plans(folder: Path) -> None:
     straight: dict[str, Any] = {}
     for step in range(1, 7):
         straight |= {f"x{step}": 0.0, f"y{step}": 2.5 * step}
-    rows = [{"sample_token": row["token"], "frame": "ego", **straight} for row in samples]
+    rows = [{"sample_token": row["token"], "frame": "lidar", **straight} for row in samples]
     pd.DataFrame(rows).to_csv(folder / "plans.csv", index=False)
     pd.DataFrame(rows).to_json(folder / "plans.json", orient="records")
 

@@ -72,7 +72,7 @@ def test_a_reader_that_makes_up_what_it_cannot_read_is_found(
             return honest(path, *frame)
         except InputError:
             other = path.with_name("other.csv")
-            other.write_text((campaign.valid / "plans.csv").read_text().replace("2.5", "0.5"))
+            other.write_text((campaign.valid / "plans.csv").read_text().replace("7.5", "8.5"))
             return honest(other, *frame)
 
     monkeypatch.setattr("adapters.plan_file.read_plan_file", obliging)
