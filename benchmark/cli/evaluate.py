@@ -590,7 +590,8 @@ def _show_runs(
         ]
         print_json({"runs": rows, "slices": [table.as_json() for table in sliced]} if by else rows)
     else:
-        against = unchanged_candidates(run_root, records)
+        # The table that compares stands among those that nobody asked for by name.
+        against = unchanged_candidates(run_root, records) if protocols is None else []
         shown = run_tables(data_name, records, protocols, allow_partial=allow_partial, against=against)
         for table in (*shown, *sliced):
             typer.echo(table.plain(wide=wide))

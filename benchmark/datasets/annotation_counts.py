@@ -3,13 +3,11 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final, Protocol
 
 from benchmark.errors import InputError
 from benchmark.report.words import counted
-
-if TYPE_CHECKING:
-    from benchmark.datasets.roots import DataSet
 
 MOST_UNKNOWN: Final = 0.01
 """Share of annotations with unknown categories above which nothing is said that goes by categories."""
@@ -52,7 +50,20 @@ class AnnotationCount:
         )
 
 
-def require_annotated(data: "DataSet", split: str, scenes: Sequence[str]) -> AnnotationCount:
+class CountedData(Protocol):
+    """The part of a data set that counts its annotations.
+
+    Attributes:
+        root: Root folder.
+    """
+
+    root: Path
+
+    def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
+        """Counts by scene name."""
+
+
+def require_annotated(data: CountedData, split: str, scenes: Sequence[str]) -> AnnotationCount:
     """Refuse scenes none of which has an annotation.
 
     Args:

@@ -21,8 +21,8 @@ UNCHANGED_SPLITS: Final = ("val-r", "val")
 
 
 def sees_images(planner: PlannerFacts) -> bool:
-    """Whether a planner is one of the networks, which see images; of others that is not known."""
-    return planner.native_protocol is not None or planner.miniature
+    """Whether a planner says that it wants images, or is one of the networks; of others that is not known."""
+    return "images" in planner.wants or planner.native_protocol is not None or planner.miniature
 
 
 def unchanged_record(record: RunRecord, candidates: Iterable[RunRecord]) -> RunRecord | None:
