@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from torch import nn
 
@@ -245,6 +245,8 @@ JSON_VALUES = st.recursive(
 
 @settings(deadline=None)
 @given(JSON_VALUES)
+@example({"]": [], "[][": None})
+@example(['"[', '["', []])
 def test_brackets_in_text_are_no_depth(value: Any) -> None:
     import json
 
