@@ -41,6 +41,11 @@ class DrivenPlan:
         recorded_progress_m: The same of the recorded future, tracked in the same way.
         collision_s: When the first contact at fault begins, if there is one.
         ttc_s: The first time that is followed by contact within 0.9 s, if there is one.
+        hit: Instance that the driven plan touches first, at fault or not, if it touches any; of several the first by
+            name.
+        first_contact_s: When.
+        hit_adversary: Whether that is an adversary; false without contact.
+        adversary_contact_s: When an adversary is first touched, whatever is touched before.
     """
 
     nc: float
@@ -56,6 +61,10 @@ class DrivenPlan:
     recorded_progress_m: float
     collision_s: float | None
     ttc_s: float | None
+    hit: str | None
+    first_contact_s: float | None
+    hit_adversary: bool
+    adversary_contact_s: float | None
 
     def as_json(self) -> dict[str, Any]:
         """JSON values."""
@@ -126,6 +135,7 @@ def _batch(recorded: RecordedScene, samples: NDArray[np.int64], poses: Floats) -
     plans = judged(tracked(poses, around.now[own]), own, around)
     scores = beside(plans, references.course.progress_m[own], references.scores.multiplier[own])
     forgiven = human_scores(references).zeros()
+    touches = _touches(plans.collisions.events, around.traffic.number, recorded, len(own))
     verdicts = [
         DrivenPlan(
             **{name: float(getattr(scores, name)[row]) for name in ("nc", "dac", "ddc", "ttc", "lk")},
@@ -137,10 +147,29 @@ def _batch(recorded: RecordedScene, samples: NDArray[np.int64], poses: Floats) -
             recorded_progress_m=round(float(references.course.progress_m[of]), DECIMALS),
             collision_s=_seconds(int(plans.collisions.step[row])),
             ttc_s=_seconds(int(plans.near_misses.step[row])),
+            **touches[row],
         )
         for row, of in enumerate(own.tolist())
     ]
     return plans.states, verdicts
+
+
+def _touches(
+    events: NDArray[np.int64], number: NDArray[np.int64], recorded: RecordedScene, plans: int
+) -> list[dict[str, Any]]:
+    """Whom each of some plans touches; contacts in order of time within each plan, `number` as of `Traffic`."""
+    found: list[dict[str, Any]] = [
+        {"hit": None, "first_contact_s": None, "hit_adversary": False, "adversary_contact_s": None}
+        for _ in range(plans)
+    ]
+    for plan, state, row in events[:, :3].tolist():
+        own, time_s, agent = found[plan], _seconds(state), int(number[row])
+        name, adversary = recorded.instances[agent], bool(recorded.adversaries[agent])
+        if own["hit"] is None or (own["first_contact_s"] == time_s and name < own["hit"]):
+            own |= {"hit": name, "first_contact_s": time_s, "hit_adversary": adversary}
+        if adversary and own["adversary_contact_s"] is None:
+            own["adversary_contact_s"] = time_s
+    return found
 
 
 def _references(recorded: RecordedScene, samples: NDArray[np.int64]) -> tuple[Surroundings, Judged]:

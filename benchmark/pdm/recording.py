@@ -29,6 +29,8 @@ class RecordedScene:
     Attributes:
         seconds: (K,) time of each key frame.
         motion: (K, 8) pose, velocity and acceleration of the rear axle: the first columns of a state.
+        instances: Identifiers of the scene's objects.
+        adversaries: (N,) which of them were made to be adversaries, as far as the scene says.
         complete: (K,) whether the recording goes on for 3 s, and all of it is known.
         references: Kept by `benchmark.pdm.judging`, by the samples that they are of.
     """
@@ -37,6 +39,8 @@ class RecordedScene:
         self.references: dict[bytes, Any] = {}
         self._annotations = scene.annotations
         self._categories = scene.agents.categories
+        self.instances = scene.agents.ids
+        self.adversaries = np.isin(np.array(self.instances, dtype=object), scene.adversaries)
         self.seconds = scene.seconds[scene.keyframes]
         self._times_us, self._frames = scene.timestamps_us, recorded_motion(scene.ego.pose, scene.seconds)
         self.motion = self._frames[scene.keyframes]
@@ -124,6 +128,7 @@ class RecordedScene:
             annotated=annotated,
             velocity=velocity,
             is_agent=np.array([self._categories[number].startswith(AGENT_CATEGORIES) for number in agent], np.bool_),
+            number=agent,
         )
 
     def _timed(self, steps: NDArray[np.int64]) -> dict[int, TimedSteps]:

@@ -1,6 +1,6 @@
 """Objects around samples: from key frames to the states of a motion, less what touches the car at the start."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -25,6 +25,7 @@ class KeyFrames:
         annotated: (N, 7) whether it is annotated there; at least once.
         velocity: (N, 7, 2) m/s, global.
         is_agent: (N,) vehicles and people, as opposed to things.
+        number: (N,) of the object in its scene.
     """
 
     offsets: NDArray[np.int64]
@@ -33,6 +34,7 @@ class KeyFrames:
     annotated: Bools
     velocity: Floats
     is_agent: Bools
+    number: NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +48,7 @@ class Traffic:
         velocity: (N, 31, 2) m/s, global; zero for things and where the object is not there.
         speed: (N,) in the first state in which it is there, which the rules go by later too, m/s.
         is_agent: (N,) vehicles and people.
+        number: (N,) of the object in its scene.
     """
 
     offsets: NDArray[np.int64]
@@ -54,6 +57,7 @@ class Traffic:
     velocity: Floats
     speed: Floats
     is_agent: Bools
+    number: NDArray[np.int64]
 
     def sample_of(self) -> NDArray[np.int64]:
         """(N,) sample of each object."""
@@ -106,6 +110,7 @@ def at_states(key_frames: KeyFrames) -> Traffic:
         velocity=velocity,
         speed=np.hypot(at_first[:, 0], at_first[:, 1]),
         is_agent=key_frames.is_agent,
+        number=key_frames.number,
     )
 
 
@@ -132,11 +137,4 @@ def without(traffic: Traffic, objects: Bools) -> Traffic:
     Returns:
         The objects with their numbers unchanged.
     """
-    return Traffic(
-        traffic.offsets,
-        traffic.box,
-        traffic.present & ~objects[:, None],
-        traffic.velocity,
-        traffic.speed,
-        traffic.is_agent,
-    )
+    return replace(traffic, present=traffic.present & ~objects[:, None])

@@ -87,7 +87,10 @@ class DiagnosisRow(Stored):
 
 
 class DrivingRow(Stored):
-    """What ``nuscenes-pdm`` says of one plan (`benchmark.pdm.judging.DrivenPlan`, which explains each)."""
+    """What ``nuscenes-pdm`` says of one plan (`benchmark.pdm.judging.DrivenPlan`, which explains each).
+
+    Older records do not say whom a plan touches: ``hit_adversary`` is null there.
+    """
 
     nc: float
     dac: float
@@ -102,6 +105,10 @@ class DrivingRow(Stored):
     recorded_progress_m: float
     collision_s: float | None
     ttc_s: float | None
+    hit: Text | None = None
+    first_contact_s: float | None = None
+    hit_adversary: bool | None = None
+    adversary_contact_s: float | None = None
 
 
 class LongerRow(Stored):

@@ -105,6 +105,7 @@ class GoldenScene:
             annotated=annotated,
             velocity=stored.floats("obj_key_velocity", count, frames, 2),
             is_agent=stored.integers("obj_type", count) < AGENT_TYPES,
+            number=np.arange(count),
         )
 
     def _read_surfaces(self) -> list[tuple[Layer, Polygon, bool]]:

@@ -164,6 +164,7 @@ def surroundings(scene: GoldenScene, sample: int) -> Surroundings:
         frames.annotated[some],
         frames.velocity[some],
         frames.is_agent[some],
+        frames.number[some],
     )
     now = scene.now[sample][None]
     return Surroundings(

@@ -15,7 +15,7 @@ from benchmark.protocols import PROTOCOLS
 from benchmark.protocols.touched import ADVERSARY_S, HIT_ADVERSARY, TOUCHED, TOUCHED_ADVERSARY
 from benchmark.records.drives import DriveRecord
 from benchmark.records.drives import summarise as summarise_drives
-from benchmark.records.row_schema import OutcomeRow, SampleRow
+from benchmark.records.row_schema import DrivingRow, OutcomeRow, SampleRow
 from benchmark.records.run import RunRecord, summarise
 from benchmark.records.run_schema import Summary, TruthFacts
 from benchmark.report.words import counted
@@ -108,7 +108,7 @@ def run_anew(record: RunRecord, data: "DataSet") -> Iterator[Said]:
             f"says other verdicts than its plans have on {len(different)} of {counted(len(anew), 'sample')}, first on "
             f"sample {first.sample_token} of {first.scene}; {_RESCORE}",
         )
-    scored = [row for row, computed in zip(record.rows, anew) if row.driving != computed.driving]
+    scored = [row for row, computed in zip(record.rows, anew) if not _drives_the_same(row.driving, computed.driving)]
     if scored and _driving_is_of_now(record.summary):
         yield (
             Level.ERROR,
@@ -187,6 +187,14 @@ def _same_verdict(said: OutcomeRow | None, computed: OutcomeRow | None) -> bool:
     steps = {name: column for name, column in computed.steps.items() if name in said.steps or name not in _LATER}
     facts = {name: fact for name, fact in computed.facts.items() if name in said.facts or name not in _LATER}
     return said == computed.model_copy(update={"steps": steps, "facts": facts})
+
+
+def _drives_the_same(said: DrivingRow | None, computed: DrivingRow | None) -> bool:
+    """Whether two verdicts are equal; a record that was written before whom plans touch was kept cannot have it."""
+    if said is None or computed is None or said.hit_adversary is not None:
+        return said == computed
+    unsaid = {"hit", "first_contact_s", "hit_adversary", "adversary_contact_s"}
+    return said.model_dump(exclude=unsaid) == computed.model_dump(exclude=unsaid)
 
 
 def _driving_is_of_now(summary: Summary) -> bool:

@@ -122,7 +122,7 @@ def _objects(rng: np.random.Generator, now: Floats, count: int) -> KeyFrames:
             annotated[number] = rng.random(7) < 0.6
             annotated[number, rng.integers(7)] = True
     offsets = np.arange(len(now) + 1) * count
-    return KeyFrames(offsets, box, size, annotated, velocity, agents)
+    return KeyFrames(offsets, box, size, annotated, velocity, agents, np.arange(total))
 
 
 def _surfaces() -> list[tuple[Layer, Polygon, bool]]:

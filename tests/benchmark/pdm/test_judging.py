@@ -72,6 +72,25 @@ def test_being_run_into_from_behind_is_nobodys_fault_here() -> None:
     assert found[0]["ttc"] == 0.0
 
 
+def test_whom_a_plan_touches_first_and_when_it_touches_the_adversary() -> None:
+    """From behind comes a fast car, ahead stands another one; the plan is hit, and runs into the second."""
+    scene = scene_on_straight_road((Car(40.0, 198.25, 14.0), Car(75.0, 198.25)))
+    behind, ahead = scene.agents.ids[:2]
+
+    def who(adversaries: tuple[str, ...]) -> tuple[Any, ...]:
+        found = verdicts(replace(scene, adversaries=adversaries))[0]
+        assert found["first_contact_s"] < found["collision_s"] == pytest.approx(2.5, abs=0.2)
+        assert found["hit"] == behind
+        return found["hit_adversary"], found["adversary_contact_s"]
+
+    first_s = verdicts(scene)[0]["first_contact_s"]
+    assert who(()) == (False, None)
+    assert who((behind,)) == (True, first_s)
+    assert who((ahead,)) == (False, verdicts(scene)[0]["collision_s"])
+    free = verdicts(EMPTY)[0]
+    assert (free["hit"], free["first_contact_s"], free["hit_adversary"]) == (None, None, False)
+
+
 def test_leaving_the_road_and_the_wrong_side() -> None:
     off = verdicts(EMPTY, plans(EMPTY, across=-7.0))
     assert off[0]["dac"] == 0.0 and off[0]["lk"] == 0.0

@@ -64,11 +64,13 @@ def test_what_eval_writes_is_fit(folder: Path) -> None:
     assert checked(folder) == (1, [])
 
 
-def test_a_record_from_before_adversaries_were_counted_apart_is_fit_and_a_wrong_count_is_found(folder: Path) -> None:
+def test_a_record_from_before_verdicts_said_whom_they_are_about_is_fit_and_a_wrong_count_is_found(folder: Path) -> None:
     def older(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
         for row in rows:
             for outcome in row["outcomes"].values():
                 outcome["steps"].pop("recorded_adversary", None)
+            for name in ("hit", "first_contact_s", "hit_adversary", "adversary_contact_s") if row["driving"] else ():
+                del row["driving"][name]
         for found in summary["protocols"].values():
             del found["mask_removed_for_adversary"]
 
