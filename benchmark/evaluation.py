@@ -38,6 +38,7 @@ from benchmark.records.seed_splits import generated_facts
 from benchmark.report.words import counted
 from benchmark.runs.caveats import run_caveats
 from benchmark.runs.failures import write_failures
+from benchmark.runs.pairing import with_partner
 from benchmark.runs.plan_rows import PlannerFactory, rows_path, supervision_said
 from benchmark.runs.planner_facts import facts_of
 from benchmark.runs.run_directory import run_directory, tidy
@@ -65,6 +66,8 @@ class EvalSettings:
         fresh: Plan again even where plans are kept.
         timings: Folder for notes on what planners cost, one file a record; without it none are kept.
         asked: Judges whose verdicts somebody asked for by name: refused where they have none on any contact.
+        unchanged: Name of the data set that has the recordings which adversarial scenes were made from, if it is
+            another one.
     """
 
     protocols: tuple[str, ...] = STANDARD
@@ -75,6 +78,7 @@ class EvalSettings:
     fresh: bool = False
     timings: Path | None = None
     asked: tuple[str, ...] = ()
+    unchanged: str | None = None
 
     def chosen(self, data: "DataSet", split: str) -> tuple[str, ...]:
         """The scenes that will run.
@@ -362,6 +366,7 @@ def _written(
     }
     versions = {name: protocol(name).version for name in settings.protocols}
     record = write_record(directory, described, rows, versions, seed=settings.seed)
+    record = with_partner(record, out, settings.unchanged)
     write_failures(directory, record.rows)
     tidy(directory, {rows_path(directory, scene) for scene in costs})
     # Looking plans up in a file says nothing of how fast their planner was.

@@ -70,7 +70,7 @@ def leaderboard_tables(records: Sequence[RunRecord]) -> list[DataSetTables]:
         raise InputError("there are no run records to make tables of; run challenger-bench eval first")
     chosen = one_run_each(records)
     return [
-        data_set_tables(name, [record for record in chosen if record.run.data.name == name])
+        data_set_tables(name, [record for record in chosen if record.run.data.name == name], chosen)
         for name in sorted({record.run.data.name for record in chosen})
     ]
 

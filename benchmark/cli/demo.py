@@ -43,6 +43,7 @@ def demo_command(
         print_json({"files": files}) if json_output else typer.echo("\n".join(files))
         return
     from leaderboard.tables.collision import run_tables
+    from leaderboard.tables.effect import effect_table
     from leaderboard.tables.transfer import transfer_matrices, transfer_table
 
     tell = partial(typer.echo, err=json_output)
@@ -51,7 +52,8 @@ def demo_command(
         print_json({"leaderboard": str(out / "leaderboard"), "generated": report.as_json()})
         return
     tell("")
-    for table in run_tables("demo", records, ("exact",), allow_partial=True):
+    caused = effect_table("demo", records)
+    for table in (*(() if caused is None else (caused,)), *run_tables("demo", records, ("exact",), allow_partial=True)):
         tell(table.plain(wide=wide))
     for name, matrix in transfer_matrices(records, "adv").items():
         tell(transfer_table(name, matrix).plain(wide=wide))

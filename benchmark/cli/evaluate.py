@@ -114,6 +114,13 @@ def eval_command(
     scenes: ScenesOption = None,
     limit: LimitOption = None,
     shard: ShardOption = None,
+    unchanged: Annotated[
+        str | None,
+        typer.Option(
+            metavar="<root>",
+            help="Data set whose recordings the scenes of --split were made from, where --data lacks them: Adv-nuSc.",
+        ),
+    ] = None,
     allow_partial: Annotated[
         bool,
         typer.Option(
@@ -139,7 +146,7 @@ def eval_command(
     dry_run: DryRunOption = False,
 ) -> None:
     """Run planners on splits, write run records, and print the tables."""
-    from benchmark.cli.beforehand.data_sets import require_data
+    from benchmark.cli.beforehand.data_sets import require_data, unchanged_name
     from benchmark.cli.beforehand.names import (
         require_categories,
         require_models,
@@ -152,6 +159,7 @@ def eval_command(
     from benchmark.machine.several_devices import require_one_device, workers_for
     from benchmark.protocols import PROTOCOLS, STANDARD
     from benchmark.records.reproduction import find_reproductions, with_reproductions
+    from benchmark.records.seed_splits import is_adversarial
     from benchmark.runs.shards import Shard
 
     if not model and plans is None and not results:
@@ -182,11 +190,13 @@ def eval_command(
     if plans is not None:
         require_plans(plans, native)
     opened = opened_results(results, results_format, name, native, dump_results)
-    splits = tuple(dict.fromkeys(split))
+    # Unchanged recordings first: the records of the others say which of theirs they are compared with.
+    splits = tuple(sorted(dict.fromkeys(split), key=is_adversarial))
     _require_one_split(splits, plans=plans, results=results, dump_results=dump_results, shard=shard)
     every_ahead = {
         each: require_data(data, tables, each, out, scenes=name_list(scenes), limit=limit) for each in splits
     }
+    elsewhere = unchanged_name(unchanged, out)
     require_place(out, "--out")
     if dry_run and any(ahead.builds for ahead in every_ahead.values()):
         running = [api.model_that_runs(each, checkpoint, data=data) for each in model]
@@ -202,7 +212,9 @@ def eval_command(
     run_root = api.workspace(out).run_root()
     timings = api.workspace(out).timings_of(run_root)
     asked = () if "all" in (protocol or ()) else tuple(shown or ())
-    settings = EvalSettings(judges, name_list(scenes), limit, count, seed, timings=timings, asked=asked)
+    settings = EvalSettings(
+        judges, name_list(scenes), limit, count, seed, timings=timings, asked=asked, unchanged=elsewhere
+    )
     over_http = {
         name: option.value for name, option in (("image_format", image_format), ("frame", frame)) if option is not None
     }
@@ -570,13 +582,15 @@ def _show_runs(
 ) -> bool:
     """Print the tables of runs; whether all is well: a run that failed on samples is not unless that is allowed."""
     from benchmark.metrics.attacks import attack_facts
+    from benchmark.metrics.effect import effect_facts
     from benchmark.metrics.slices import kinds_named
-    from benchmark.metrics.unchanged import unchanged_candidates
+    from benchmark.metrics.unchanged import unchanged_candidates, unchanged_record
     from benchmark.runs.failures import FAILURES_FILE, first_failure
     from leaderboard.tables.collision import run_tables
     from leaderboard.tables.slices import run_slices
 
     partial = [record for record in records if not record.complete]
+    against = unchanged_candidates(run_root, records)
     sliced = run_slices(data_name, records, kinds_named(by), protocols, allow_partial=allow_partial)
     if json_output:
         rows = [
@@ -585,13 +599,12 @@ def _show_runs(
                 "status": r.run.status,
                 **r.summary.model_dump(mode="json"),
                 **attack_facts(r),
+                **effect_facts(r, unchanged_record(r, (*against, *records))),
             }
             for r in records
         ]
         print_json({"runs": rows, "slices": [table.as_json() for table in sliced]} if by else rows)
     else:
-        # The table that compares stands among those that nobody asked for by name.
-        against = unchanged_candidates(run_root, records) if protocols is None else []
         shown = run_tables(data_name, records, protocols, allow_partial=allow_partial, against=against)
         for table in (*shown, *sliced):
             typer.echo(table.plain(wide=wide))

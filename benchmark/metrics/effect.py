@@ -6,17 +6,18 @@ key frame on the unchanged recording; both must count. All contacts are those of
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import asdict, dataclass
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.paired_interval import PairedDifference, paired_difference
-from benchmark.metrics.rates import with_average
+from benchmark.metrics.rates import HORIZONS, with_average
 from benchmark.metrics.scores import require_current, source_of_scenes
 from benchmark.protocols import PROTOCOLS, published_values
 from benchmark.protocols.touched import HIT_ADVERSARY
@@ -58,8 +59,9 @@ class PairedEffect:
         adversarial: Rate of samples with any contact on the adversarial side of the pairs.
         unchanged: The same on the unchanged side.
         difference: The first less the second, with its interval over recordings.
-        new_others: Share of pairs with a first contact with another than the adversary, and none unchanged.
-        lost_others: Share of pairs with a contact unchanged, and none with another than the adversary.
+        new_others: Share of pairs with a first contact with another than the adversary, and none unchanged; ``None``
+            where it is not known which road users are adversaries.
+        lost_others: Share of pairs with a contact unchanged, and none with another than the adversary; likewise.
         pairs: Adversarial samples with a partner.
         unpaired_scenes: Scenes of either side without any partner, by name.
         unpaired: Adversarial samples that count and have no partner.
@@ -86,7 +88,8 @@ class AdversaryEffect:
 
     Attributes:
         record: Of the planner on the split.
-        touched: Weighted rates of first contacts with an adversary: at 1, 2, 3 s and their mean.
+        touched: Weighted rates of first contacts with an adversary: at 1, 2, 3 s and their mean; ``None`` where no
+            sample counts, or it is not known which road users are adversaries.
         at_fault: The same of those at the planner's fault.
         unknown_fault: Samples of which that is not known.
         samples: Samples that count.
@@ -107,9 +110,17 @@ class AdversaryEffect:
 
 def says_whom(record: RunRecord) -> bool:
     """Whether a record says of its contacts whether they are with an adversary; older ones do not until rescored."""
+    return knows_adversaries(record) and _judges_whom(record)
+
+
+def knows_adversaries(record: RunRecord) -> bool:
+    """Whether it is known which road users of a record's scenes are adversaries; of strangers' data it is not."""
     facts = [record.run.scene_facts.get(scene) for scene in record.run.scenes]
-    known = all(fact is not None and fact.adversaries is not None for fact in facts)
-    return known and EXACT in record.run.protocols and HIT_ADVERSARY in record.columns.outcomes(EXACT).facts
+    return all(fact is not None and fact.adversaries is not None for fact in facts)
+
+
+def _judges_whom(record: RunRecord) -> bool:
+    return EXACT in record.run.protocols and HIT_ADVERSARY in record.columns.outcomes(EXACT).facts
 
 
 def effect_of(record: RunRecord, unchanged: RunRecord | None) -> AdversaryEffect | None:
@@ -120,27 +131,45 @@ def effect_of(record: RunRecord, unchanged: RunRecord | None) -> AdversaryEffect
         unchanged: Of the same planner on the recordings that they were made from.
 
     Returns:
-        The effect; ``None`` of a split without adversaries, or where the record does not say whom contacts are with.
+        The effect; ``None`` of a split without adversaries, and of older records until they are rescored.
 
     Raises:
         InputError: If either record was judged by another version of ``exact``.
     """
-    if not (has_adversaries(record) and says_whom(record)):
+    if not (has_adversaries(record) and _judges_whom(record)):
         return None
-    found = sample_contacts(record)
+    found, known = sample_contacts(record), knows_adversaries(record)
     rows = np.flatnonzero(found.counted)
     weights = found.weights[rows]
     total = float(weights.sum())
     return AdversaryEffect(
         record=record,
-        touched=_weighted(found.adversary[rows], weights) if total else None,
-        at_fault=_weighted(found.at_fault[rows], weights) if total else None,
+        touched=_weighted(found.adversary[rows], weights) if total and known else None,
+        at_fault=_weighted(found.at_fault[rows], weights) if total and known else None,
         unknown_fault=int(found.unknown_fault[rows].sum()),
         samples=len(rows),
         recordings=len({found.keys[row][0] for row in rows.tolist()}),
         unchanged=unchanged,
-        paired=None if unchanged is None else _paired(found, record, unchanged),
+        paired=None if unchanged is None else _paired(found, record, unchanged, known=known),
     )
+
+
+def effect_facts(record: RunRecord, unchanged: RunRecord | None) -> dict[str, Any]:
+    """`effect_of` as JSON values under ``effect``; empty where there is none, or a sentence why it cannot be told."""
+    try:
+        found = effect_of(record, unchanged)
+    except InputError as refusal:
+        return {"effect": {"refused": str(refusal)}}
+    if found is None:
+        return {}
+    rates = {
+        name: None if values is None else dict(zip(HORIZONS, values, strict=True))
+        for name, values in (("adversary", found.touched), ("at_fault", found.at_fault))
+    }
+    partner = None if unchanged is None else {"data": unchanged.run.data.name, "split": unchanged.run.split}
+    pairs = None if found.paired is None else {**asdict(found.paired), "ratio": found.paired.ratio}
+    counts = {name: getattr(found, name) for name in ("samples", "recordings", "unknown_fault")}
+    return {"effect": {**rates, **counts, "unchanged": partner, "paired": pairs}}
 
 
 def sample_contacts(record: RunRecord) -> SampleContacts:
@@ -209,7 +238,7 @@ def _weighted(values: Floats, weights: Floats) -> tuple[float, ...]:
     return tuple((values * weights[:, None]).sum(axis=0) / weights.sum())
 
 
-def _paired(found: SampleContacts, record: RunRecord, unchanged: RunRecord) -> PairedEffect:
+def _paired(found: SampleContacts, record: RunRecord, unchanged: RunRecord, *, known: bool) -> PairedEffect:
     """Pairs by recording and key-frame index."""
     base = sample_contacts(unchanged)
     partner = _partners(base)
@@ -230,8 +259,8 @@ def _paired(found: SampleContacts, record: RunRecord, unchanged: RunRecord) -> P
         adversarial=share(adversarial),
         unchanged=share(before),
         difference=paired_difference(_by(own, (adversarial - before) * weights, names), _by(own, weights, names)),
-        new_others=share(others * (1.0 - before)),
-        lost_others=share(before * (1.0 - others)),
+        new_others=share(others * (1.0 - before)) if known else None,
+        lost_others=share(before * (1.0 - others)) if known else None,
         pairs=len(rows),
         unpaired_scenes=_without_partner(record, unchanged),
         unpaired=int(found.counted.sum()) - len(rows),

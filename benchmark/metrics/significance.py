@@ -5,8 +5,7 @@ adversarial versions are in a resample together or not at all. So the pairing ca
 adversarial versions of one recording are not taken for ten independent observations.
 
 Two planners on one split are compared on the samples that both planned. One planner on two splits is compared twice:
-over all scenes of both, which is what the paper's "× increase" does, and over the recorded scenes that both splits
-have.
+over all scenes of both, and over the recorded scenes that both splits have.
 """
 
 import functools
@@ -33,14 +32,11 @@ class RateComparison:
         first: The first rate, or ``None`` where no sample counts.
         second: The second one.
         difference: Second less first.
-        increase: (second - first) / first, the paper's "× increase". It does not exist where the first rate is zero.
-            A resample in which only the first rate is zero makes it infinite.
     """
 
     first: float | None
     second: float | None
     difference: Estimate
-    increase: Estimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,21 +237,18 @@ def _compared(
     enough = all(np.count_nonzero(side.denominators[:, 0]) > 1 for side in sides)
     asked = [HORIZONS.index(horizon) for horizon in horizons]
     rates = [_ratio(side.numerators.sum(axis=0), side.denominators.sum(axis=0))[asked] for side in sides]
-    difference, increase = rates[1] - rates[0], _ratio(rates[1] - rates[0], rates[0])
+    difference = rates[1] - rates[0]
     differences: list[Ends] = [(None, None)] * len(asked)
-    increases = differences
     if enough:
         kept = [_draws(side.names, seed, *map(_frozen, (side.numerators, side.denominators))) for side in sides]
         drawn = [draws[asked] for draws in kept]
         apart = drawn[1] - drawn[0]
         differences = _intervals(apart, (-1.0, 1.0))
-        increases = _intervals(_ratio(apart, drawn[0]), (-1.0, np.inf))
     return {
         horizon: RateComparison(
             first=_number(rates[0][column]),
             second=_number(rates[1][column]),
             difference=_estimate(difference[column], differences[column]),
-            increase=_estimate(increase[column], increases[column]),
         )
         for column, horizon in enumerate(horizons)
     }

@@ -25,24 +25,30 @@ def sees_images(planner: PlannerFacts) -> bool:
     return "images" in planner.wants or planner.native_protocol is not None or planner.miniature
 
 
-def unchanged_record(record: RunRecord, candidates: Iterable[RunRecord]) -> RunRecord | None:
+def unchanged_record(
+    record: RunRecord, candidates: Iterable[RunRecord], elsewhere: str | None = None
+) -> RunRecord | None:
     """The record of the same planner on the unchanged recordings of an adversarial split.
 
     Args:
         record: Of the adversarial split.
         candidates: Records, the newest of each split last.
+        elsewhere: Name of the data set that has the unchanged recordings, if it is another one.
 
     Returns:
         Of val-r before val for planners that see images, of val before val-r for others; of records of one split the
-        last that has most of the recordings. ``None`` where no candidate has any.
+        last that has most of the recordings. Of other data sets only those count that
+        ``elsewhere`` or the record itself names. ``None`` where no candidate has any of the recordings.
     """
-    sources = set(source_of_scenes(record).values())
+    sources, data_names = set(source_of_scenes(record).values()), _data_names(record, elsewhere)
     order = UNCHANGED_SPLITS if sees_images(record.run.planner) else UNCHANGED_SPLITS[::-1]
     best: tuple[tuple[int, int], RunRecord] | None = None
     for candidate in candidates:
         shared = len(sources & set(source_of_scenes(candidate).values()))
         split = candidate.run.split
-        if not shared or is_adversarial(split) or not _same_planner(record, candidate):
+        if not shared or is_adversarial(split) or candidate.run.data.name not in data_names:
+            continue
+        if not _same_planner(record, candidate):
             continue
         rank = (shared, -order.index(split) if split in order else -len(order))
         if best is None or rank >= best[0]:
@@ -50,17 +56,23 @@ def unchanged_record(record: RunRecord, candidates: Iterable[RunRecord]) -> RunR
     return None if best is None else best[1]
 
 
-def unchanged_candidates(root: Path, records: Iterable[RunRecord]) -> list[RunRecord]:
+def unchanged_candidates(root: Path, records: Iterable[RunRecord], elsewhere: str | None = None) -> list[RunRecord]:
     """Records below a folder that runs on adversarial splits may be compared with.
 
     Args:
         root: Folder of run directories.
         records: Runs; those on other splits want no comparison.
+        elsewhere: Name of the data set that has the unchanged recordings, if it is another one.
 
     Returns:
         Records of the same planners on val-r and val, the newest last; damaged ones are left out.
     """
-    wanted = {(record.run.data.name, record.run.planner.name) for record in records if has_adversaries(record)}
+    wanted = {
+        (data_name, record.run.planner.name)
+        for record in records
+        if has_adversaries(record)
+        for data_name in _data_names(record, elsewhere)
+    }
     found: list[RunRecord] = []
     for data_name, planner in sorted(wanted):
         for split in UNCHANGED_SPLITS:
@@ -71,12 +83,18 @@ def unchanged_candidates(root: Path, records: Iterable[RunRecord]) -> list[RunRe
     return sorted(found, key=lambda record: ((record.directory / RUN_FILE).stat().st_mtime_ns, record.directory))
 
 
+def _data_names(record: RunRecord, elsewhere: str | None) -> set[str]:
+    """Data sets that may hold the unchanged recordings of a record."""
+    named = record.run.unchanged
+    return {elsewhere} if elsewhere else {record.run.data.name, *([] if named is None else [named.data.name])}
+
+
 def _same_planner(first: RunRecord, second: RunRecord) -> bool:
-    """The same weights, code, settings and seed on the same data set; plan files hold one split each."""
+    """The same weights, code, settings and seed; plan files hold one split each."""
     one, other = first.run.planner, second.run.planner
     settings = [{k: v for k, v in version_of(each).items() if k != PLANS_SHA256} for each in (one, other)]
     return (one.name, one.code_sha256, settings[0]) == (
         other.name,
         other.code_sha256,
         settings[1],
-    ) and first.run.data.name == second.run.data.name
+    )

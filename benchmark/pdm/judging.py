@@ -138,7 +138,11 @@ def _batch(recorded: RecordedScene, samples: NDArray[np.int64], poses: Floats) -
     touches = _touches(plans.collisions.events, around.traffic.number, recorded, len(own))
     verdicts = [
         DrivenPlan(
-            **{name: float(getattr(scores, name)[row]) for name in ("nc", "dac", "ddc", "ttc", "lk")},
+            nc=float(scores.nc[row]),
+            dac=float(scores.dac[row]),
+            ddc=float(scores.ddc[row]),
+            ttc=float(scores.ttc[row]),
+            lk=float(scores.lk[row]),
             ep=round(float(scores.ep[row]), DECIMALS),
             hc=float(scores.hc[row]) if around.has_history[of] else None,
             ec=None,

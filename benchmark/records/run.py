@@ -9,7 +9,7 @@ Every run gives the same bytes; how long it took is noted elsewhere (``<out>/tim
 import dataclasses
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -21,7 +21,7 @@ from benchmark.errors import InputError
 from benchmark.foreign.json_text import is_plain, parse_line
 from benchmark.foreign.limits import RECORD
 from benchmark.geometry import Bools
-from benchmark.machine.storage import content_key, read_json
+from benchmark.machine.storage import content_key, read_json, write_json
 from benchmark.metrics.rates import rates
 from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes, says_all
 from benchmark.protocols import protocol as definition_of
@@ -332,6 +332,25 @@ def write_record(
     # Whoever reads the record next, the leaderboard above all, need not parse what is at hand here.
     rows = keep_rows(directory / ROWS_FILE, written[ROWS_FILE], rows)
     return RunRecord(directory, run.model_copy(update={"files": written}), rows, summary)
+
+
+def with_facts(record: RunRecord, **facts: Any) -> RunRecord:
+    """Write other facts of a record; its rows and its summary stay.
+
+    Args:
+        record: The record; nobody else may write to its directory (`benchmark.machine.storage.only_writer`).
+        facts: Fields of `RunFacts`.
+
+    Returns:
+        The record with them.
+
+    Raises:
+        InputError: If they cannot be written.
+    """
+    run = record.run.model_copy(update=facts)
+    if run != record.run:
+        write_json(record.directory / RUN_FILE, run.model_dump(mode="json", by_alias=True))
+    return replace(record, run=run)
 
 
 def load_record(directory: Path) -> RunRecord:

@@ -267,10 +267,26 @@ class RecordFacts(Stored):
         return self
 
 
+class UnchangedFacts(Stored):
+    """The record of the same planner on the unchanged recordings of an adversarial split (docs/metrics.md).
+
+    Attributes:
+        data: Its data set.
+        split: Its split.
+        samples: SHA-256 of its rows.
+    """
+
+    data: DataFacts
+    split: Name
+    samples: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
 class RunFacts(RecordFacts):
     """``run.json``.
 
     Attributes:
+        unchanged: The record that the effect of adversaries was taken against when this one was written; null where
+            there was none, of recordings, and in older records.
         realism: How real the split's adversaries move; null where nobody looked, and in older records.
         plans_from: Where the plans come from, if from the result files of a repository; null in older records. The
             environment is then that of the import.
@@ -278,6 +294,7 @@ class RunFacts(RecordFacts):
         rescored: The environment of the last `challenger-bench rescore`, if the plans were judged anew since.
     """
 
+    unchanged: UnchangedFacts | None = None
     realism: SplitRealism | None = None
     plans_from: PlansFrom | None = None
     protocols: dict[str, Version]

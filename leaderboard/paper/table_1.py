@@ -6,12 +6,11 @@ from typing import Final
 
 from benchmark.metrics.rates import HORIZONS
 from benchmark.metrics.scores import takes_maxima
-from benchmark.published import DATA_SET_OF_SPLIT, INCREASE, TABLE_1_SOURCE
+from benchmark.published import DATA_SET_OF_SPLIT, TABLE_1_SOURCE
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import PERCENT, UNDEFINED, Origin, Shown, origin_of, record_name
 from benchmark.report.table import LatexForm, Table, table_of
-from leaderboard.tables.collision import increase_over
-from leaderboard.tables.published import published_rate, quoted
+from leaderboard.tables.published import published_increase, published_rate, quoted
 from leaderboard.tables.rows import SPLIT_ORDER, in_table_order, name_cell, run_notes, stale_notes, with_caveat_mark
 
 _ORDER: Final = ("uniad", "vad", "sparsedrive", "diffusiondrive")
@@ -107,6 +106,13 @@ def _pairs(blocks: Sequence[_Block]) -> list[tuple[_Block, _Block | None]]:
     return pairs
 
 
+def increase_over(baseline: float | None, rate: float | None) -> float | None:
+    """The paper's "× increase": (rate - baseline) / baseline, ``None`` where the baseline is zero or unknown."""
+    if baseline is None or rate is None or baseline == 0:
+        return None
+    return (rate - baseline) / baseline
+
+
 def _half(block: _Block | None, split: str) -> tuple[str | Shown, ...]:
     """One planner's part of a line."""
     if block is None:
@@ -141,6 +147,4 @@ def _published(run: RunRecord) -> tuple[Shown, Shown]:
     if row is None:
         return Shown(""), Shown("")
     origin = Origin(protocol=row.protocol, source=TABLE_1_SOURCE)
-    increase = INCREASE[row.model] if row.data_set == "Adv-nuSc" else None
-    times = Shown("") if increase is None else quoted(increase, "×", origin, after="×")
-    return quoted(row.percent[-1], PERCENT, origin), times
+    return quoted(row.percent[-1], PERCENT, origin), published_increase(row) or Shown("")

@@ -9,23 +9,21 @@ from benchmark.published import TABLE_1_SOURCE
 from benchmark.records.driving import PDM
 from benchmark.records.run import NATIVE, RunRecord
 from benchmark.records.run_schema import ProtocolSummary
-from benchmark.records.seed_splits import is_adversarial
-from benchmark.report.cells import UNDEFINED, Cell, Origin, Shown, origin_of, record_name
+from benchmark.report.cells import UNDEFINED, Shown, origin_of
 from benchmark.report.table import Brief, Table, table_of
 from leaderboard.tables.attacks import success_table
 from leaderboard.tables.driving import driving_table
 from leaderboard.tables.effect import effect_table
 from leaderboard.tables.further_columns import further_table
 from leaderboard.tables.longer_plans import longer_table
-from leaderboard.tables.published import is_variant, published_cells, published_rate
+from leaderboard.tables.published import is_variant, published_rate, published_rates
 from leaderboard.tables.rows import in_table_order, row_name, run_notes, stale_notes
 
 BRIEF_NOTE = (
     "Brackets: 95 % bootstrap interval over recorded scenes; a dash where there are fewer than two or all of them "
-    "agree. Increase: (adv − val) / val of the averages, as the paper computes it."
+    "agree."
 )
-RATES_NOTE = f"{BRIEF_NOTE.removesuffix('.')}; beside it the same over val-r."
-_BRIEF_COLUMNS = ("col. avg", "95 % of avg", "increase", "L2 avg", "scenes failed")
+_BRIEF_COLUMNS = ("col. avg", "95 % of avg", "L2 avg", "scenes failed")
 """What a terminal shows behind planner, split and protocol; nonsense shows at once in L2."""
 BEFORE_MASK = "collision_before_mask"
 MASK_COLUMNS = ("avg before mask", "steps masked", "masked for adversaries", "masked for others")
@@ -41,8 +39,7 @@ def collision_table(data_name: str, protocol: str, records: Sequence[RunRecord])
 
     Returns:
         One row per planner and split: rates with the 95 % scene-bootstrap interval of their average, what the
-        protocol's exclusion of recorded collisions removed (where it has one), the paper's increases of the averages,
-        L2, and what was counted.
+        protocol's exclusion of recorded collisions removed (where it has one), L2, and what was counted.
     """
     runs = [record for record in in_table_order(records) if protocol in record.summary.protocols]
     versions = sorted({record.summary.protocols[protocol].version for record in runs})
@@ -129,13 +126,6 @@ def run_tables(
     return [table for table in (*first, *(table for both in tables for table in both), *unasked) if table is not None]
 
 
-def increase_over(baseline: float | None, rate: float | None) -> float | None:
-    """The paper's "× increase": (rate - baseline) / baseline, ``None`` where the baseline is zero or unknown."""
-    if baseline is None or rate is None or baseline == 0:
-        return None
-    return (rate - baseline) / baseline
-
-
 def _table(
     name: str,
     title: str,
@@ -147,20 +137,17 @@ def _table(
 ) -> Table:
     """Rows of all records that have their judge's verdicts, in the order given."""
     runs = [record for record in records if judge_of(record) in record.summary.protocols]
-    run_of = {(run.planner, run.run.split): run for run in runs}
     has_mask = any(_is_masked(run, judge_of(run)) for run in runs)
     has_paper = any(published_rate(run, judge_of(run)) is not None for run in runs)
     rows: list[tuple[str | Shown, ...]] = []
     for run in runs:
         judge = judge_of(run)
-        baselines = [run_of.get((run.planner, split)) for split in ("val", "val-r")]
         rows.append(
             (
                 *(row_name(run, judge), run.run.split, *((judge,) if names_protocol else ())),
                 *_numbers(run, judge, has_mask=has_mask),
-                *(_increase(run, baseline, judge_of).shown(1, after="×") for baseline in baselines),
                 *_distances_and_counts(run, judge),
-                *(published_cells(published_rate(run, judge)) if has_paper else ()),
+                *(published_rates(published_rate(run, judge)) if has_paper else ()),
             )
         )
     who = "own protocol" if names_protocol else next((judge_of(run) for run in runs), "")
@@ -168,10 +155,9 @@ def _table(
         *("planner", "split", *(("protocol",) if names_protocol else ())),
         *(*(f"col. {horizon}" for horizon in HORIZONS), "95 % of avg"),
         *(MASK_COLUMNS if has_mask else ()),
-        *("increase", "over val-r"),
         *(f"L2 {horizon}" for horizon in HORIZONS),
         *("samples", "scenes", "scenes failed", "coverage"),
-        *((*(f"paper {horizon}" for horizon in HORIZONS), "paper increase") if has_paper else ()),
+        *((f"paper {horizon}" for horizon in HORIZONS) if has_paper else ()),
     )
     texts = 3 if names_protocol else 2
     said = _run_notes(records, judge_of)
@@ -181,7 +167,7 @@ def _table(
         title,
         columns,
         rows,
-        notes=(*notes, RATES_NOTE, *of_columns, *said),
+        notes=(*notes, BRIEF_NOTE, *of_columns, *said),
         brief=Brief(
             title,
             (*range(texts), *(columns.index(head) for head in _BRIEF_COLUMNS)),
@@ -193,32 +179,12 @@ def _table(
             ("", 3 if names_protocol else 2),
             (f"collision rate in %, {who}", 5),
             (f"mask, {who}", len(MASK_COLUMNS) if has_mask else 0),
-            (f"increase of the average, {who}", 2),
             (f"L2 in m, {who}", 4),
             (f"counted, {who}", 4),
-            (f"paper, collision rate in %, {who}", 5 if has_paper else 0),
+            (f"paper, collision rate in %, {who}", 4 if has_paper else 0),
         ),
         sources=(TABLE_1_SOURCE,) if has_paper else (),
     )
-
-
-def _increase(record: RunRecord, baseline: RunRecord | None, judge_of: Callable[[RunRecord], str]) -> Cell:
-    """From a baseline to an adversarial run; no value unless both are of whole splits and judged alike."""
-    judge = judge_of(record)
-    compared = (
-        baseline is not None
-        and is_adversarial(record.run.split)
-        and judge_of(baseline) == judge
-        and baseline.covers_split
-        and record.covers_split
-        and baseline.summary.protocols[judge].version == record.summary.protocols[judge].version
-    )
-    if baseline is None or not compared:
-        return origin_of(record, judge).cell(None, "×", 0)
-    summaries = [run.summary.protocols[judge] for run in (baseline, record)]
-    value = increase_over(*(summary.columns["collision"]["avg"].value for summary in summaries))
-    origin = Origin(judge, record_name(baseline, record))
-    return origin.cell(value, "×", sum(summary.counted for summary in summaries))
 
 
 def _numbers(record: RunRecord, judge: str, *, has_mask: bool) -> tuple[Shown, ...]:

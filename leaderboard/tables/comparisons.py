@@ -121,14 +121,13 @@ def split_table(
         f"changes-{protocol}",
         f"{data_name}: change of the average collision rate between splits, {judges(protocol)}",
         (
-            *("planner", "splits", "protocol", "from (%)", "to (%)", "increase", "95 % of increase"),
+            *("planner", "splits", "protocol", "from (%)", "to (%)"),
             *("paired difference (points)", "95 % of difference", "scenes paired", "not paired", "failed samples"),
         ),
         [_split_row(comparison, runs) for comparison in found],
         notes=(
-            "Increase: (to − from) / from over all scenes of both splits, as the paper computes it; it can be infinite "
-            "where few scenes of the first split collide. Paired difference: over the recorded scenes that both have, "
-            "in points of per cent.",
+            "Rates: over all scenes of each split. Paired difference: over the recorded scenes that both have, in "
+            "points of per cent.",
             DRAWN_NOTE,
             *([REDRAWN_NOTE] if any((one.baseline_split, one.split) == SPLIT_PAIRS[-1] for one in found) else []),
             *_unpaired(found),
@@ -139,7 +138,6 @@ def split_table(
         groups=(
             ("", 3),
             (f"average collision rate in %, {who}", 2),
-            (f"increase, {who}", 2),
             (f"paired difference in points, {who}", 2),
             (f"counted, {who}", 3),
         ),
@@ -198,9 +196,6 @@ def _split_row(comparison: SplitComparison, runs: Mapping[tuple[str, str], RunRe
     sides = [runs[comparison.planner, split] for split in splits]
     counted = [run.summary.protocols[judge].counted for run in sides]
     both = Origin(judge, record_name(*sides))
-    increase = both.cell(
-        everything.increase.value, "×", sum(counted), low=everything.increase.low, high=everything.increase.high
-    )
     difference, scenes = _points(both, paired.difference, len(comparison.sources)), len(comparison.sources)
     unpaired = len(comparison.only_baseline) + len(comparison.only_split)
     return (
@@ -211,7 +206,6 @@ def _split_row(comparison: SplitComparison, runs: Mapping[tuple[str, str], RunRe
             Origin(judge, record_name(run)).cell(rate, "%", count, scale=100.0).shown(2)
             for run, rate, count in zip(sides, (everything.first, everything.second), counted)
         ),
-        *(increase.shown(1, after="×"), increase.interval()),
         *(difference.shown(2, signed=True), difference.interval(2)),
         both.count(scenes, "recorded scenes").shown(),
         both.count(unpaired, "scenes").shown(),

@@ -64,19 +64,20 @@ class DataSetTables:
         return (*self.front, *self.slices, *(table for tables in self.others.values() for table in tables))
 
 
-def data_set_tables(data_name: str, records: Sequence[RunRecord]) -> DataSetTables:
+def data_set_tables(data_name: str, records: Sequence[RunRecord], against: Sequence[RunRecord] = ()) -> DataSetTables:
     """Every table that the records of one data set allow.
 
     Args:
         data_name: Its name.
         records: At most one for each planner and split.
+        against: Records of other data sets, which may have the unchanged recordings of its adversarial scenes.
 
     Returns:
         The tables.
     """
     protocols = {name for record in records for name in record.summary.protocols}
     splits, verdicts = splits_of(records), Verdicts()
-    front: list[Table | None] = [effect_table(data_name, records)]
+    front: list[Table | None] = [effect_table(data_name, records, against)]
     matrices: dict[str, TransferMatrix] = {}
     names = [name for name in (EXACT, NATIVE) if name in protocols or (name == NATIVE and _has_native(records))]
     front += [

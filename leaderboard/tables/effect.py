@@ -6,7 +6,7 @@ from typing import Final
 from benchmark.errors import InputError
 from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import AdversaryEffect, PairedEffect, effect_of, says_whom
+from benchmark.metrics.effect import AdversaryEffect, PairedEffect, effect_of, knows_adversaries, says_whom
 from benchmark.metrics.paired_interval import PairedDifference
 from benchmark.metrics.unchanged import sees_images, unchanged_record
 from benchmark.records.run import RunRecord
@@ -135,7 +135,7 @@ def _missing(runs: Sequence[RunRecord], found: Sequence[AdversaryEffect]) -> lis
         if paired is None:
             notes[
                 f"{split}: not run by the same planner on the unchanged recordings: {_who(found, split)}; "
-                "challenger-bench eval --split val --split adv runs both."
+                f"{_how(record)}."
             ] = None
             continue
         notes |= dict.fromkeys(_said_of_pairs(record, paired))
@@ -144,6 +144,15 @@ def _missing(runs: Sequence[RunRecord], found: Sequence[AdversaryEffect]) -> lis
                 "Compared with val: planners that see images also react to how adv was rendered; val-r is free of it."
             ] = None
     return list(notes)
+
+
+def _how(record: RunRecord) -> str:
+    """What makes the record that is missing."""
+    if knows_adversaries(record):
+        return "challenger-bench eval --split val --split adv runs both"
+    return (
+        "run challenger-bench eval --split val on the data set that has them, and name that one here with --unchanged"
+    )
 
 
 def _who(found: Sequence[AdversaryEffect], split: str) -> str:

@@ -47,7 +47,10 @@ def published_table() -> Table:
         "published",
         "Published numbers, not ours: collision rate (%)",
         ("planner", "data set", "protocol", "col. 1s", "col. 2s", "col. 3s", "col. avg", "increase"),
-        [(rate.model, rate.data_set, rate.protocol, *published_cells(rate)) for rate in TABLE_1],
+        [
+            (rate.model, rate.data_set, rate.protocol, *published_rates(rate), published_increase(rate) or UNDEFINED)
+            for rate in TABLE_1
+        ],
         notes=(
             "Each row quotes the protocol of the model's own repository; rows of different protocols are not "
             "comparable with each other, nor with our tables unless the protocol is the same.",
@@ -160,14 +163,18 @@ def _model_of(record: RunRecord) -> str | None:
     return planner.published_as or (None if planner.miniature else MODEL_OF_PLANNER.get(planner.name.lower()))
 
 
-def published_cells(row: PublishedRate | None) -> tuple[Shown, ...]:
-    """The paper's rates at 1, 2, 3 s, their average and its increase, as printed; dashes without a row."""
+def published_rates(row: PublishedRate | None) -> tuple[Shown, ...]:
+    """The paper's rates at 1, 2, 3 s and their average, as printed; dashes without a row."""
     if row is None:
-        return (Shown(UNDEFINED),) * 5
-    origin = Origin(protocol=row.protocol, source=TABLE_1_SOURCE)
-    increase = INCREASE[row.model] if row.data_set == "Adv-nuSc" else None
-    shown = [quoted(text, PERCENT, origin) for text in row.percent]
-    return (*shown, Shown(UNDEFINED) if increase is None else quoted(increase, "×", origin, after="×"))
+        return (Shown(UNDEFINED),) * 4
+    return tuple(quoted(text, PERCENT, Origin(protocol=row.protocol, source=TABLE_1_SOURCE)) for text in row.percent)
+
+
+def published_increase(row: PublishedRate | None) -> Shown | None:
+    """The paper's increase of the average, as printed, where it prints one."""
+    if row is None or row.data_set != "Adv-nuSc":
+        return None
+    return quoted(INCREASE[row.model], "×", Origin(protocol=row.protocol, source=TABLE_1_SOURCE), after="×")
 
 
 def quoted(text: str, unit: str, origin: Origin, *, after: str = "") -> Shown:

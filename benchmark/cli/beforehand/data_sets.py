@@ -147,6 +147,16 @@ def require_root(root: str, tables: str | None, out: Path, scenes: Sequence[str]
     return Ahead(_chosen(listed_scenes(folder, version=tables), None, scenes, None))
 
 
+def unchanged_name(root: str | None, out: Path) -> str | None:
+    """Name of the data set of ``--unchanged``, in records; refused where there is none."""
+    from benchmark.machine.workspace import DEMONSTRATED, EMBEDDED
+
+    if root is None:
+        return None
+    require_root(root, None, out)
+    return root if root in (EMBEDDED, DEMONSTRATED) else Path(root).resolve().name
+
+
 def _embedded(split: str, out: Path, scenes: Sequence[str] | None, limit: int | None) -> Ahead:
     """The embedded data set, of which everything is known before it is built."""
     from benchmark.datasets.listing import listed_scenes

@@ -17,6 +17,7 @@ from benchmark.drawing.palette import ADVERSARY, PLANNERS_ON_DARK, PLANNERS_ON_L
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, write_bytes
 from benchmark.metrics.attacks import counted_rows, scene_attacks
+from benchmark.metrics.effect import AT_3_S, effect_of
 from benchmark.records.judgement import DRIVER_NAMES
 from benchmark.records.run import RunRecord, find_records, scene_failures
 from benchmark.records.scenes import NO_SHEETS, Sheets, StoredSheet, find_sheets
@@ -311,11 +312,11 @@ def test_the_index_stays_small(made: Made) -> None:
     assert each < 600
 
 
-def test_the_first_page_has_each_planners_averages_and_increase(made: Made, folder: Path) -> None:
+def test_the_first_page_has_each_planners_averages_and_the_effect(made: Made, folder: Path) -> None:
     index = value_of((folder / "site" / INDEX_PATH).read_bytes())
     (key,) = index["keyTables"]
-    assert key["columns"] == ["planner", "average", "95 %", "average", "95 %", "increase"]
-    assert key["groups"] == [["", 1], ["val", 2], ["adv", 2], ["", 1]]
+    assert key["columns"] == ["planner", "average", "95 %", "average", "95 %", "adversary", "difference", "95 %"]
+    assert key["groups"] == [["", 1], ["val", 2], ["adv", 2], ["effect of the adversary", 3]]
     by_run = {(record.planner, record.run.split): record for record in made.records}
     assert {row[0].removesuffix(" †") for row in key["rows"]} == {planner for planner, _ in by_run}
     for row in key["rows"]:
@@ -324,8 +325,10 @@ def test_the_first_page_has_each_planners_averages_and_increase(made: Made, fold
             for split in ("val", "adv")
         ]
         assert [row[1], row[3]] == ["–" if rate.value is None else f"{100 * rate.value:.2f}" for rate in rates]
-        before, after = (rate.value or 0.0 for rate in rates)
-        assert row[5] == (f"{(after - before) / before:.1f}×" if before else "–")
+        caused = effect_of(*(by_run[row[0].removesuffix(" †"), split] for split in ("adv", "val")))
+        assert caused is not None and caused.touched is not None and caused.paired is not None
+        assert row[5] == f"{100 * caused.touched[AT_3_S]:.1f}"
+        assert float(row[6]) == pytest.approx(100 * (caused.paired.difference.value or 0.0), abs=0.051)
 
 
 def test_miniatures_carry_their_mark(made: Made) -> None:

@@ -10,7 +10,8 @@ from benchmark.published import INCREASE, TABLE_1
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import UNDEFINED
 from benchmark.report.table import Table
-from leaderboard.tables.collision import collision_table, increase_over, native_table
+from leaderboard.paper.table_1 import increase_over
+from leaderboard.tables.collision import collision_table, native_table
 from leaderboard.tables.comparisons import planner_table, split_table
 from leaderboard.tables.contents import data_set_tables
 from leaderboard.tables.rows import FEW_NOTE
@@ -103,21 +104,6 @@ def test_numbers_of_an_earlier_version_are_marked() -> None:
     assert any("Left out: p on val of d was judged by version 0" in note for note in changes.notes)
 
 
-def test_an_increase_needs_whole_splits_and_one_definition() -> None:
-    def increases(val: RunRecord, adv: RunRecord) -> set[str]:
-        tables = collision_table("d", "exact", [val, adv]), native_table("d", [val, adv])
-        return {cells(table, split="adv")["increase"] for table in tables}
-
-    val, adv = pair(native="vad")
-    assert all(increase.endswith("×") for increase in increases(val, adv))
-    part = hand_made("p", VAL, split="val", protocols=ALL, native="vad", scenes_in_split=9)
-    older = hand_made("p", VAL, split="val", protocols=ALL, native="vad", versions={"exact": 0, "vad": 0})
-    assert increases(part, adv) == increases(older, adv) == {UNDEFINED}
-    assert increases(val, hand_made("p", ADV, protocols=ALL, scenes_in_split=9)) == {UNDEFINED}
-    others = hand_made("p", VAL, split="val", protocols=ALL, native="uniad")
-    assert cells(native_table("d", [others, adv]), split="adv")["increase"] == UNDEFINED
-
-
 def test_records_that_lack_a_protocol_are_named_and_in_no_matrix() -> None:
     records = [*pair("a"), *pair("b"), hand_made("c", ADV, protocols=("exact",))]
     found = data_set_tables("d", records)
@@ -143,7 +129,7 @@ def test_exact_and_native_come_first_and_others_have_tables_of_their_own() -> No
     assert len(every) == len(set(every))
 
 
-def test_changes_show_the_papers_increase_and_the_paired_difference() -> None:
+def test_changes_show_both_rates_and_the_paired_difference() -> None:
     rendered = hand_made("p", VAL, split="val-r", protocols=ALL, sources={name: name for name in VAL})
     table = split_table("d", "exact", [*pair(), rendered])
     assert table is not None
@@ -151,13 +137,12 @@ def test_changes_show_the_papers_increase_and_the_paired_difference() -> None:
     row = cells(table, splits="val → adv")
     val, adv = (1 + 1 / 3) / 6, (1 + 1 + 1 + 1 / 3 + 1 + 1) / 8
     assert row["from (%)"] == f"{100 * val:.2f}" and row["to (%)"] == f"{100 * adv:.2f}"
-    assert row["increase"] == f"{(adv - val) / val:.1f}×"
     paired = (3 + 1 / 3) / 6 - 1 / 4
     assert row["paired difference (points)"] == f"+{100 * paired:.2f}"
     assert (row["scenes paired"], row["not paired"]) == ("2", "2")
     assert {"val → adv: 1 scene only in val (s2).", "val → adv: 1 scene only in adv (lost-1)."} <= set(table.notes)
     same = cells(table, splits="val → val-r")
-    assert (same["increase"], same["paired difference (points)"]) == ("0.0×", "0.00")
+    assert same["from (%)"] == same["to (%)"] and same["paired difference (points)"] == "0.00"
 
 
 def test_runs_of_a_part_are_in_no_comparison_and_named() -> None:

@@ -26,9 +26,9 @@ def paper_of(table: Table, planner: str) -> tuple[str, ...]:
 def test_the_papers_row_stands_beside_the_model_of_that_name_under_its_protocol() -> None:
     records = [run("uniad", "uniad"), run("vad-mini", "vad"), run("idm", None)]
     table = native_table("d", records)
-    assert paper_of(table, "uniad") == ("0.80", "4.10", "6.96", "3.95", "12.6×")
-    assert paper_of(table, "idm") == paper_of(table, "vad-mini") == (UNDEFINED,) * 5
-    assert table.groups[-1] == ("paper, collision rate in %, own protocol", 5)
+    assert paper_of(table, "uniad") == ("0.80", "4.10", "6.96", "3.95")
+    assert paper_of(table, "idm") == paper_of(table, "vad-mini") == (UNDEFINED,) * 4
+    assert table.groups[-1] == ("paper, collision rate in %, own protocol", 4)
     assert table.sources and any("No published row stands beside vad-mini:" in note for note in table.notes)
     of_uniad = collision_table("d", "uniad", records)
     assert paper_of(of_uniad, "uniad")[3] == "3.95" and not any(
@@ -60,7 +60,7 @@ def test_a_planner_says_itself_what_the_paper_calls_it_and_that_it_is_a_miniatur
     ours = said(run("my-uniad", "uniad"), published_as="UniAD")
     small = said(run("vad", "vad"), miniature=True)
     table = native_table("d", [ours, small])
-    assert paper_of(table, "my-uniad")[3] == "3.95" and paper_of(table, "vad §") == (UNDEFINED,) * 5
+    assert paper_of(table, "my-uniad")[3] == "3.95" and paper_of(table, "vad §") == (UNDEFINED,) * 4
     assert any("No published row stands beside vad:" in note for note in table.notes)
 
 

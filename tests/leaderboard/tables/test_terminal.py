@@ -66,14 +66,14 @@ def test_every_cell_of_a_table_is_somewhere_in_its_blocks(tmp_path: Path) -> Non
                 assert row[place].replace(" ", "") in text, (table.name, row[place])
 
 
-def test_what_an_evaluation_prints_is_average_interval_increase_l2_and_failed_scenes() -> None:
+def test_what_an_evaluation_prints_is_average_interval_l2_and_failed_scenes() -> None:
     own = {"attack-success", "effect"}
     tables = [table for table in run_tables("d", runs(("a", "b"))) if table.name not in own]
     assert tables
     for table in tables:
         heads = table.plain(width=100).splitlines()[1]
         assert "planner" in heads and "split" in heads
-        for head in ("col. avg", "95 % of avg", "increase", "L2 avg", "scenes failed"):
+        for head in ("col. avg", "95 % of avg", "L2 avg", "scenes failed"):
             assert head in heads
         assert "L2 1s" not in table.plain(width=80) and "coverage" not in table.plain(width=80)
         assert "--wide shows" in table.plain(width=80)
