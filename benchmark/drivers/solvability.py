@@ -25,7 +25,7 @@ class SceneLadder:
     Attributes:
         situation: The scene.
         outcomes: By driver, from the weakest statement to the most cautious.
-        first_visible: When the recorded ego first sees the adversary, seconds; ``None`` for never.
+        first_visible: When the recorded ego first sees the adversary once drivers drive, seconds; ``None`` for never.
         drivable: Where manoeuvres may go; ``None`` without a map, which a report must say.
     """
 

@@ -76,12 +76,16 @@ def adversarial_scene(data: DataSet, name: str, recordings: DataSet | None) -> S
 
 
 def launches_of(data: DataSet, scene: Scene) -> dict[str, int]:
-    """Launch frame of a scene's adversary by its identifier, where there is one and the data set says when."""
+    """Launch frames of a scene's adversaries by identifier, where the data set says when: of several the earliest.
+
+    It lists launches as they were planned and adversaries as they stand in the scene: whose is whose is not said.
+    """
     made = ((data.provenance() or {}).get("scenes") or {}).get(scene.name, {})
     reports = reports_of(made.get("report")) if isinstance(made, dict) else []
-    launch: Any = reports[0].get("launch_frame") if len(reports) == 1 else None
-    known = type(launch) is int and 0 <= launch < len(scene.timestamps_us) and len(scene.adversaries) == 1
-    return {scene.adversaries[0]: launch} if known else {}
+    launches: list[Any] = [each.get("launch_frame") for each in reports]
+    frames = [each for each in launches if type(each) is int and 0 <= each < len(scene.timestamps_us)]
+    known = frames and len(frames) == len(launches) == len(scene.adversaries)
+    return dict.fromkeys(scene.adversaries, min(frames)) if known else {}
 
 
 def generated_agents(scene: Scene, recorded: Scene) -> tuple[int, ...]:

@@ -45,7 +45,8 @@ class TracksAtHand:
 
     Attributes:
         generated: Whether the scene has their 12 Hz tracks, and not what a reader interpolates between keyframes.
-        launches: First frame of the adversarial stretch by instance identifier; of others it is the whole scene.
+        launches: First frame of the adversarial stretch by instance identifier; of others it is the whole scene, and
+            reference drivers drive all of it.
         rounded_m: How far each position may be from where it was generated.
     """
 
@@ -79,6 +80,7 @@ class _Judge:
     known: TracksAtHand
     adversaries: frozenset[int]
     tracks: Tracks
+    acts: float | None
     ladder: SceneLadder
     blame: Blame
 
@@ -86,7 +88,8 @@ class _Judge:
     def of(cls, scene: Scene, known: TracksAtHand, adversaries: frozenset[int]) -> "_Judge":
         tracks, blame = Tracks.of_scene(scene), Blame(scene)
         drivable = scene.road_map.drivable_area if blame.has_map else None
-        return cls(scene, known, adversaries, tracks, SceneLadder.of(tracks, None, drivable=drivable), blame)
+        acts = _acts(scene, known, adversaries)
+        return cls(scene, known, adversaries, tracks, acts, SceneLadder.of(tracks, None, acts, drivable), blame)
 
     def judgement(self, agent: int | None) -> SceneJudgement:
         ladder = self.ladder if agent is None else self.ladder.about(agent)
@@ -97,6 +100,7 @@ class _Judge:
             category=None if agent is None else self.scene.agents.categories[agent],
             tracks="generated" if self.known.generated else "annotated",
             has_map=self.blame.has_map,
+            acts_s=_rounded(self.acts),
             drivers={name: self._run(ladder.outcomes[Driver(name)], agent) for name in DRIVER_NAMES},
             first_visible_s=None if first is None else _rounded(first),
             chance=_chance(ladder),
@@ -175,6 +179,13 @@ class _Judge:
         values = {name: getattr(found, name) for name in FAULT_NAMES}
         unknown = {name: NO_MAP if name in _NEEDS_MAP else NO_TRACK for name in FAULT_NAMES if values[name] is None}
         return TrackFaults(**values, unknown=unknown)
+
+
+def _acts(scene: Scene, known: TracksAtHand, adversaries: frozenset[int]) -> float | None:
+    """When the first adversary acts, seconds: at its launch; unknown where one of them has none."""
+    launches = [known.launches.get(scene.agents.ids[agent]) for agent in adversaries]
+    frames = [launch for launch in launches if launch is not None]
+    return float(scene.seconds[min(frames)]) if frames and len(frames) == len(launches) else None
 
 
 def _chance(ladder: SceneLadder) -> Chance:

@@ -56,6 +56,8 @@ def _scene_table(judged: SplitJudgement) -> Table:
     ]
     if "annotated" in tracks:
         notes.append("Judged on what a reader interpolates between 2 Hz keyframes, where no 12 Hz track was at hand.")
+    if any(each.adversary is not None and each.acts_s is None for said in judged.scenes.values() for each in said):
+        notes.append("Where nobody says when an adversary begins to act, drivers take over at the first frame.")
     if False in maps:
         notes.append("no map: manoeuvres may go anywhere.")
     if missing:
@@ -110,6 +112,8 @@ def _ladder_table(judged: SplitJudgement) -> Table:
         else "No scene that nobody could have avoided.",
         "Agents replay their tracks: who brakes where the recording did not is run into from behind.",
     ]
+    if ordinary:
+        notes.append("Drivers take over where an adversary begins to act, and in the recordings at the first frame.")
     return table_of("", "The ladder", columns, rows, notes=notes)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from benchmark.metrics.rates import Rate, ratios_over_scenes
 from benchmark.metrics.scores import source_of_scenes
 from benchmark.metrics.severities import Spread, spread_of
-from benchmark.records.judgement import DRIVER_NAMES, DriverName, JudgementSummary
+from benchmark.records.judgement import DEFINITION, DRIVER_NAMES, DriverName, JudgementSummary
 from benchmark.records.run import RunRecord
 
 
@@ -28,6 +28,7 @@ class SplitLadder:
         btn: Its largest braking threat number.
         without_map: How many were judged without a map: manoeuvres might have left the road.
         annotated: How many were judged by what lies between keyframes, because no generated track was at hand.
+        outdated: How many were judged by an earlier `DEFINITION`.
         without_fault: Share of them whose adversaries have no fault that was found.
     """
 
@@ -42,6 +43,7 @@ class SplitLadder:
     btn: Spread
     without_map: int
     annotated: int
+    outdated: int
     without_fault: Rate
 
 
@@ -93,6 +95,7 @@ def _ladder(record: RunRecord) -> SplitLadder:
         btn=spread_of([each.max_btn for each in said if each.max_btn is not None]),
         without_map=sum(not each.has_map for each in said),
         annotated=sum(each.tracks == "annotated" for each in said),
+        outdated=sum(each.definition != DEFINITION for each in said),
         without_fault=rates[-1],
     )
 

@@ -12,8 +12,9 @@ from pydantic import Field, model_validator
 
 from benchmark.records.stored import Stored
 
-DEFINITION: Final = 1
-"""Version of the definitions; raised whenever one of them gives another answer."""
+DEFINITION: Final = 2
+"""Version of the definitions; raised whenever one of them gives another answer. By the first, drivers took over at
+the first frame of every scene."""
 DriverName = Literal["recorded", "constant", "idm", "r157", "cc", "fsm", "rss"]
 DRIVER_NAMES: Final[tuple[DriverName, ...]] = get_args(DriverName)
 """The ladder, from the weakest statement to the most cautious driver."""
@@ -172,8 +173,10 @@ class SceneJudgement(Stored):
         tracks: ``generated`` where its 12 Hz track was at hand, ``annotated`` where what a reader interpolates between
             keyframes was.
         has_map: Whether manoeuvres had to stay on the drivable area.
-        drivers: How each reference driver fares, against everybody.
-        first_visible_s: When the recorded ego first sees the adversary; null for never.
+        acts_s: When the first adversary of the scene departs from its recording, and drivers take over; null where
+            nobody knows, and they do at the first frame.
+        drivers: How each reference driver fares from then on, against everybody.
+        first_visible_s: When from then on the recorded ego first sees the adversary; null for never.
         chance: How the contact of the ego at constant speed can be avoided: it has none, it is not to blame, nothing
             avoids it from the start on, or something does until ``last_chance_s``.
         last_chance_s: Until when a sampled manoeuvre avoids it.
@@ -188,6 +191,7 @@ class SceneJudgement(Stored):
     category: Text | None
     tracks: Literal["generated", "annotated"]
     has_map: bool
+    acts_s: float | None = None
     drivers: dict[DriverName, DriverRun]
     first_visible_s: float | None
     chance: Chance

@@ -7,6 +7,7 @@ from benchmark.datasets.listing import listed_scenes
 from benchmark.datasets.roots import DataSet
 from benchmark.machine.storage import content_key
 from benchmark.machine.workspace import cache_root, is_finished
+from benchmark.records.judgement import DEFINITION
 from generation.render.contract import Renderer
 from generation.splits.packaged import newest_split
 
@@ -31,7 +32,7 @@ def cached_root(source: DataSet, renderer: Renderer, workers: int, say: Callable
     from generation.splits.building import build_frozen
 
     newest = newest_split(source.name)
-    made_of = content_key(newest.frozen.content_id, source.fingerprint(), renderer.name, renderer.version)
+    made_of = content_key(newest.frozen.content_id, source.fingerprint(), renderer.name, renderer.version, DEFINITION)
     root = cache_root() / f"{newest.name}-{made_of[:12]}"
     if is_finished(root):
         say(f"split adv of {source.name} is the frozen split {newest.name}; generate --split adv searches for another")

@@ -162,6 +162,11 @@ def _ladder_notes(found: Sequence[SplitLadder]) -> list[str]:
             notes.append(
                 f"{split}: of {some} the generated tracks are not at hand; what lies between keyframes counts."
             )
+        if each.outdated:
+            notes.append(
+                f"{split}: {counted(each.outdated, 'scene')} judged by an earlier definition: drivers take over "
+                "at the first frame and not where the adversary acts; eval judges anew."
+            )
     return notes
 
 

@@ -109,7 +109,7 @@ def test_stored_judgements_are_taken_and_change_no_fingerprint(adversarial: Data
 def test_judgements_by_other_definitions_are_none_and_damage_is_one_sentence(tmp_path: Path) -> None:
     path = tmp_path / JUDGEMENTS_FILE
     assert read_judgements(tmp_path) == {}
-    path.write_text(judgements_text({"scene": (made_judgement(definition=2),), "bare": ()}))
+    path.write_text(judgements_text({"scene": (made_judgement(definition=1),), "bare": ()}))
     assert read_judgements(tmp_path) == {}
     for text in ('{"schema": 2, "scenes": {}}', '{"schema": 1, "scenes": {"a": [{}]}}', "[]", "{"):
         path.write_text(text)
@@ -145,6 +145,26 @@ def test_the_launch_is_what_the_data_set_says(adversarial: DataSet) -> None:
     scene = adversarial.scene(SCENES[0])
     assert launches_of(adversarial, scene) == {scene.adversaries[0]: 6}
     assert launches_of(adversarial, replace(scene, name="unknown")) == {}
+
+
+@pytest.mark.parametrize(("told", "found"), [([12, 6], 6), ([12], None), ([12, None], None), ([12, 10_000], None)])
+def test_of_several_adversaries_the_earliest_launch_is_known(
+    told: list[int | None], found: int | None, tmp_path: Path
+) -> None:
+    data = written(tmp_path / "adv", adversarial_scenes("n008"), made_from=True)
+    path = data.root / data.version / "challenger.json"
+    provenance = json.loads(path.read_text())
+    provenance["scenes"][SCENES[0]]["report"] = {"adversaries": [{"launch_frame": each} for each in told]}
+    path.write_text(json.dumps(provenance))
+    scene = replace(data.scene(SCENES[0]), adversaries=("a", "b"))
+    assert launches_of(open_data(data.root), scene) == ({} if found is None else {"a": found, "b": found})
+
+
+def test_drivers_of_a_data_set_take_over_at_the_launch_that_it_names(adversarial: DataSet) -> None:
+    found = judge_data(adversarial, SCENES[:1], HERE)[SCENES[0]]
+    assert [each.acts_s for each in found] == [0.5] and "first frame" not in judgement_text(
+        judge_split(adversarial, SCENES[:1], HERE)
+    )
 
 
 def test_the_ladder_counts_whom_drivers_hit() -> None:

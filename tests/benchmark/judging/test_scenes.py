@@ -113,6 +113,38 @@ def test_only_the_adversarial_stretch_counts() -> None:
     assert found is not None and found.found == ()
 
 
+def test_what_happens_before_the_adversary_acts_is_nobodys_verdict() -> None:
+    """Who brakes for the leader ahead is run into by the car behind, until the leader has left the lane at 5 s."""
+    leader, behind, beside = Car(36.0, LANE_Y, 10.0), Car(14.0, LANE_Y, 10.0), Car(60.0, RIGHT_Y, 10.0)
+    scene = scene_on_straight_road((leader, behind, beside), ego_x=20.0, ego_speed=10.0, seconds=9.0)
+    aside = LANE_Y + np.clip((scene.seconds - 3.0) * 1.75, 0.0, 3.5)
+    scene = replace(driven(scene, 0, 36.0 + 10.0 * scene.seconds, aside), adversaries=(scene.agents.ids[2],))
+
+    def launched(frame: int) -> SceneJudgement:
+        return judged(scene, TracksAtHand(generated=True, launches={scene.adversaries[0]: frame}))
+
+    early, late = launched(12), launched(72)
+    assert (early.acts_s, late.acts_s) == (1.0, 6.0) and survivors(late) == set(DRIVER_NAMES)
+    for name in ("fsm", "rss"):
+        run = early.drivers[name]
+        assert run.contact is not None and (run.contact.party, run.contact.kind) == ("other", "rear")
+        assert run.reacted_s == 1.0 < run.contact.time_s < 6.0
+    # Nobody reacts to an adversary that does nothing yet.
+    assert (early.first_visible_s, late.first_visible_s) == (1.0, 6.0)
+    unknown = judged(scene)
+    assert unknown.acts_s is None and unknown.first_visible_s == 0.0 and survivors(unknown) == survivors(early)
+
+
+def test_drivers_take_over_when_the_first_of_several_adversaries_acts() -> None:
+    cars = (Car(80.0, RIGHT_Y, 8.0), Car(100.0, RIGHT_Y, 8.0))
+    scene = scene_on_straight_road(cars, ego_x=20.0, seconds=4.0)
+    first, second = scene.agents.ids
+    scene = replace(scene, adversaries=(first, second))
+    for launches, acts in (({first: 24, second: 12}, 1.0), ({first: 24}, None)):
+        found = judge_scene(scene, TracksAtHand(generated=True, launches=launches))
+        assert [each.acts_s for each in found] == [acts, acts]
+
+
 def test_without_a_map_manoeuvres_may_go_anywhere_and_nobody_knows_who_left_the_road() -> None:
     empty = RoadMap("nowhere", shapely.MultiPolygon())
     found = judged(replace(hard_stop(12.0, 12.0), road_map=empty))

@@ -1,5 +1,6 @@
 """Tables of attack success, severity, the ladder and realism: the numbers of the metrics, and what nobody can tell."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from benchmark.metrics.attacks import attack_rates
@@ -87,7 +88,21 @@ def test_the_ladder_stands_once_for_a_split() -> None:
     assert shown["recorded"] == "100.0" and shown["careful human"] == "66.7" and shown["unsolvable"] == "0"
     assert shown["margin, s"] == "1.2" and shown["judged"] == "3" and shown["no fault"] == "66.7"
     assert any("3 of 4 scenes were judged" in note for note in tables["ladder"].notes)
+    assert not any("earlier definition" in note for note in tables["ladder"].notes)
     assert judgement_tables("d", [attacked("p", SCENES, dict.fromkeys(SCENES))]) == []
+
+
+def test_the_ladder_says_which_scenes_were_judged_from_their_first_frame() -> None:
+    record = records()[0]
+    facts = {
+        name: each.model_copy(
+            update={"judgement": each.judgement and each.judgement.model_copy(update={"definition": 1})}
+        )
+        for name, each in record.run.scene_facts.items()
+    }
+    old = replace(record, run=record.run.model_copy(update={"scene_facts": facts}))
+    notes = named(judgement_tables("d", [old]))["ladder"].notes
+    assert any("3 scenes judged by an earlier definition" in note for note in notes)
 
 
 def test_realism_is_shown_by_its_worst_feature_and_beside_the_halves() -> None:
