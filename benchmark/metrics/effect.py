@@ -6,7 +6,7 @@ key frame on the unchanged recording; both must count. All contacts are those of
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -17,7 +17,7 @@ from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.paired_interval import PairedDifference, paired_difference
 from benchmark.metrics.rates import with_average
-from benchmark.metrics.scores import require_current, source_of_scenes
+from benchmark.metrics.scores import Scored, require_current, scored, source_of_scenes
 from benchmark.protocols import PROTOCOLS, published_values
 from benchmark.protocols.touched import HIT_ADVERSARY
 from benchmark.records.run import RunRecord
@@ -200,6 +200,23 @@ def attributed_collisions(record: RunRecord) -> Bools:
         hits = columns.outcomes(EXACT).facts[HIT_ADVERSARY]
         found[columns.planned] &= np.array([bool(one) for one in hits], np.bool_)
     return found
+
+
+def touching_adversary(record: RunRecord) -> Scored:
+    """What the samples of a record add to its rate of first contacts with an adversary.
+
+    Args:
+        record: It must say whom contacts are with (`says_whom`).
+
+    Returns:
+        The samples of `scored` under ``exact``, with these values.
+
+    Raises:
+        InputError: If the record was judged by another version of ``exact``.
+    """
+    own = scored(record, protocol=EXACT)
+    values = np.where(np.isnan(own.values), np.nan, sample_contacts(record).adversary)
+    return replace(own, values=values, kept={})
 
 
 _FIRST: Final = ("hit", "first_contact_s", HIT_ADVERSARY)
