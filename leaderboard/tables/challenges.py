@@ -33,7 +33,8 @@ _BESIDE_NOTE: Final = (
     "survives: share of scenes that this driver survives; gap: least distance of the recorded ego and the changed "
     "vehicle, mean; critical: share of scenes in which the two are ever within 1.5 s of contact; delta-v: of the ego "
     "where a plan first touches a changed vehicle (of any contact in older files), mean; realism: 1 less the "
-    "divergence of the worst feature of motion from the recordings, the larger the better. Brackets: 95 % bootstrap interval over recordings."
+    "divergence of the worst feature of motion from the recordings, the larger the better. Brackets: 95 % bootstrap "
+    "interval over recordings."
 )
 
 
