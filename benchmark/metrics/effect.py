@@ -214,11 +214,14 @@ def touching_adversary(record: RunRecord) -> Scored:
     Raises:
         InputError: If the record was judged by another version of ``exact``.
     """
-    own = scored(record, protocol=EXACT)
-    values = np.where(np.isnan(own.values), np.nan, sample_contacts(record).adversary)
-    return replace(own, values=values, kept={})
+    own, kept = scored(record, protocol=EXACT), record.columns.kept
+    if _TOUCHING not in kept:
+        # Slices of every kind ask for it.
+        kept[_TOUCHING] = np.where(np.isnan(own.values), np.nan, sample_contacts(record).adversary)
+    return replace(own, values=kept[_TOUCHING], kept={})
 
 
+_TOUCHING: Final = "touching an adversary"
 _FIRST: Final = ("hit", "first_contact_s", HIT_ADVERSARY)
 
 
