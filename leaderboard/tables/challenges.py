@@ -138,7 +138,7 @@ def _amount(origin: Origin, measured: Measured, unit: str, of: str, digits: int)
 
 def _planners(scores: ChallengeScores) -> Table:
     plain = _origin(scores, None)
-    rows = [
+    rows: list[tuple[str | Shown, ...]] = [
         (
             name_cell(planner.name, privileged=planner.privileged, miniature=planner.miniature),
             entry.entry.name,
