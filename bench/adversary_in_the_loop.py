@@ -90,8 +90,9 @@ def said(rows: list[dict[str, Any]]) -> str:
     judged = [row for row in rows if "careful" in row]
     if judged:
         survives = [row["careful"][0] for row in judged]
-        attributable = sum(bool(row["contact"] and row["contact"][3] and row["careful"][0]) for row in judged)
-        words += [f"careful survives {sum(survives)} of {len(judged)}", f"attributable {attributable}"]
+        fair = [row["contact"][2] for row in judged if row["contact"] and row["contact"][3] and row["careful"][0]]
+        words += [f"careful survives {sum(survives)} of {len(judged)}", f"attributable {sum(fair)}"]
+        words.append(f"with bystanders {len(fair) - sum(fair)}")
     planned = [row for row in rows if row.get("replanned")]
     if planned:
         plans = sum(row["replanned"] for row in planned)

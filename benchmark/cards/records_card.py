@@ -11,7 +11,7 @@ from benchmark.cards.writing import CITE, CROISSANT_FILE, CardSettings, WrittenC
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key
-from benchmark.records.drives import DriveRecord
+from benchmark.records.drives import DriveRecord, columns_of
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import RateRow
 from benchmark.report.table import escape_markdown
@@ -69,7 +69,7 @@ def rate_rows(records: Sequence[RunRecord], drives: Sequence[DriveRecord]) -> It
         facts = drive.facts
         whose = {**_whose(facts, drive.content_id), "loop": "closed", "coverage": drive.summary.coverage}
         by = {"protocol": facts.measured.world, "protocol_version": facts.scoring, "horizon": None}
-        for column, rate in drive.summary.columns.items():
+        for column, rate in columns_of(drive).items():
             yield {**whose, **by, "column": column, **_numbers(rate)}
 
 

@@ -113,8 +113,9 @@ class CheckedEntry:
         return self.data.videos(name, sweeps=sweeps)
 
     def truth(self, name: str) -> tuple[SampleTruth, ...]:
-        """One truth a sample, in time order."""
-        return self.data.truth(name)
+        """One truth a sample, in time order, with the changed vehicles as adversaries, whoever the entry names."""
+        changed = frozenset(each.instance for each in self.verdicts[name].changed)
+        return tuple(_with_adversaries(truth, changed) for truth in self.data.truth(name))
 
     def keyframe_rows(self, name: str) -> dict[str, str]:
         """Sample tokens of a scene by the tokens of their keyframe rows."""
@@ -153,3 +154,8 @@ class CheckedEntry:
             description = self.data.scene(name).description
             found[name] = scene_facts_of(name, made, description, self.judgements.get(name, ()))
         return found
+
+
+def _with_adversaries(truth: SampleTruth, adversaries: frozenset[str]) -> SampleTruth:
+    timed = None if truth.timed is None else replace(truth.timed, adversaries=adversaries)
+    return replace(truth, adversaries=adversaries, timed=timed)

@@ -1,8 +1,9 @@
 """``challenge score``: entries checked, planned on and ranked; the main path.
 
-The score of an entry is the mean over the planners of their collision rates, the higher the better, as in the WACV 2026
-challenge. Refused scenes count as scenes on which nobody collides. Beside it stand attributable success, severity and
-realism, which rank nothing.
+The score of an entry is the mean over the planners of how often they first touch a changed vehicle, the higher the
+better; where the organiser asks for another protocol than ``exact``, of their collision rates under it, as in the WACV
+2026 challenge. Refused scenes count as scenes on which nobody collides. Beside it stand contacts with anybody,
+attributable success, severity and realism, which rank nothing.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -24,8 +25,11 @@ from benchmark.judging.realism import split_realism
 from benchmark.machine.storage import file_name
 from benchmark.machine.workers import LocalProcesses
 from benchmark.metrics.attacks import counted_rows
+from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.effect import says_whom
 from benchmark.metrics.entries import (
     Refused,
+    adversary_sums,
     attributable_sums,
     collision_sums,
     mean_of,
@@ -37,7 +41,7 @@ from benchmark.metrics.entries import (
 from benchmark.metrics.rates import HORIZONS
 from benchmark.protocols import STANDARD
 from benchmark.records.challenge import ComparedData, EntryVerdict, Reason, write_verdict
-from benchmark.records.challenge_scores import ChallengeScores, EntryScore, Measured, PlannerOnEntry
+from benchmark.records.challenge_scores import ChallengeScores, EntryScore, Measured, PlannerOnEntry, Rank
 from benchmark.records.judgement import JudgementSummary, SplitRealism
 from benchmark.records.run import NATIVE, RunRecord
 from benchmark.runs.plan_rows import PlannerFactory
@@ -61,7 +65,7 @@ class ScoreSettings:
 
     out: Path
     rules: Rules = field(default_factory=Rules)
-    protocol: str = "exact"
+    protocol: str = EXACT
     horizon: str = "avg"
     seed: int = 0
     workers: int = 1
@@ -109,10 +113,13 @@ def score_entries(
     _require_some(entries, planners, settings)
     found = [_scored(name, data, base, planners, settings) for name, data in entries.items()]
     recordings = sorted({source for each in found for source in each.sources.values()})
-    scores = [_score(each, recordings, settings) for each in found]
-    ranked = sorted((each for each in scores if not each[0].reasons), key=_by_score)
+    # Records that are kept from before need not say whom contacts are with; all entries are ranked by the same.
+    told = all(says_whom(record) for each in found for record in each.records)
+    by: Rank = "adversary" if told and settings.protocol == EXACT else "collision"
+    scores = [_score(each, recordings, settings, by, told=told) for each in found]
+    ranked = sorted((each for each in scores if not each[0].reasons), key=lambda each: _order(each[0], by))
     names = [score.entry.name for score, _ in ranked]
-    compared = [(name, _value(score), draws) for name, (score, draws) in zip(names, ranked, strict=True)]
+    compared = [(name, _value(score, by), draws) for name, (score, draws) in zip(names, ranked, strict=True)]
     pairs = pairs_of(compared, enough=len(recordings) > 1)
     places = places_of(names, pairs)
     placed = [
@@ -126,6 +133,7 @@ def score_entries(
         base=ComparedData(name=base.name, fingerprint=base.fingerprint()),
         protocol=settings.protocol,
         horizon=settings.horizon,
+        ranks=by,
         planners=tuple(factory.facts for factory in planners),
         entries=(*placed, *(score for score, _ in scores if score.reasons)),
         pairs=pairs,
@@ -178,8 +186,10 @@ def _evaluation(planner: PlannerFactory, settings: ScoreSettings) -> EvalSetting
     return EvalSettings(protocols=tuple(judges), seed=settings.seed)
 
 
-def _score(scored: _Scored, recordings: Sequence[str], settings: ScoreSettings) -> tuple[EntryScore, Floats]:
-    """The score of an entry, and the same in resamples."""
+def _score(
+    scored: _Scored, recordings: Sequence[str], settings: ScoreSettings, by: Rank, *, told: bool
+) -> tuple[EntryScore, Floats]:
+    """The score of an entry, and what ranks it in resamples."""
     about = {
         "entry": scored.verdict.entry,
         "scenes": len(scored.verdict.scenes),
@@ -195,25 +205,26 @@ def _score(scored: _Scored, recordings: Sequence[str], settings: ScoreSettings) 
         collision_sums(record, settings.protocol, settings.horizon, scored.refused) for record in scored.records
     ]
     attributables = [attributable_sums(record, scored.refused) for record in scored.records]
+    sums = {"collision": collisions, "attributable": attributables}
+    if told:
+        sums["adversary"] = [adversary_sums(record, settings.horizon, scored.refused) for record in scored.records]
     # Shown with the interval of its own recordings; compared in resamples of everybody's.
     own = sorted(set(scored.sources.values()))
-    collision, _ = mean_of(collisions, own, seed)
-    attributable, _ = mean_of(attributables, own, seed)
-    _, draws = mean_of(collisions, recordings, seed)
+    means = {name: mean_of(of_planners, own, seed)[0] for name, of_planners in sums.items()}
+    _, draws = mean_of(sums[by], recordings, seed)
     planners = {
-        record.planner: PlannerOnEntry(
-            collision=rate_of(one, seed), attributable=rate_of(other, seed), failed=record.summary.failed
+        record.planner: PlannerOnEntry.model_validate(
+            {name: rate_of(of_planners[place], seed) for name, of_planners in sums.items()}
+            | {"failed": record.summary.failed}
         )
-        for record, one, other in zip(scored.records, collisions, attributables, strict=True)
+        for place, record in enumerate(scored.records)
     }
-    measured = {**_severity(scored, seed), **_realism(scored.realism)}
-    return EntryScore.model_validate(
-        {**about, "collision": collision, "attributable": attributable, "planners": planners, **measured}
-    ), draws
+    measured = {**means, "planners": planners, **_severity(scored, seed), **_realism(scored.realism)}
+    return EntryScore.model_validate({**about, **measured}), draws
 
 
 def _severity(scored: _Scored, seed: int) -> dict[str, Measured]:
-    """How severe the encounters of the accepted scenes and the contacts of all plans are."""
+    """How severe the encounters of the accepted scenes are, and the contacts of all plans with changed vehicles."""
     sources, judged = scored.sources, scored.judged
 
     def mean(values: Iterable[tuple[str, float | bool | None]]) -> Measured:
@@ -227,7 +238,7 @@ def _severity(scored: _Scored, seed: int) -> dict[str, Measured]:
         (row.scene, row.severity.contact.delta_v_ego_m_s)
         for record in scored.records
         for row in counted_rows(record)
-        if row.severity is not None and row.severity.contact is not None
+        if row.severity is not None and row.severity.contact is not None and row.severity.contact.adversary
     ]
     return {
         "careful_survives": mean((scene, said.survives.get("cc")) for scene, said in judged.items()),
@@ -255,9 +266,10 @@ def _realism(realism: SplitRealism | None) -> dict[str, object]:
     return {"realism": value, "realism_feature": worst.name}
 
 
-def _value(score: EntryScore) -> float:
-    return 0.0 if score.collision.value is None else score.collision.value
+def _value(score: EntryScore, by: Rank) -> float:
+    value = (score.adversary if by == "adversary" else score.collision).value
+    return 0.0 if value is None else value
 
 
-def _by_score(scored: tuple[EntryScore, Floats]) -> tuple[float, str]:
-    return -_value(scored[0]), scored[0].entry.name
+def _order(score: EntryScore, by: Rank) -> tuple[float, str]:
+    return -_value(score, by), score.entry.name

@@ -6,7 +6,7 @@ key frame on the unchanged recording; both must count. All contacts are those of
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -18,7 +18,7 @@ from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.paired_interval import PairedDifference, paired_difference
 from benchmark.metrics.rates import HORIZONS, with_average
-from benchmark.metrics.scores import require_current, source_of_scenes
+from benchmark.metrics.scores import Scored, require_current, scored, source_of_scenes
 from benchmark.protocols import PROTOCOLS, published_values
 from benchmark.protocols.touched import HIT_ADVERSARY
 from benchmark.records.run import RunRecord
@@ -231,6 +231,26 @@ def attributed_collisions(record: RunRecord) -> Bools:
     return found
 
 
+def touching_adversary(record: RunRecord) -> Scored:
+    """What the samples of a record add to its rate of first contacts with an adversary.
+
+    Args:
+        record: It must say whom contacts are with (`says_whom`).
+
+    Returns:
+        The samples of `scored` under ``exact``, with these values.
+
+    Raises:
+        InputError: If the record was judged by another version of ``exact``.
+    """
+    own, kept = scored(record, protocol=EXACT), record.columns.kept
+    if _TOUCHING not in kept:
+        # Slices of every kind ask for it.
+        kept[_TOUCHING] = np.where(np.isnan(own.values), np.nan, sample_contacts(record).adversary)
+    return replace(own, values=kept[_TOUCHING], kept={})
+
+
+_TOUCHING: Final = "touching an adversary"
 _FIRST: Final = ("hit", "first_contact_s", HIT_ADVERSARY)
 
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from benchmark.geometry import Floats
 from benchmark.metrics.attacks import scene_attacks
+from benchmark.metrics.effect import touching_adversary
 from benchmark.metrics.rates import HORIZONS, SceneSums, ends, ratios_over_scenes, resampled, sums_by_scene
-from benchmark.metrics.scores import scored, source_of_scenes
+from benchmark.metrics.scores import Scored, scored, source_of_scenes
 from benchmark.records.challenge_scores import Measured, Pair
 from benchmark.records.run import RunRecord
 
@@ -45,9 +46,24 @@ def collision_sums(record: RunRecord, protocol: str, horizon: str, refused: Sequ
     Raises:
         InputError: If the record was not judged by the protocol as it is now.
     """
-    sums = scored(record, protocol=protocol).sums(source_of_scenes(record))
-    column = [HORIZONS.index(horizon)]
-    return _with_refused(SceneSums(sums.names, sums.numerators[:, column], sums.denominators[:, column]), refused)
+    return _of_horizon(scored(record, protocol=protocol), horizon, refused)
+
+
+def adversary_sums(record: RunRecord, horizon: str, refused: Sequence[Refused]) -> SceneSums:
+    """What each recording adds to the rate of first contacts with a changed vehicle under ``exact``.
+
+    Args:
+        record: Of the planner on the accepted scenes; it must say whom contacts are with.
+        horizon: As of `collision_sums`.
+        refused: The refused scenes.
+
+    Returns:
+        (N, 1) sums.
+
+    Raises:
+        InputError: If the record was not judged by ``exact`` as it is now.
+    """
+    return _of_horizon(touching_adversary(record), horizon, refused)
 
 
 def attributable_sums(record: RunRecord, refused: Sequence[Refused]) -> SceneSums:
@@ -61,6 +77,12 @@ def attributable_sums(record: RunRecord, refused: Sequence[Refused]) -> SceneSum
     ]
     values = np.array([verdict for _, verdict in said], np.float64).reshape(-1, 1)
     return _with_refused(sums_by_scene(values, np.ones_like(values), [name for name, _ in said]), refused)
+
+
+def _of_horizon(samples: Scored, horizon: str, refused: Sequence[Refused]) -> SceneSums:
+    sums = samples.sums(source_of_scenes(samples.record))
+    column = [HORIZONS.index(horizon)]
+    return _with_refused(SceneSums(sums.names, sums.numerators[:, column], sums.denominators[:, column]), refused)
 
 
 def _with_refused(sums: SceneSums, refused: Sequence[Refused]) -> SceneSums:

@@ -34,11 +34,10 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class Contacts:
-    """Samples with a contact.
+    """Samples whose first contact is with an adversary, or of those with a bystander.
 
     Attributes:
         samples: How many.
-        with_adversary: How many first touch an adversary.
         at_fault: How many are the planner's fault.
         kinds: How many of each kind.
         impact_speed: m/s.
@@ -49,7 +48,6 @@ class Contacts:
     """
 
     samples: int
-    with_adversary: int
     at_fault: int
     kinds: dict[KindName, int]
     impact_speed: Spread
@@ -84,10 +82,10 @@ class NearPasses:
     critical: int
 
 
-def contacts_of(record: RunRecord) -> Contacts:
-    """The contacts of a record's plans."""
+def contacts_of(record: RunRecord, *, bystanders: bool = False) -> Contacts:
+    """The first contacts of a record's plans with an adversary, or those with a bystander instead."""
     rows = [row.severity.contact for row in counted_rows(record) if row.severity is not None]
-    found = [contact for contact in rows if contact is not None]
+    found = [contact for contact in rows if contact is not None and contact.adversary is not bystanders]
     fatal = [contact.fatal_probability for contact in found]
 
     def spread(value: Callable[[PlanContactRow], float]) -> Spread:
@@ -95,7 +93,6 @@ def contacts_of(record: RunRecord) -> Contacts:
 
     return Contacts(
         samples=len(found),
-        with_adversary=sum(contact.adversary for contact in found),
         at_fault=sum(contact.at_fault is True for contact in found),
         kinds=dict(Counter(contact.kind for contact in found)),
         impact_speed=spread(lambda contact: contact.impact_speed_m_s),

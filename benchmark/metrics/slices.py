@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats
+from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import attributed_collisions
+from benchmark.metrics.effect import attributed_collisions, says_whom, touching_adversary
 from benchmark.metrics.rates import HORIZONS, Rate, SceneSums, ratios_of_sums, sums_by_scene, with_average
 from benchmark.metrics.scores import require_current, source_of_scenes
 from benchmark.protocols import PROTOCOLS, published_values
@@ -27,6 +28,8 @@ SliceKind = Literal["place", "light", "manoeuvre", "speed", "command"]
 KINDS: Final[tuple[SliceKind, ...]] = get_args(SliceKind)
 """What samples may be sorted by."""
 NOT_SAID: Final = "not said"
+ADVERSARY: Final = "adversary"
+"""Column of first contacts with an adversary, beside the columns of ``exact``."""
 SPEEDS: Final = ("standing", "1 to 5 m/s", "5 to 10 m/s", "10 m/s and more")
 SPEED_EDGES_M_S: Final = (1.0, 5.0, 10.0)
 """Speed from which on the next of `SPEEDS` applies; below the first a body stands (docs/manoeuvres.md)."""
@@ -116,7 +119,8 @@ def rates_by(record: RunRecord, kind: SliceKind, protocol: str) -> list[Slice]:
         protocol: Who judges, or ``native``.
 
     Returns:
-        Slices with the columns of the protocol by horizon; empty where `slicing` knows none.
+        Slices with the columns of the protocol by horizon, and of ``exact`` with `ADVERSARY` where the split has
+        adversaries and the record says whom contacts are with; empty where `slicing` knows none.
 
     Raises:
         InputError: If the record was not judged by the protocol, or by another version of it.
@@ -126,8 +130,11 @@ def rates_by(record: RunRecord, kind: SliceKind, protocol: str) -> list[Slice]:
     if parts is None:
         return []
     planned, outcomes = record.columns.planned, outcomes_of(record.rows, name)
-    columns = published_values(PROTOCOLS[name], outcomes)
-    values = np.concatenate([with_average(one).reshape(-1, len(HORIZONS)) for one in columns.values()], axis=1)
+    published = published_values(PROTOCOLS[name], outcomes)
+    columns = {column: with_average(one).reshape(-1, len(HORIZONS)) for column, one in published.items()}
+    if name == EXACT and has_adversaries(record) and says_whom(record):
+        columns[ADVERSARY] = touching_adversary(record).values
+    values = np.concatenate(list(columns.values()), axis=1)
     weights = np.where(np.isnan(values), False, outcomes.counted[:, None]).astype(np.float64)
     keys = [(column, horizon) for column in columns for horizon in HORIZONS]
     return _slices(record, parts, planned, outcomes.decided, np.nan_to_num(values), weights, keys)

@@ -13,6 +13,8 @@ from benchmark.records.stored import Stored
 
 SCORES_FORMAT: Final = "challenger-bench challenge scores"
 _PATTERN: Final = "scores-*.json"
+Rank = Literal["adversary", "collision"]
+"""Which of its rates an entry is ranked by."""
 
 
 class Measured(Stored):
@@ -35,11 +37,14 @@ class PlannerOnEntry(Stored):
     """One planner on one entry; refused scenes count as scenes on which it collides nowhere.
 
     Attributes:
-        collision: Share of samples with a collision under the protocol.
+        adversary: Share of samples with a first contact with a changed vehicle, under ``exact``; no number in older
+            files, and where a record does not say whom contacts are with.
+        collision: Share of samples with a collision under the protocol, whoever it is with.
         attributable: Share with a contact that is its fault, where the careful human survives the scene.
         failed: Samples without a plan; they are in no rate.
     """
 
+    adversary: Measured = Measured()
     collision: Measured
     attributable: Measured
     failed: int
@@ -55,13 +60,15 @@ class EntryScore(Stored):
         reasons: Why it is not ranked as a whole; none if it is.
         best_place: Its best place that the numbers leave open; ``None`` if it is not ranked.
         worst_place: Its worst one.
-        collision: Mean over the planners: what ranks.
+        adversary: Mean over the planners of first contacts with a changed vehicle, under ``exact``.
+        collision: Mean over the planners of contacts with anybody, under the protocol.
         attributable: Mean over the planners.
         planners: By name of the planner.
         careful_survives: Share of accepted scenes that the careful and competent human survives.
         least_gap_m: Distance of the recorded ego from the changed vehicles, mean over accepted scenes.
         critical: Share of accepted scenes in which the two are ever within 1.5 s of contact at constant velocities.
-        delta_v_m_s: Change of velocity of the ego in contacts of all planners' plans, mean.
+        delta_v_m_s: Change of velocity of the ego where a plan first touches a changed vehicle, mean over all planners;
+            of contacts with anybody in older files.
         without_fault: Share of accepted scenes in whose tracks no fault was found (``docs/realism.md``).
         realism_feature: The worst of the features of motion that are compared with recordings.
         realism: 1 less its divergence: the larger, the more real.
@@ -74,6 +81,7 @@ class EntryScore(Stored):
     reasons: tuple[Reason, ...] = ()
     best_place: int | None = None
     worst_place: int | None = None
+    adversary: Measured = Measured()
     collision: Measured
     attributable: Measured
     planners: dict[str, PlannerOnEntry] = Field(default_factory=dict)
@@ -115,6 +123,8 @@ class ChallengeScores(Stored):
         base: The recordings.
         protocol: Who judged the plans.
         horizon: ``1s``, ``2s``, ``3s`` or ``avg``.
+        ranks: Which of its rates an entry is ranked by; ``collision`` in older files and under another protocol than
+            ``exact``.
         planners: Who planned.
         entries: The entries.
         pairs: Of the ranked ones.
@@ -128,6 +138,7 @@ class ChallengeScores(Stored):
     base: ComparedData
     protocol: str
     horizon: str
+    ranks: Rank = "collision"
     planners: tuple[PlannerFacts, ...]
     entries: tuple[EntryScore, ...]
     pairs: tuple[Pair, ...] = ()

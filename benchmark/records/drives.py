@@ -27,6 +27,8 @@ from benchmark.records.stored import Stored
 DRIVE_FILE, ROWS_FILE, SUMMARY_FILE = "drive.json", "drives.jsonl", "summary.json"
 DRIVE_FILES: Final = FileNames(DRIVE_FILE, ROWS_FILE, SUMMARY_FILE)
 NNS, COLLISION_RATE = "nns", "collision"
+ATTRIBUTABLE, BYSTANDER = "attributable", "bystander"
+"""Contacts at fault where a careful human survives: with the adversary, and with anybody else."""
 _Read = TypeVar("_Read", bound=Stored)
 
 
@@ -113,7 +115,9 @@ def _values(row: DriveRow) -> dict[str, float | None]:
     if row.ladder is not None:
         own |= {f"survives_{name}": float(found.survives) for name, found in row.ladder.items()}
     if row.fair is not None:
-        own["attributable"] = float(row.fair and contact is not None and contact.at_fault)
+        blamed = row.fair and contact is not None and contact.at_fault
+        pursued = contact is not None and contact.adversary
+        own |= {ATTRIBUTABLE: float(blamed and pursued), BYSTANDER: float(blamed and not pursued)}
     terms, hd = scores.nuplan, scores.hd
     own["off_road"] = None if terms is None else 1.0 - terms.dac
     for name in ("score", "nc", "dac", "mp", "ddc", "p", "ttc", "c"):
@@ -158,6 +162,18 @@ def summarise(
         columns=columns,
         published=published_table(engine, rows),
     )
+
+
+def columns_of(record: DriveRecord) -> Mapping[str, RateRow]:
+    """The columns of a record's summary as they are defined now.
+
+    Older summaries count contacts with bystanders as attributable; the rows say whom each contact is with.
+    """
+    stored, facts = record.summary.columns, record.facts
+    if BYSTANDER in stored or ATTRIBUTABLE not in stored:
+        return stored
+    now = summarise(record.rows, facts.scene_facts, seed=facts.seed, engine=facts.measured.engine).columns
+    return {**stored, **{name: now[name] for name in (ATTRIBUTABLE, BYSTANDER)}}
 
 
 def write_drives(directory: Path, facts: Mapping[str, Any], rows: Sequence[DriveRow], *, seed: int) -> DriveRecord:

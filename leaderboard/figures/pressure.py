@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from benchmark.drawing.lettering import drawable
 from benchmark.drawing.plots import Theme, for_pages, new_figure
-from benchmark.records.drives import DriveRecord
+from benchmark.records.drives import DriveRecord, columns_of
 from benchmark.records.run_schema import RateRow
 from leaderboard.figures.charts import NamedFigure, plain_text, planner_style
 from leaderboard.tables.pressure import Pressure, pressure_name, pressures
@@ -75,7 +75,7 @@ def pressure_figure(title: str, rows: Sequence[Pressure], theme: Theme) -> Figur
         _frame(axes, said, budgets, theme)
         for place, (name, look) in enumerate(style.items()):
             beside = _APART * (place - 0.5 * (len(planners) - 1))
-            found = {each.budget: each.record.summary.columns.get(column) for each in rows if each.name == name}
+            found = {each.budget: columns_of(each.record).get(column) for each in rows if each.name == name}
             _line(axes, [found.get(budget) for budget in budgets], beside, look, 100.0 if share else 1.0)
         # The end of the other axis is known once all are drawn.
         axes.set_ylim(*((-4.0, 104.0) if share else (0.0, None)))

@@ -24,7 +24,8 @@ RULES_NOTE: Final = (
     "that was judged. Brackets: 95 % bootstrap interval over recorded scenes (docs/severity.md)."
 )
 _CONTACT_NOTE: Final = (
-    "Of the samples with a contact: median, and what the worst tenth reaches. Delta-v: change of velocity in a plastic "
+    "Of the samples whose plan touches the adversary before anything else: median, and what the worst tenth reaches; "
+    "the last columns are of those that touch a bystander first. Delta-v: change of velocity in a plastic "
     "impact, by masses. P(fatal): of somebody in the ego, the fourth power of delta-v / 31.74 m/s (Joksch); for people "
     "on foot look at the other's delta-v."
 )
@@ -127,9 +128,10 @@ def _unknown_notes(found: Sequence[tuple[RunRecord, AttackRates]]) -> list[str]:
 def _contact_table(data_name: str, runs: Sequence[RunRecord], notes: tuple[str, ...]) -> Table:
     quantities = ("impact speed", "delta-v ego", "delta-v other")
     columns = (
-        *("planner", "split", "samples", "adversary %", "at fault %", "front %", "side %", "rear %", "standing %"),
+        *("planner", "split", "samples", "at fault %", "front %", "side %", "rear %", "standing %"),
         *(head for name in quantities for head in (name, f"{name}, worst tenth")),
         *("P(fatal) mean", "P(fatal) most"),
+        *(f"{head}, bystander" for head in ("samples", "at fault %", "impact speed", "delta-v ego", "P(fatal) mean")),
     )
     return table_of(
         "severity-contacts",
@@ -140,16 +142,17 @@ def _contact_table(data_name: str, runs: Sequence[RunRecord], notes: tuple[str, 
         text_columns=2,
         groups=(
             ("", 2),
-            (f"samples with a contact, {SEVERITY}", 1),
-            (f"share of them, {SEVERITY}", 6),
+            (f"samples with the adversary first, {SEVERITY}", 1),
+            (f"share of them, {SEVERITY}", 5),
             (f"m/s, {SEVERITY}", 6),
             (f"%, {SEVERITY}", 2),
+            (f"samples with a bystander first, {SEVERITY}", 5),
         ),
     )
 
 
 def _contact_row(record: RunRecord) -> Row:
-    origin, found = origin_of(record, SEVERITY), contacts_of(record)
+    origin, found, others = origin_of(record, SEVERITY), contacts_of(record), contacts_of(record, bystanders=True)
     kinds = found.kinds
     # A contact with what stands, or while the ego itself stands.
     standing = kinds.get("stopped_track", 0) + kinds.get("stopped_ego", 0)
@@ -158,14 +161,19 @@ def _contact_row(record: RunRecord) -> Row:
         *_who(record),
         origin.count(found.samples, "samples", record.summary.samples).shown(),
         *(
-            _share(origin, count, found.samples, "samples with a contact")
-            for count in (found.with_adversary, found.at_fault, *parts)
+            _share(origin, count, found.samples, "samples with the adversary first")
+            for count in (found.at_fault, *parts)
         ),
         *_spreads(origin, "m/s", found.impact_speed, found.delta_v_ego, found.delta_v_other, digits=1),
         *(
-            origin.cell(value, PERCENT, found.samples, "samples with a contact", scale=100.0).shown(2)
+            origin.cell(value, PERCENT, found.samples, "samples with the adversary first", scale=100.0).shown(2)
             for value in (found.mean_fatal, found.most_fatal)
         ),
+        origin.count(others.samples, "samples", record.summary.samples).shown(),
+        _share(origin, others.at_fault, others.samples, "samples with a bystander first"),
+        origin.cell(others.impact_speed.median, "m/s", others.samples).shown(1),
+        origin.cell(others.delta_v_ego.median, "m/s", others.samples).shown(1),
+        origin.cell(others.mean_fatal, PERCENT, others.samples, "samples with a bystander first", scale=100.0).shown(2),
     )
 
 

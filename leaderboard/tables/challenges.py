@@ -2,26 +2,39 @@
 
 from typing import Final
 
-from benchmark.records.challenge_scores import ChallengeScores, EntryScore, Measured, Pair
+from benchmark.metrics.disagreement import EXACT
+from benchmark.records.challenge_scores import ChallengeScores, EntryScore, Measured, Pair, PlannerOnEntry, Rank
 from benchmark.report.cells import UNDEFINED, Origin, Shown
 from benchmark.report.table import Brief, Table, table_of
 from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, mark_notes, name_cell
 
 CHALLENGES: Final = "challenges"
 """What these tables are shown under."""
-_BRIEF: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 17)
+_BRIEF: Final = (0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 12, 19)
 """What a terminal shows of the ranking: places, rates, attributable success, fairness, gap, realism."""
+_RANKED_BY: Final[dict[Rank, str]] = {
+    "adversary": "of how often their plans touch a changed vehicle before anything else, the higher the better; any "
+    "contact, bystanders with it, stands beside it",
+    "collision": "of their collision rates, the higher the better; first contacts with a changed vehicle stand beside "
+    "them, a dash where the scores do not say whom contacts are with",
+}
 _RANK_NOTE: Final = (
-    "Ranked by the mean over the planners of their collision rates, the higher the better. A refused scene counts as "
-    "one on which nobody collides. Places: those that the numbers leave open; of two entries the 95 % interval of "
-    "their difference, in resamples of the same recordings, leaves zero out or they are not told apart."
+    "Ranked by the mean over the planners {}. A refused scene counts as one on which nobody collides. Places: those "
+    "that the numbers leave open; of two entries the 95 % interval of their difference, in resamples of the same "
+    "recordings, leaves zero out or they are not told apart."
 )
+_HEADS: Final[dict[Rank, tuple[str, ...]]] = {
+    "adversary": ("adversary (%)", "95 %", "any contact (%)", "95 %"),
+    "collision": ("collision rate (%)", "95 %", "adversary (%)", "95 %"),
+}
+"""The rate that ranks comes first."""
 _BESIDE_NOTE: Final = (
     "Attributable: contact that is the planner's fault where the careful and competent human (UN R157) survives; "
     "survives: share of scenes that this driver survives; gap: least distance of the recorded ego and the changed "
     "vehicle, mean; critical: share of scenes in which the two are ever within 1.5 s of contact; delta-v: of the ego "
-    "in contacts of all plans, mean; realism: 1 less the divergence of the worst feature of motion from the "
-    "recordings, the larger the better. Brackets: 95 % bootstrap interval over recordings."
+    "where a plan first touches a changed vehicle (of any contact in older files), mean; realism: 1 less the "
+    "divergence of the worst feature of motion from the recordings, the larger the better. Brackets: 95 % bootstrap "
+    "interval over recordings."
 )
 
 
@@ -42,9 +55,25 @@ def _origin(scores: ChallengeScores, protocol: str | None) -> Origin:
     return Origin(protocol=protocol, record=f"rules {scores.rules[:12]}, {scores.challenge}")
 
 
+def _rates(scores: ChallengeScores, of: EntryScore | PlannerOnEntry) -> tuple[Shown, ...]:
+    """First contacts with a changed vehicle, and contacts under the protocol, each with its interval."""
+    cells = {
+        "adversary": _percent(_origin(scores, EXACT), of.adversary),
+        "collision": _percent(_origin(scores, scores.protocol), of.collision),
+    }
+    return *cells.pop(scores.ranks), *(shown for pair in cells.values() for shown in pair)
+
+
+def _rate_groups(scores: ChallengeScores, after: str = "") -> tuple[tuple[str, int], ...]:
+    whole = f"{scores.protocol}, {scores.horizon}{after}"
+    if scores.protocol == EXACT:
+        return ((whole, 4),)
+    return (whole, 2), (f"{EXACT}, {scores.horizon}{after}", 2)
+
+
 def _ranking(scores: ChallengeScores) -> Table:
-    judged, plain = _origin(scores, scores.protocol), _origin(scores, None)
-    notes = [_RANK_NOTE, _BESIDE_NOTE]
+    plain = _origin(scores, None)
+    notes = [_RANK_NOTE.format(_RANKED_BY[scores.ranks]), _BESIDE_NOTE]
     listed = [f"{entry.entry.name} {entry.reasons[0].sentence}" for entry in scores.entries if entry.reasons]
     notes += [f"Not ranked: {'; '.join(listed)}."] if listed else []
     notes += sorted({f"Realism: not compared; {each.not_compared}." for each in scores.entries if each.not_compared})
@@ -54,16 +83,16 @@ def _ranking(scores: ChallengeScores) -> Table:
         f"challenge-{scores.challenge}",
         f"{scores.challenge}: entries held to {scores.base.name}",
         (
-            *("place", "entry", "scenes", "refused", "collision rate (%)", "95 %", "attributable (%)", "95 %"),
+            *("place", "entry", "scenes", "refused", *_HEADS[scores.ranks], "attributable (%)", "95 %"),
             *("survives (%)", "95 %", "gap, m", "95 %", "critical (%)", "95 %", "delta-v, m/s", "95 %"),
             *("without fault (%)", "realism", "95 %", "feature"),
         ),
-        [_row(entry, judged, plain) for entry in scores.entries],
+        [_row(scores, entry, plain) for entry in scores.entries],
         notes=tuple(notes),
         text_columns=2,
         groups=(
             ("", 4),
-            (f"{scores.protocol}, {scores.horizon}, mean of {len(scores.planners)} planners", 2),
+            *_rate_groups(scores, f", mean of {len(scores.planners)} planners"),
             ("severity, mean of planners", 2),
             ("severity", 8),
             ("realism", 4),
@@ -72,13 +101,13 @@ def _ranking(scores: ChallengeScores) -> Table:
     )
 
 
-def _row(entry: EntryScore, judged: Origin, plain: Origin) -> tuple[str | Shown, ...]:
+def _row(scores: ChallengeScores, entry: EntryScore, plain: Origin) -> tuple[str | Shown, ...]:
     return (
         _place(entry),
         entry.entry.name,
         plain.count(entry.scenes, "scenes").shown(),
         plain.count(len(entry.refused), "scenes", entry.scenes).shown(),
-        *_percent(judged, entry.collision),
+        *_rates(scores, entry),
         *_percent(plain, entry.attributable),
         *_percent(plain, entry.careful_survives, "scenes"),
         *_amount(plain, entry.least_gap_m, "m", "scenes", 2),
@@ -108,12 +137,12 @@ def _amount(origin: Origin, measured: Measured, unit: str, of: str, digits: int)
 
 
 def _planners(scores: ChallengeScores) -> Table:
-    judged, plain = _origin(scores, scores.protocol), _origin(scores, None)
-    rows = [
+    plain = _origin(scores, None)
+    rows: list[tuple[str | Shown, ...]] = [
         (
             name_cell(planner.name, privileged=planner.privileged, miniature=planner.miniature),
             entry.entry.name,
-            *_percent(judged, entry.planners[planner.name].collision),
+            *_rates(scores, entry.planners[planner.name]),
             *_percent(plain, entry.planners[planner.name].attributable),
             plain.count(entry.planners[planner.name].failed, "samples without a plan").shown(),
         )
@@ -125,11 +154,11 @@ def _planners(scores: ChallengeScores) -> Table:
     return table_of(
         f"challenge-planners-{scores.challenge}",
         f"{scores.challenge}: planners on each entry",
-        ("planner", "entry", "collision rate (%)", "95 %", "attributable (%)", "95 %", "failed"),
+        ("planner", "entry", *_HEADS[scores.ranks], "attributable (%)", "95 %", "failed"),
         rows,
         notes=tuple(mark_notes(privileged=any(p.privileged for p in facts), miniature=any(p.miniature for p in facts))),
         text_columns=2,
-        groups=(("", 2), (f"{scores.protocol}, {scores.horizon}", 2), ("severity", 2), ("", 1)),
+        groups=(("", 2), *_rate_groups(scores), ("severity", 2), ("", 1)),
     )
 
 
@@ -141,7 +170,7 @@ def _pairs(scores: ChallengeScores) -> Table:
         [_pair(pair, _origin(scores, scores.protocol)) for pair in scores.pairs],
         notes=("Each pair has its own 95 % interval; of many pairs a few are told apart by chance.",),
         text_columns=2,
-        groups=(("", 2), (f"{scores.protocol}, {scores.horizon}", 3)),
+        groups=(("", 2), (f"{_HEADS[scores.ranks][0].removesuffix(' (%)')}, {scores.protocol}, {scores.horizon}", 3)),
     )
 
 

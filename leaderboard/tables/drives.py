@@ -6,7 +6,7 @@ from typing import Final
 
 from benchmark.metrics.loops import is_stale
 from benchmark.records.drive_schema import UntilName
-from benchmark.records.drives import COLLISION_RATE, NNS, DriveRecord
+from benchmark.records.drives import ATTRIBUTABLE, BYSTANDER, COLLISION_RATE, NNS, DriveRecord, columns_of
 from benchmark.records.run_schema import RateRow
 from benchmark.report.cells import UNDEFINED, Origin, Shown, named_record
 from benchmark.report.table import Brief, Table, table_of
@@ -51,14 +51,16 @@ _NEURONCAP: Final = (
 )
 """Column of a summary, head, unit, and whether its interval stands beside it."""
 _FAIRNESS: Final = (
-    ("attributable", "attributable %", _PERCENT, True),
+    (ATTRIBUTABLE, "attributable %", _PERCENT, True),
+    (BYSTANDER, "bystander %", _PERCENT, False),
     ("survives_cc", "careful survives %", _PERCENT, True),
 )
 """Where reference drivers drove the same encounters."""
 _NOTE_FAIRNESS: Final = (
-    "Attributable: contacts at fault in encounters that a careful human survives, who drives the same path against the "
-    "same adversary (docs/adversary-in-the-loop.md); careful survives: the share of encounters in which it touches "
-    "nobody. The adversary answers each driver, so that an encounter is the vehicle, the hand-over and the seed."
+    "Attributable: contacts at fault with the adversary, in encounters that a careful human survives, who drives the "
+    "same path against the same adversary (docs/adversary-in-the-loop.md); bystander: the same with anybody else; "
+    "careful survives: the share of encounters in which this human touches nobody. The adversary answers each driver, "
+    "so that an encounter is the vehicle, the hand-over and the seed."
 )
 _PUBLISHED: Final = ("NNS as published code rounds", "CR % as published code rounds")
 _PUBLISHED_NOTE: Final = (
@@ -74,6 +76,7 @@ _BRIEF_DEFAULT: Final = (
     "at fault %",
     "95 %",
     "attributable %",
+    "bystander %",
     "careful survives %",
     "impact m/s",
     "route %",
@@ -209,10 +212,10 @@ def origin_of_drives(record: DriveRecord, name: str) -> Origin:
 def _row(
     record: DriveRecord, name: str, columns: Sequence[tuple[str, str, str, bool]], published: bool
 ) -> tuple[str | Shown, ...]:
-    summary, origin = record.summary, origin_of_drives(record, name)
+    summary, columns_now, origin = record.summary, columns_of(record), origin_of_drives(record, name)
     cells: list[str | Shown] = [planner_cell(record, name), record.facts.measured.sensor]
     for column, _, unit, with_interval in columns:
-        rate = summary.columns.get(column)
+        rate = columns_now.get(column)
         cells += _cells(origin, rate, unit, with_interval=with_interval)
     cells += _published_cells(record, origin) if published else []
     failed = origin.count(summary.failed, "drives", summary.drives)

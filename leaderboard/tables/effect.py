@@ -128,7 +128,7 @@ def _missing(runs: Sequence[RunRecord], found: Sequence[AdversaryEffect]) -> lis
     notes: dict[str, None] = {}
     for record in runs:
         if not says_whom(record):
-            notes[f"{record.run.split}: {_unsaid(record)}."] = None
+            notes[unsaid_whom(record)] = None
     for effect in found:
         record, paired = effect.record, effect.paired
         split = record.run.split
@@ -159,11 +159,13 @@ def _who(found: Sequence[AdversaryEffect], split: str) -> str:
     return ", ".join(one.record.planner for one in found if one.paired is None and one.record.run.split == split)
 
 
-def _unsaid(record: RunRecord) -> str:
+def unsaid_whom(record: RunRecord) -> str:
+    """Why a record on a split with adversaries does not say whom contacts are with, in a sentence."""
     facts = [record.run.scene_facts.get(scene) for scene in record.run.scenes]
+    why = "older records do not say whom contacts are with; challenger-bench rescore brings that to them"
     if any(fact is None or fact.adversaries is None for fact in facts):
-        return "it is not known which road users are adversaries, so that no contact is attributed to one"
-    return "older records do not say whom contacts are with; challenger-bench rescore brings that to them"
+        why = "it is not known which road users are adversaries, so that no contact is attributed to one"
+    return f"{record.run.split}: {why}."
 
 
 def _said_of_pairs(record: RunRecord, paired: PairedEffect) -> list[str]:

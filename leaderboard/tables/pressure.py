@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.metrics.rates import ratios_over_scenes
-from benchmark.records.drives import DriveRecord
+from benchmark.records.drives import ATTRIBUTABLE, BYSTANDER, DriveRecord, columns_of
 from benchmark.report.cells import UNDEFINED, Origin, Shown
 from benchmark.report.table import Table, table_of
 from leaderboard.tables.drives import origin_of_drives, planner_cell
@@ -26,13 +26,15 @@ _OF_SEARCH: Final = ("search",)
 """Of the facts, what follows from a budget: the fingerprint of all settings."""
 _PRESSURE_NOTE: Final = (
     "Each row is one budget of the adversary: it is planned anew every so many seconds, with so many refinement "
-    "rounds of so many candidates. Attributable: contacts at fault in encounters that a careful human survives "
-    "against the same budget; impact: mean over contacts. Everything else that was measured is the same in all rows."
+    "rounds of so many candidates. Attributable: contacts at fault with the adversary, in encounters that a careful "
+    "human survives against the same budget; bystander: the same with anybody else; at fault: whoever is touched; "
+    "impact: mean over contacts. Everything else that was measured is the same in all rows."
 )
 _TRANSFER_NOTE: Final = (
     "Rows: the planner in whose drives the adversary was planned; columns: the planner that drives against the same "
-    "track. Of encounters in which the row's planner had a contact at fault, the share in which the column's has one "
-    "too; the diagonal is the row's planner against its own tracks. A dash: the row's planner never failed."
+    "track. Of encounters in which the row's planner had a contact at fault with the adversary, the share in which the "
+    "column's has one too; the diagonal is the row's planner against its own tracks. A dash: the row's planner never "
+    "failed."
 )
 
 
@@ -103,21 +105,21 @@ def pressure_tables(records: Sequence[DriveRecord]) -> list[Table]:
 
 
 def _pressure_table(number: int, title: str, rows: Sequence[Pressure]) -> Table:
-    columns = ["planner", "every s", "rounds", "candidates", "attributable %", "95 %", "at fault %", "95 %"]
-    columns += ["careful survives %", "95 %", "impact m/s", "95 %", "drives"]
+    columns = ["planner", "every s", "rounds", "candidates", "attributable %", "95 %", "bystander %", "95 %"]
+    columns += ["at fault %", "95 %", "careful survives %", "95 %", "impact m/s", "95 %", "drives"]
     cells: list[list[str | Shown]] = []
     for each in rows:
-        origin, summary = origin_of_drives(each.record, each.name), each.record.summary
+        origin, found = origin_of_drives(each.record, each.name), columns_of(each.record)
         every_s, rounds, candidates = each.budget
         line: list[str | Shown] = [planner_cell(each.record, each.name), f"{every_s:g}", str(rounds), str(candidates)]
-        for column, percent in (("attributable", 1), ("at_fault", 1), ("survives_cc", 1), ("impact_speed", 0)):
-            rate = summary.columns.get(column)
+        for column in (ATTRIBUTABLE, BYSTANDER, "at_fault", "survives_cc", "impact_speed"):
+            rate, percent = found.get(column), column != "impact_speed"
             if rate is None:
                 line += [UNDEFINED, UNDEFINED]
                 continue
             cell = origin.percent(rate, "drives") if percent else origin.amount(rate, "m/s", "drives")
             line += [cell.shown(1 if percent else 2), cell.interval(1 if percent else 2)]
-        cells.append([*line, origin.count(summary.drives, "drives").shown()])
+        cells.append([*line, origin.count(each.record.summary.drives, "drives").shown()])
     return table_of(pressure_name(number), title, columns, cells, notes=(_PRESSURE_NOTE,), text_columns=4)
 
 
@@ -161,8 +163,9 @@ def _transfer_table(number: int, pairs: Sequence[tuple[DriveRecord, DriveRecord]
 
 
 def _failed(record: DriveRecord) -> set[tuple[str, int]]:
-    known = (row for row in record.rows if row.contact is not None and not row.unlabelled)
-    return {(row.scene, row.run) for row in known if row.contact is not None and row.contact.at_fault}
+    """Encounters with a contact at fault with the adversary."""
+    known = [(row, row.contact) for row in record.rows if row.contact is not None and not row.unlabelled]
+    return {(row.scene, row.run) for row, contact in known if contact.at_fault and contact.adversary}
 
 
 def _transferred(source: DriveRecord, victim: DriveRecord, name: str) -> Shown | str:

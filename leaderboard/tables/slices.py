@@ -4,16 +4,19 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from benchmark.errors import InputError
+from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.effect import says_whom
 from benchmark.metrics.rates import HORIZONS
 from benchmark.metrics.scores import takes_maxima
-from benchmark.metrics.slices import KINDS, Slice, SliceKind, causes_by, driving_by, rates_by, slicing
+from benchmark.metrics.slices import ADVERSARY, KINDS, Slice, SliceKind, causes_by, driving_by, rates_by, slicing
 from benchmark.records.driving import DEFINITION, PDM, SUB_SCORES, TOTALS
 from benchmark.records.row_schema import CAUSES
 from benchmark.records.run import NATIVE, RunRecord
-from benchmark.report.cells import Shown, origin_of
+from benchmark.report.cells import UNDEFINED, Shown, origin_of
 from benchmark.report.table import Brief, Table, table_of
 from leaderboard.tables.driving import driver_name
+from leaderboard.tables.effect import unsaid_whom
 from leaderboard.tables.further_columns import COLUMNS, FurtherColumn
 from leaderboard.tables.rows import in_table_order, judges, row_name, run_notes
 
@@ -36,7 +39,13 @@ _LACKING: Final[dict[SliceKind, str]] = {
     "speed": "does not say how fast the recorded car is",
 }
 _INTERVALS: Final = "Brackets: 95 % bootstrap interval over recorded scenes, drawn as for the whole split."
+_WHOM: Final = (
+    "Adversary: the plan touches the adversary before anything else; any contact: whoever is touched, so that what it "
+    "has more is bystanders. A dash: no adversaries, or the record does not say whom contacts are with."
+)
 _HEADS: Final = {"score": "score", "score_without_ec": "without EC", **{name: name.upper() for name in SUB_SCORES}}
+
+_ADVERSARY_HEADS: Final = ("adversary 3s", "adversary avg", "95 % of adversary")
 
 Row = tuple[str | Shown, ...]
 
@@ -101,27 +110,38 @@ def _rates_table(data_name: str, kind: SliceKind, protocol: str, records: Sequen
     runs, notes = _of_runs(records, kind, lambda record: rates_by(record, kind, protocol))
     further = [column for column in COLUMNS if any(column.name in one.columns for _, parts in runs for one in parts)]
     further = [] if own else further
+    pursued = [record for record, _ in runs if protocol == EXACT and has_adversaries(record)]
+    notes += dict.fromkeys(unsaid_whom(record) for record in pursued if not says_whom(record))
+    collision = "any" if pursued else "col."
     columns = (
         *("planner", "split", kind, *(("protocol",) if own else ())),
-        *(*(f"col. {horizon}" for horizon in HORIZONS), "95 % of col. avg"),
+        *(_ADVERSARY_HEADS if pursued else ()),
+        *(*(f"{collision} {horizon}" for horizon in HORIZONS), f"95 % of {collision} avg"),
         *(*(f"L2 {horizon}" for horizon in HORIZONS), "95 % of L2 avg"),
         *(head for column in further for head in (f"{column.head} avg", f"95 % of {column.head}")),
         *("samples", "scenes"),
     )
     texts = 4 if own else 3
-    shown = (*range(texts), *(columns.index(head) for head in ("col. avg", "95 % of col. avg", "L2 avg", "samples")))
+    # A terminal has no room for everything, and L2 does not ask who is in the way.
+    first = ("adversary avg", "95 % of adversary", "any avg") if pursued else ("col. avg", "95 % of col. avg", "L2 avg")
+    shown = (*range(texts), *(columns.index(head) for head in (*first, "samples")))
     who = "own protocol" if own else protocol
     return _table(
         f"{SLICES}-{kind}-{protocol}",
         f"{data_name}: collision rate (%) and L2 (m) by {kind}, {judges(protocol)}",
         columns,
-        [_rates_row(record, protocol, one, further, names_protocol=own) for record, parts in runs for one in parts],
-        notes=(_SAYS[kind], *(column.says for column in further), _INTERVALS, *notes),
+        [
+            _rates_row(record, protocol, one, further, names_protocol=own, pursued=bool(pursued))
+            for record, parts in runs
+            for one in parts
+        ],
+        notes=(_SAYS[kind], *((_WHOM,) if pursued else ()), *(column.says for column in further), _INTERVALS, *notes),
         shown=(*shown, columns.index("scenes")),
         texts=texts,
         groups=(
             ("", texts),
-            (f"collision rate in %, {who}", 5),
+            *(((f"touches the adversary first, in %, {who}", len(_ADVERSARY_HEADS)),) if pursued else ()),
+            (f"{'any contact' if pursued else 'collision rate'} in %, {who}", 5),
             (f"L2 in m, {who}", 5),
             *((f"{column.head} in %, {who}", 2) for column in further),
             (f"counted, {who}", 2),
@@ -130,15 +150,26 @@ def _rates_table(data_name: str, kind: SliceKind, protocol: str, records: Sequen
 
 
 def _rates_row(
-    record: RunRecord, protocol: str, part: Slice, further: Sequence[FurtherColumn], *, names_protocol: bool
+    record: RunRecord,
+    protocol: str,
+    part: Slice,
+    further: Sequence[FurtherColumn],
+    *,
+    names_protocol: bool,
+    pursued: bool,
 ) -> Row:
     judge = record.native_protocol if protocol == NATIVE else protocol
     origin = origin_of(record, judge)
+    adversary: Row = (UNDEFINED,) * len(_ADVERSARY_HEADS) if pursued else ()
+    if (said := part.columns.get(ADVERSARY)) is not None:
+        average = origin.percent(said["avg"])
+        adversary = origin.percent(said["3s"]).shown(2), average.shown(2), average.interval()
     collision = {horizon: origin.percent(part.columns["collision"][horizon]) for horizon in HORIZONS}
     apart = {horizon: origin.amount(part.columns["l2"][horizon], "m") for horizon in HORIZONS}
     others = [origin.percent(part.columns[column.name]["avg"]) for column in further]
     return (
         *(row_name(record, judge), record.run.split, part.name, *((judge,) if names_protocol else ())),
+        *adversary,
         *(*(collision[horizon].shown(2) for horizon in HORIZONS), collision["avg"].interval()),
         *(*(apart[horizon].shown(2) for horizon in HORIZONS), apart["avg"].interval(2)),
         *(shown for cell in others for shown in (cell.shown(2), cell.interval())),

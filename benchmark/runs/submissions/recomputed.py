@@ -13,7 +13,7 @@ from benchmark.errors import InputError
 from benchmark.pdm.definition import DEFINITION, VERSION
 from benchmark.protocols import PROTOCOLS
 from benchmark.protocols.touched import ADVERSARY_S, HIT_ADVERSARY, TOUCHED, TOUCHED_ADVERSARY
-from benchmark.records.drives import DriveRecord
+from benchmark.records.drives import DriveRecord, columns_of
 from benchmark.records.drives import summarise as summarise_drives
 from benchmark.records.row_schema import DrivingRow, OutcomeRow, SampleRow
 from benchmark.records.run import RunRecord, summarise
@@ -159,7 +159,8 @@ def drives_anew(record: DriveRecord, data: "DataSet") -> Iterator[Said]:
             yield Level.ERROR, f"claims other scores than its plans give on {row.scene}, run {row.run}; drive again"
             return
     found = summarise_drives(record.rows, facts.scene_facts, seed=facts.seed)
-    if said := _first_difference(record.summary, found):
+    claimed = record.summary.model_copy(update={"columns": columns_of(record)})
+    if said := _first_difference(claimed, found):
         yield Level.ERROR, f"claims {said} in its summary; run the same drive again"
 
 

@@ -15,7 +15,7 @@ from benchmark.cli.challenge import entry_names
 from benchmark.datasets.judged import JUDGEMENTS_FILE, judgements_text
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
-from benchmark.metrics.entries import mean_of, pairs_of, places_of
+from benchmark.metrics.entries import Refused, adversary_sums, collision_sums, mean_of, pairs_of, places_of
 from benchmark.metrics.rates import SceneSums
 from benchmark.records.challenge_scores import (
     ChallengeScores,
@@ -29,6 +29,7 @@ from leaderboard.build import leaderboard_files
 from leaderboard.tables.challenges import challenge_tables
 from tests.benchmark.challenge.small_entries import LEADER, RECORDINGS, Forged, cut_in, recording, write
 from tests.benchmark.cli.in_process import run_here
+from tests.benchmark.metrics.test_effect import ran
 
 HASTY, STEADY = "tests.benchmark.challenge.hasty:Hasty", "tests.benchmark.challenge.hasty:Steady"
 
@@ -72,10 +73,11 @@ def named(scores: ChallengeScores, name: str) -> EntryScore:
 def test_entries_rank_by_the_mean_of_their_planners(scores: ChallengeScores) -> None:
     assert [entry.entry.name for entry in scores.entries] == ["cut-in", "half", "slight"]
     best = scores.entries[0]
-    rates = [best.planners[name].collision.value for name in ("hasty", "steady")]
+    assert scores.ranks == "adversary"
+    rates = [best.planners[name].adversary.value for name in ("hasty", "steady")]
     assert rates[0] is not None and rates[0] > 0.1 and rates[1] == 0.0
-    assert best.collision.value == pytest.approx(rates[0] / 2)
-    assert scores.entries[2].collision.value == 0.0
+    assert best.adversary.value == pytest.approx(rates[0] / 2)
+    assert scores.entries[2].adversary.value == 0.0
     assert best.attributable.value == pytest.approx(13 / 40)
     assert best.careful_survives.value == 1.0 and best.careful_survives.denominator == 2
     assert best.least_gap_m.value is not None and best.delta_v_m_s.value is not None
@@ -155,6 +157,52 @@ def test_an_entry_without_an_accepted_scene_is_not_ranked(entry: Path, base: Dat
     (score,) = found.entries
     assert score.best_place is None and len(score.refused) == 2
     assert "has no scene that is accepted" in challenge_tables(found)[0].plain()
+
+
+def test_who_is_changed_is_the_adversary_even_if_the_entry_names_nobody(
+    scores: ChallengeScores, entry: Path, base: DataSet, tmp_path: Path
+) -> None:
+    silent = Forged.copy(entry, tmp_path / "entry")
+    path = silent.folder / "challenger.json"
+    said = json.loads(path.read_text())
+    for made in said["scenes"].values():
+        made["adversaries"] = []
+    path.write_text(json.dumps(said))
+    planners = [planner_factory(HASTY)]
+    (found,) = score_entries({"silent": open_data(silent.root)}, base, planners, ScoreSettings(tmp_path)).entries
+    assert found.planners["hasty"] == named(scores, "cut-in").planners["hasty"]
+    assert found.attributable.value is not None and found.attributable.value > 0.0
+
+
+def test_under_another_protocol_its_collision_rate_ranks(entry: Path, base: DataSet, tmp_path: Path) -> None:
+    settings = ScoreSettings(tmp_path, protocol="uniad")
+    found = score_entries({"cut-in": open_data(entry)}, base, [planner_factory(HASTY)], settings)
+    assert found.ranks == "collision" and found.entries[0].adversary.value
+    ranking = challenge_tables(found)[0]
+    assert ranking.columns[4:8] == ("collision rate (%)", "95 %", "adversary (%)", "95 %")
+
+
+def test_contacts_with_bystanders_are_in_another_column() -> None:
+    record = ran({"A-1": "fF..", "B-1": "F..."})
+    refused = (Refused("B", 4),)
+    first, any_contact = adversary_sums(record, "3s", refused), collision_sums(record, "exact", "3s", refused)
+    assert first.names == any_contact.names == ("A", "B")
+    assert first.numerators.tolist() == [[1.0], [0.0]] and any_contact.numerators.tolist() == [[2.0], [1.0]]
+    assert first.denominators.tolist() == any_contact.denominators.tolist() == [[4.0], [8.0]]
+
+
+def test_older_scores_rank_by_any_contact_and_have_dashes(scores: ChallengeScores, tmp_path: Path) -> None:
+    old = scores.model_dump(mode="json", by_alias=True)
+    del old["ranks"]
+    for each in (*old["entries"], *(one for entry in old["entries"] for one in entry["planners"].values())):
+        del each["adversary"]
+    (tmp_path / "scores-old.json").write_text(json.dumps(old))
+    (found,) = find_scores(tmp_path)
+    assert found.ranks == "collision" and found.entries[0].adversary.value is None
+    ranking, planners, _ = challenge_tables(found)
+    for table, at in ((ranking, 4), (planners, 2)):
+        assert table.columns[at : at + 3] == ("collision rate (%)", "95 %", "adversary (%)")
+        assert {row[at + 2] for row in table.rows} == {"–"} and "–" not in {row[at] for row in table.rows}
 
 
 def sums(rates: dict[str, float], samples: int = 10) -> SceneSums:

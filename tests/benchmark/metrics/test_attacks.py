@@ -87,10 +87,13 @@ def test_older_records_do_not_say_how_severe_plans_are() -> None:
 def test_distributions_over_contacts_and_near_passes() -> None:
     record = attacked("p", {"a": "fFr.", "b": "..-s", "c": "!..."}, dict.fromkeys("abc", True))
     found = contacts_of(record)
-    assert (found.samples, found.with_adversary, found.at_fault) == (4, 3, 2)
-    assert found.kinds == {"front": 2, "rear": 1, "lateral": 1}
-    assert found.impact_speed.median == 10.0 and found.impact_speed.worst_tenth == 20.0
-    assert found.most_fatal == pytest.approx((10.0 / 31.74) ** 4)
+    assert (found.samples, found.at_fault) == (3, 1)
+    assert found.kinds == {"front": 1, "rear": 1, "lateral": 1}
+    assert found.impact_speed.median == 4.0 and found.impact_speed.worst_tenth == 10.0
+    assert found.most_fatal == pytest.approx((5.0 / 31.74) ** 4)
+    others = contacts_of(record, bystanders=True)
+    assert (others.samples, others.at_fault, others.kinds) == (1, 1, {"front": 1})
+    assert others.impact_speed.median == 20.0 and others.most_fatal == pytest.approx((10.0 / 31.74) ** 4)
     passes = near_passes_of(record)
     assert passes.samples == 6 and passes.ttc.samples == 5 and passes.ttc.worst_tenth == 1.0
     assert passes.gap.worst_tenth == 2.0 and passes.btn.worst_tenth == 1.5 and passes.critical == 3

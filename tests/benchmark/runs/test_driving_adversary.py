@@ -14,9 +14,11 @@ from benchmark.errors import InputError
 from benchmark.machine.workers import LocalProcesses
 from benchmark.records.considered import read_considered
 from benchmark.records.drives import DriveRecord, load_drives
+from benchmark.records.run_schema import RateRow
 from benchmark.runs import drive_work, ladders
 from benchmark.runs.driving import DriveSettings, drive_planners
 from benchmark.runs.redriving import considered_again, driven_again
+from benchmark.runs.submissions.recomputed import drives_anew
 from generation.in_the_loop.settings import Knows
 from tests.benchmark.cli.cli_runs import bytes_below, refusal
 from tests.benchmark.fake_data import FakeData, town_of_two
@@ -66,11 +68,28 @@ def test_every_drive_says_where_the_adversary_went_and_whom_the_encounter_is_fai
             assert set(row.ladder) == {"recorded", "cc"}
         survives = sum(bool(row.fair) for row in record.rows) / 4
         assert record.summary.columns["survives_cc"].value == survives
-        blamed = [row.fair and row.contact is not None and row.contact.at_fault for row in record.rows]
-        assert record.summary.columns["attributable"].value == sum(map(bool, blamed)) / 4
+        blamed = [row.contact for row in record.rows if row.fair and row.contact is not None and row.contact.at_fault]
+        pursued = sum(contact.adversary for contact in blamed)
+        assert record.summary.columns["attributable"].value == pursued / 4
+        assert record.summary.columns["bystander"].value == (len(blamed) - pursued) / 4
     ladders_of = [[row.ladder for row in record.rows] for record in records]
     assert ladders_of[0] == ladders_of[1]
     assert load_drives(records[0].directory).rows == records[0].rows
+
+
+def test_a_submission_whose_summary_counted_bystanders_is_fit_and_a_wrong_count_is_found(
+    records: list[DriveRecord],
+) -> None:
+    def with_columns(**columns: RateRow) -> DriveRecord:
+        return replace(records[0], summary=records[0].summary.model_copy(update={"columns": columns}))
+
+    found = dict(records[0].summary.columns)
+    without = {name: rate for name, rate in found.items() if name != "bystander"}
+    old = with_columns(**{**without, "attributable": found["at_fault"]})
+    flattering = with_columns(**{**found, "attributable": found["at_fault"].model_copy(update={"value": 0.125})})
+    assert list(drives_anew(old, town())) == []
+    ((_, said),) = drives_anew(flattering, town())
+    assert "claims attributable = 0.125" in said
 
 
 def test_processes_and_stopping_half_way_change_no_byte(records: list[DriveRecord], tmp_path: Path) -> None:

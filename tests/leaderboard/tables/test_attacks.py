@@ -60,9 +60,12 @@ def test_without_judgements_attributable_is_a_dash_and_never_a_zero() -> None:
 def test_severity_tables_show_distributions() -> None:
     tables = named(attack_tables("d", records()))
     bold, calm = (row_of(tables["severity-contacts"], name) for name in ("bold", "calm"))
-    assert bold["samples"] == "5" and bold["impact speed"] == "10.0" and bold["impact speed, worst tenth"] == "20.0"
-    assert bold["at fault %"] == "60.0" and bold["P(fatal) most"] == f"{100 * (10 / 31.74) ** 4:.2f}"
-    assert calm["samples"] == "0" and calm["impact speed"] == calm["adversary %"] == calm["P(fatal) mean"] == "–"
+    assert bold["samples"] == "4" and bold["impact speed"] == "10.0" and bold["impact speed, worst tenth"] == "10.0"
+    assert bold["at fault %"] == "50.0" and bold["P(fatal) most"] == f"{100 * (5 / 31.74) ** 4:.2f}"
+    assert bold["samples, bystander"] == "1" and bold["at fault %, bystander"] == "100.0"
+    assert bold["impact speed, bystander"] == "20.0" and bold["delta-v ego, bystander"] == "10.0"
+    assert calm["samples"] == calm["samples, bystander"] == "0"
+    assert calm["impact speed"] == calm["P(fatal) mean"] == calm["impact speed, bystander"] == "–"
     passes = row_of(tables["severity-near"], "calm")
     assert passes["samples"] == "16" and passes["TTC, worst tenth"] == "1.00" and passes["BTN >= 1, %"] == "50.0"
 

@@ -1,10 +1,11 @@
 """Tables of pressure and of transfer in closed loop, from made-up records."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from benchmark.records.drive_schema import DriveRow
-from benchmark.records.drives import DriveRecord
+from benchmark.records.drives import BYSTANDER, DriveRecord, columns_of
 from leaderboard.tables.drives import drive_tables
 from leaderboard.tables.pressure import pressure_tables, pressures
 from tests.benchmark.records.test_drives import contact, row, written
@@ -19,9 +20,10 @@ def measured(**changes: Any) -> dict[str, Any]:
     return {"engine": "default", "agents": "adversary", "sensor": "none", "agents_facts": facts}
 
 
-def drives(*ladders: Any) -> list[DriveRow]:
+def drives(*ladders: Any, adversary: bool = True) -> list[DriveRow]:
     """A contact at fault in the first scene alone, where the ladders are these."""
-    both = (row("scene-1", end="contact", contact=contact()), row("scene-2"))
+    hit = {**contact(), "adversary": adversary}
+    both = (row("scene-1", end="contact", contact=hit), row("scene-2"))
     return [
         DriveRow.model_validate({**each.model_dump(mode="json"), "ladder": ladder})
         for each, ladder in zip(both, ladders, strict=True)
@@ -47,6 +49,31 @@ def test_budgets_of_one_adversary_stand_in_one_table_the_weakest_first(tmp_path:
     (found,) = pressures(made)
     assert [each.candidates for each in found[1]] == [32.0, 1536.0]
     assert not pressure_tables(made[:1])
+
+
+def test_who_runs_into_a_bystander_fails_to_nobody_s_pressure(tmp_path: Path) -> None:
+    weak = written(tmp_path / "weak", *drives(SURVIVED, SURVIVED), measured=measured(rounds=0, candidates=32))
+    aside = drives(SURVIVED, SURVIVED, adversary=False)
+    full = written(tmp_path / "full", *aside, measured=measured())
+    (pressure,), of_weak, of_full = pressure_tables([weak, full]), drive_tables([weak]), drive_tables([full])
+    lines = [(pressure, line) for line in pressure.rows] + [(table, table.rows[0]) for table in (*of_weak, *of_full)]
+    shown = [dict(zip(table.columns, line)) for table, line in lines]
+    found = [tuple(cells[head] for head in ("at fault %", "attributable %", "bystander %")) for cells in shown]
+    assert found == [("50.0", "50.0", "0.0"), ("50.0", "0.0", "50.0")] * 2
+    # What a planner fails to a bystander no track carries over.
+    given = {"tracks_of": "made", "record": full.content_id, "others": "replay"}
+    other = {"name": "other", "privileged": False}
+    against = written(tmp_path / "given", *aside, planner=other, measured={**measured(), "agents_facts": given})
+    transfer = pressure_tables([full, against])[-1]
+    assert dict(zip(transfer.columns, transfer.rows[0]))["fails"] == "0"
+
+
+def test_an_older_summary_counts_anew_whom_contacts_are_with(tmp_path: Path) -> None:
+    made = written(tmp_path / "made", *drives(SURVIVED, SURVIVED, adversary=False), measured=measured())
+    columns = {name: rate for name, rate in made.summary.columns.items() if name != BYSTANDER}
+    columns["attributable"] = made.summary.columns["at_fault"]
+    old = replace(made, summary=made.summary.model_copy(update={"columns": columns}))
+    assert columns_of(old) == made.summary.columns == columns_of(made)
 
 
 def test_what_an_adversary_knows_never_shares_a_table(tmp_path: Path) -> None:

@@ -6,13 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.metrics.slices import KINDS, driving_by, rates_by
+from benchmark.metrics.slices import ADVERSARY, KINDS, driving_by, rates_by
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.run import RunRecord, load_record
 from benchmark.records.run_schema import SceneFacts
 from leaderboard.build import leaderboard_files
 from leaderboard.tables.contents import data_set_tables
 from leaderboard.tables.slices import run_slices, slice_tables
+from tests.benchmark.metrics.made_attacks import attacked
+from tests.benchmark.metrics.test_effect import ran
 from tests.benchmark.metrics.test_slices import FACTS, PLACES, SPEED, made
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 from tests.leaderboard.csv_rows import csv_rows
@@ -29,6 +31,11 @@ def judged(planner: str, native: str | None, *protocols: str) -> RunRecord:
     return replace(record, rows=rows)
 
 
+def placed(record: RunRecord) -> RunRecord:
+    rows = tuple(row.model_copy(update={"place": PLACES[row.index]}) for row in record.rows)
+    return replace(record, rows=rows)
+
+
 def test_a_row_holds_the_rates_of_its_slice_with_interval_and_counts() -> None:
     record = made()
     (table,) = slice_tables("d", [record], ("exact",), ("place",))
@@ -41,7 +48,7 @@ def test_a_row_holds_the_rates_of_its_slice_with_interval_and_counts() -> None:
     for cells, part in zip(table.cells, rates_by(record, "place", "exact"), strict=True):
         found = dict(zip(table.columns, cells))
         rate, apart = part.columns["collision"]["avg"], part.columns["l2"]["2s"]
-        average, interval, metres = found["col. avg"], found["95 % of col. avg"], found["L2 2s"]
+        average, interval, metres = found["any avg"], found["95 % of any avg"], found["L2 2s"]
         assert average is not None and interval is not None and metres is not None
         assert average.value == 100 * (rate.value or 0.0) and average.n == part.samples
         assert interval.low == (None if rate.low is None else 100 * rate.low)
@@ -49,6 +56,37 @@ def test_a_row_holds_the_rates_of_its_slice_with_interval_and_counts() -> None:
         samples, scenes = found["samples"], found["scenes"]
         assert samples is not None and samples.value == part.samples and samples.n == 16
         assert scenes is not None and scenes.value == part.scenes and scenes.n == 4
+
+
+def test_contacts_with_the_adversary_stand_before_any_contact() -> None:
+    adversarial, recorded = placed(ran({"a": "fF..", "b": "f.F."})), placed(ran({"a": "...F", "b": "F..."}, "val"))
+    recorded = replace(recorded, run=recorded.run.model_copy(update={"scene_facts": {}}))
+    (table,) = slice_tables("d", [recorded, adversarial], ("exact",), ("place",))
+    heads = ("split", "place", "adversary 3s", "adversary avg", "any 3s", "samples")
+    assert [head for head in table.columns if head in heads] == [*heads]
+    shown = [tuple(row[table.columns.index(head)] for head in heads) for row in table.rows]
+    assert [row for row in shown if row[0] == "adv"] == [
+        ("adv", "roundabout", "0.00", "0.00", "0.00", "2"),
+        ("adv", "junction", "0.00", "0.00", "50.00", "2"),
+        # Number 0 and 2 of each scene: two of the adversary, from 1.3 s on, and one bystander.
+        ("adv", "straight", "50.00", "33.33", "75.00", "4"),
+    ]
+    assert {row[2:4] for row in shown if row[0] == "val"} == {("–", "–")}
+    assert {row[4] for row in shown if row[0] == "val"} == {"50.00", "0.00", "25.00"}
+    assert ADVERSARY not in rates_by(recorded, "place", "exact")[0].columns
+    (alone,) = slice_tables("d", [recorded], ("exact",), ("place",))
+    assert "col. avg" in alone.columns and "adversary avg" not in alone.columns
+
+
+def test_where_a_record_does_not_say_whom_contacts_are_with_there_are_dashes() -> None:
+    scenes = {"a": "fF..", "b": "f.F."}
+    old = placed(attacked("p", scenes, dict.fromkeys(scenes, True)))
+    (table,) = slice_tables("d", [old], ("exact",), ("place",))
+    at = table.columns.index("adversary avg")
+    assert {row[at] for row in table.rows} == {"–"} and {row[at + 2] for row in table.rows} != {"–"}
+    assert any(
+        "older records do not say whom contacts are with; challenger-bench rescore" in one for one in table.notes
+    )
 
 
 def test_every_form_has_the_same_rows() -> None:
