@@ -19,7 +19,7 @@ from benchmark.records.scenes import NO_SHEETS, Sheets
 from benchmark.report.table import Table, escape_markdown
 from leaderboard.figures.attacks import attack_figures, nothing_drawn
 from leaderboard.figures.charts import NamedFigure, data_set_figures
-from leaderboard.figures.heat_map import heat_maps
+from leaderboard.figures.heat_map import heat_maps, lift_maps
 from leaderboard.figures.pressure import pressure_figures
 from leaderboard.figures.refinement import refinement_figures
 from leaderboard.paper.contents import paper_tables
@@ -193,8 +193,9 @@ def _add_data_set(made: _Made, data_set: DataSetTables, sheets: Sheets, every_re
             f"{escape_markdown(name)}: protocol {escape_markdown(protocol)}", tables
         ).encode()
     titles = {table.name: table.title for table in data_set.front}
-    for table_name, matrix in data_set.matrices.items():
-        made.draw(name, NamedFigure(table_name, titles[table_name], *heat_maps(matrix)))
+    for draw, matrices in ((heat_maps, data_set.matrices), (lift_maps, data_set.lifts)):
+        for table_name, matrix in matrices.items():
+            made.draw(name, NamedFigure(table_name, titles[table_name], *draw(matrix)))
     charts = (*data_set_figures(name, data_set.records), *attack_figures(name, every_record))
     figures = (*charts, *refinement_figures(name, sheets))
     for figure in figures:
@@ -299,7 +300,7 @@ def _section(data_set: DataSetTables, figures: Sequence[NamedFigure], folder: st
     lines += [*(f"- {escape_markdown(note)}" for note in data_set.notes), ""] if data_set.notes else []
     for table in data_set.front:
         lines.append(shown(table))
-        if table.name in data_set.matrices:
+        if table.name in {**data_set.matrices, **data_set.lifts}:
             lines += [f"![{escape_markdown(table.title)}]({quote(_picture(folder, table.name))})", ""]
     for figure in figures:
         lines += [f"![{escape_markdown(figure.title)}]({quote(_picture(folder, figure.name))})", ""]

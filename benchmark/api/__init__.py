@@ -72,7 +72,7 @@ if TYPE_CHECKING:
     from generation.splits.packaged import frozen_split as frozen_split, packaged_splits as packaged_splits
     from generation.splits.packing import PackageContents as PackageContents, pack_split as pack_split
     from generation.splits.unpacking import read_split_package as read_split_package
-    from leaderboard.figures.heat_map import write_heat_map as write_heat_map
+    from leaderboard.figures.heat_map import write_heat_map as write_heat_map, write_lift_map as write_lift_map
     from leaderboard.films.film import FilmSettings as FilmSettings
     from leaderboard.films.filming import write_films as write_films
     from leaderboard.publishing.checking import check_publishable as check_publishable

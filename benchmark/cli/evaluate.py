@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -375,6 +376,14 @@ def rescore_command(
     raise typer.Exit(1 if any(result.failed for result in results) else 0)
 
 
+class MapName(StrEnum):
+    """Which picture of the transfer between planners."""
+
+    TRANSFER = "transfer"
+    ADVERSARY = "adversary"
+    LIFT = "lift"
+
+
 def transfer_command(
     split: SplitOption = "adv",
     out: OutOption = api.OUT,
@@ -382,6 +391,13 @@ def transfer_command(
     protocol: Annotated[str, typer.Option(help="Whose verdicts count; native: of each planner's own.")] = "exact",
     data: Annotated[str | None, typer.Option("--data", help="Only records of the data set of this name.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Write a heat map to this .png or .svg file.")] = None,
+    figure_of: Annotated[
+        MapName,
+        typer.Option(
+            help="Of what: transfer of any failure, of contacts with the adversary, or lift and φ of the latter (of "
+            "any failure where records do not say whom contacts are with)."
+        ),
+    ] = MapName.TRANSFER,
     pairs: Annotated[bool, typer.Option("--pairs", help="Also a row for every two planners.")] = False,
     wide: WideOption = False,
     json_output: JsonOption = False,
@@ -393,7 +409,7 @@ def transfer_command(
     from benchmark.protocols import protocol as known_protocol
     from benchmark.records.inventory import recorded, said_of
     from benchmark.records.run import NATIVE, find_records
-    from leaderboard.figures.heat_map import write_heat_map
+    from leaderboard.figures.heat_map import write_heat_map, write_lift_map
     from leaderboard.tables.transfer import agreement_table, lift_table, transfer_matrices, transfer_table
 
     if protocol != NATIVE:
@@ -414,7 +430,15 @@ def transfer_command(
     if figure is not None:
         if len(matrices) > 1:
             raise InputError(f"--figure draws one matrix and there are {', '.join(matrices)}; choose one with --data")
-        write_heat_map(next(iter(matrices.values())), figure)
+        ((name, drawn),) = matrices.items()
+        of_adversary = _of_adversary(known, split, name) if protocol == EXACT else []
+        if figure_of is MapName.ADVERSARY and not of_adversary:
+            raise InputError(
+                "--figure-of adversary needs two records that say whom contacts are with, judged by exact; "
+                "challenger-bench rescore brings that to older ones"
+            )
+        drawn = drawn if figure_of is MapName.TRANSFER else (*of_adversary, drawn)[0]
+        (write_lift_map if figure_of is MapName.LIFT else write_heat_map)(drawn, figure)
     if json_output:
         print_json(
             {

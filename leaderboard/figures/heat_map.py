@@ -1,6 +1,11 @@
-"""The transfer matrix as a picture: who else fails (column) the scenes that a planner fails (row)."""
+"""Transfer between planners as pictures: who else fails (column) the scenes that a planner fails (row).
 
-from collections.abc import Sequence
+`heat_map` has the shares of one matrix; `lift_map` how far two planners fail the same scenes beyond chance.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -14,16 +19,41 @@ from benchmark.drawing.lettering import drawable
 from benchmark.drawing.plots import FORMATS, LIGHT, Theme, for_pages, new_figure, picture
 from benchmark.errors import InputError
 from benchmark.machine.storage import write_bytes
-from benchmark.metrics.rates import Rate
+from benchmark.metrics.rates import Estimate, Rate
 from benchmark.metrics.transfer import TransferMatrix
 from benchmark.records.run import NATIVE
-from benchmark.report.cells import UNDEFINED
+from benchmark.report.cells import UNDEFINED, interval, number
 from leaderboard.tables.transfer import planner_names
 
 COLOURS: Final = "cividis"
 """Looks the same with and without colour-blindness, and its lightness alone tells the order."""
-_CELL_INCHES, _CHARACTER_INCHES, _CAPTION_INCHES = 0.85, 0.09, 1.1
+AROUND_CHANCE: Final = "PuOr_r"
+"""Purple below chance, white as by chance, orange above it: hues that no colour-blindness mixes up."""
+_MOST_LIFT: Final = 4.0
+"""From there on, and from its inverse on, the colour is the last one."""
+_CELL_INCHES, _CHARACTER_INCHES, _CAPTION_INCHES, _LINE_INCHES = 0.85, 0.09, 2.6, 0.15
 _HATCH = "#9a9a9a"
+
+
+@dataclass(frozen=True, slots=True)
+class Square:
+    """A cell of a picture.
+
+    Attributes:
+        text: Its number.
+        below: What stands small below it.
+        colour: Red, green, blue, 0..1.
+        bold: Whether it stands out.
+    """
+
+    text: str
+    below: str
+    colour: tuple[float, ...]
+    bold: bool = False
+
+
+Squares = list[list[Square | None]]
+"""Rows of cells; ``None`` is hatched."""
 
 
 def write_heat_map(matrix: TransferMatrix, path: Path) -> None:
@@ -36,9 +66,20 @@ def write_heat_map(matrix: TransferMatrix, path: Path) -> None:
     Raises:
         InputError: If the file has another ending or cannot be written.
     """
-    if path.suffix not in FORMATS:
-        raise InputError(f"cannot draw {path}: name a file that ends in {' or '.join(FORMATS)}")
-    write_bytes(path, heat_map(matrix, path.suffix))
+    _write(heat_map, matrix, path)
+
+
+def write_lift_map(matrix: TransferMatrix, path: Path) -> None:
+    """Write the picture of the lift and φ of every two planners.
+
+    Args:
+        matrix: From `benchmark.metrics.transfer.transfer`.
+        path: A ``.png`` or ``.svg`` file.
+
+    Raises:
+        InputError: If the file has another ending or cannot be written.
+    """
+    _write(lift_map, matrix, path)
 
 
 def heat_map(matrix: TransferMatrix, suffix: str, theme: Theme = LIGHT) -> bytes:
@@ -53,12 +94,38 @@ def heat_map(matrix: TransferMatrix, suffix: str, theme: Theme = LIGHT) -> bytes
         Share and counts in every cell, and the victims' failure rates over all scenes below; cells without a number,
         and the diagonal, are hatched.
     """
-    return picture(partial(_figure, matrix), suffix, theme)
+    return picture(partial(_shares, matrix), suffix, theme)
 
 
 def heat_maps(matrix: TransferMatrix) -> tuple[bytes, bytes, bytes]:
     """`heat_map` as a site shows it: PNG and SVG for light pages, SVG for dark ones."""
-    return for_pages(partial(_figure, matrix))
+    return for_pages(partial(_shares, matrix))
+
+
+def lift_map(matrix: TransferMatrix, suffix: str, theme: Theme = LIGHT) -> bytes:
+    """The picture's bytes: how far two planners fail the same scenes beyond chance.
+
+    Args:
+        matrix: From `benchmark.metrics.transfer.transfer`.
+        suffix: ``.png`` or ``.svg``.
+        theme: Colours around the cells.
+
+    Returns:
+        Lift above the diagonal and φ below it, each with its interval; colours say how far it is from chance. Cells
+        without a number, and the diagonal, are hatched.
+    """
+    return picture(partial(_beyond_chance, matrix), suffix, theme)
+
+
+def lift_maps(matrix: TransferMatrix) -> tuple[bytes, bytes, bytes]:
+    """`lift_map` as a site shows it."""
+    return for_pages(partial(_beyond_chance, matrix))
+
+
+def _write(draw: Callable[[TransferMatrix, str], bytes], matrix: TransferMatrix, path: Path) -> None:
+    if path.suffix not in FORMATS:
+        raise InputError(f"cannot draw {path}: name a file that ends in {' or '.join(FORMATS)}")
+    write_bytes(path, draw(matrix, path.suffix))
 
 
 def text_colour(background: Sequence[float]) -> str:
@@ -80,56 +147,127 @@ def relative_luminance(colour: Sequence[float]) -> float:
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
-def _figure(matrix: TransferMatrix, theme: Theme) -> Figure:
+def share_squares(matrix: TransferMatrix) -> Squares:
+    """Cells of `heat_map`: a row a surrogate, and one of the failure rates over all scenes."""
+    return [
+        *(
+            [None if row == column else _share(rate) for column, rate in enumerate(rates)]
+            for row, rates in enumerate(matrix.cells)
+        ),
+        [_share(rate) for rate in matrix.base_rates],
+    ]
+
+
+def lift_squares(matrix: TransferMatrix) -> Squares:
+    """Cells of `lift_map`: lift above the diagonal, φ below it; bold where the interval leaves chance out."""
+    count = len(matrix.planners)
+    squares: Squares = [[None] * count for _ in range(count)]
+    for agreement in matrix.agreements:
+        first, second = sorted(matrix.planners.index(name) for name in agreement.planners)
+        lift, phi = Estimate(agreement.lift, agreement.lift_low, agreement.lift_high), agreement.phi
+        squares[first][second] = _around(lift, 1.0, "{}×", 0.5 + _lift_colour(lift.value))
+        squares[second][first] = _around(phi, 0.0, "φ {}", 0.5 + 0.5 * (phi.value or 0.0))
+    return squares
+
+
+def _share(rate: Rate) -> Square | None:
+    if rate.value is None:
+        return None
+    counts = f"{round(rate.numerator)}/{rate.denominator}"
+    return Square(f"{100 * rate.value:.0f} %", counts, mpl.colormaps[COLOURS](rate.value)[:3])
+
+
+def _around(found: Estimate, chance: float, form: str, shade: float) -> Square | None:
+    if found.value is None:
+        return None
+    ends = interval(found.low, found.high, digits=2)
+    told = found.low is not None and found.high is not None and not found.low <= chance <= found.high
+    text = form.format(number(found.value, 2))
+    return Square(text, "" if ends == UNDEFINED else ends, mpl.colormaps[AROUND_CHANCE](shade)[:3], bold=told)
+
+
+def _lift_colour(lift: float | None) -> float:
+    """-0.5..0.5: the logarithm, so that half and double are equally far from chance."""
+    if not lift:
+        return -0.5
+    return max(-0.5, min(0.5, 0.5 * math.log(lift) / math.log(_MOST_LIFT)))
+
+
+def _shares(matrix: TransferMatrix, theme: Theme) -> Figure:
+    caption = (
+        f"{_whose(matrix)}.\nRow: surrogate. Column: victim.\n"
+        "Cell: share of the surrogate's failed\nscenes that the victim fails too.\nHatched: undefined."
+    )
+    failed = [f"fails {round(cells[own].numerator)}" for own, cells in enumerate(matrix.cells)]
+    return _figure(matrix, share_squares(matrix), failed, caption, theme)
+
+
+def _beyond_chance(matrix: TransferMatrix, theme: Theme) -> Figure:
+    caption = (
+        f"{_whose(matrix)}.\nAbove the diagonal: lift, how many times\nmore often both fail than by chance (1).\n"
+        "Below: φ, correlation of verdicts (0).\nOrange: more than chance; purple: less.\n"
+        "Small: 95 % interval; bold: beyond chance.\nHatched: undefined."
+    )
+    rates = [rate.value for rate in matrix.base_rates]
+    failed = ["" if rate is None else f"fails {100 * rate:.0f} %" for rate in rates]
+    return _figure(matrix, lift_squares(matrix), failed, caption, theme)
+
+
+def _whose(matrix: TransferMatrix) -> str:
+    judge = "own protocols" if matrix.protocol == NATIVE else f"protocol {drawable(matrix.protocol)}"
+    what = "Contacts with the adversary" if matrix.adversary_only else "Failures"
+    return f"{what}\non {drawable(matrix.split)}, {judge}"
+
+
+def _figure(matrix: TransferMatrix, squares: Squares, of_rows: Sequence[str], caption: str, theme: Theme) -> Figure:
+    """Squares with the planners' names at the left and above; a row beyond the planners stands apart."""
     count = len(matrix.planners)
     # The last row stands apart: it is no surrogate.
-    base_row = count + 0.4
+    rows = [*range(count), *(row + 0.4 for row in range(count, len(squares)))]
     names = [drawable(name) for name in planner_names(matrix)]
-    figure, axes = _canvas(count, base_row + 1.0, longest_name=max(len(name) for name in names))
-    for row, cells in enumerate(matrix.cells):
-        for column, rate in enumerate(cells):
-            _draw_cell(axes, column, row, None if row == column else rate, theme)
-    for column, rate in enumerate(matrix.base_rates):
-        _draw_cell(axes, column, base_row, rate, theme)
-    failed = [round(cells[own].numerator) for own, cells in enumerate(matrix.cells)]
-    surrogates = [f"{name}\nfails {number}" for name, number in zip(names, failed)]
+    longest, lines = max(len(name) for name in names), caption.count("\n") + 1
+    figure, axes = _canvas(count, rows[-1] + 1.0, longest_name=longest, caption_lines=lines)
+    for row, cells in zip(rows, squares, strict=True):
+        for column, square in enumerate(cells):
+            _draw_square(axes, column, row, square, theme)
+    labels = [f"{name}\n{said}" for name, said in zip(names, of_rows, strict=True)]
     axes.set_xlim(-0.5, count - 0.5)
-    axes.set_ylim(base_row + 0.5, -0.5)
+    axes.set_ylim(rows[-1] + 0.5, -0.5)
     axes.set_xticks(range(count), names, rotation=40, ha="left", rotation_mode="anchor", parse_math=False)
-    axes.set_yticks([*range(count), base_row], [*surrogates, "all scenes"], parse_math=False)
+    axes.set_yticks(rows, [*labels, "all scenes"][: len(rows)], parse_math=False)
     axes.xaxis.tick_top()
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
-    judge = "own protocols" if matrix.protocol == NATIVE else f"protocol {drawable(matrix.protocol)}"
-    caption = (
-        f"Failures on {drawable(matrix.split)}, {judge}.\nRow: surrogate. Column: victim.\n"
-        "Cell: share of the surrogate's failed\nscenes that the victim fails too.\nHatched: undefined."
-    )
     figure.text(0.1 / figure.get_figwidth(), 0.995, caption, va="top", fontsize="small", parse_math=False)
     return figure
 
 
-def _canvas(columns: float, rows: float, *, longest_name: int) -> tuple[Figure, Axes]:
+def _canvas(columns: float, rows: float, *, longest_name: int, caption_lines: int) -> tuple[Figure, Axes]:
     """A figure around square cells, with room for names of so many characters at the left and, slanted, above."""
     name = _CHARACTER_INCHES * longest_name
-    left, above = max(0.25 + name, 1.1), max(0.3 + 0.66 * name, _CAPTION_INCHES)
+    left = max(0.25 + name, 1.1)
+    # The first slanted name may reach below the caption.
+    beneath = min(0.66 * name, 0.84 * max(_CAPTION_INCHES - left - 0.33, 0.0))
+    above = max(0.3 + 0.66 * name, 0.35 + _LINE_INCHES * caption_lines + beneath)
     width, height = columns * _CELL_INCHES, rows * _CELL_INCHES
-    size = (left + max(width + 0.78 * name, _CAPTION_INCHES), above + height + 0.1)
+    size = (max(left + width + 0.78 * name, 0.2 + _CAPTION_INCHES), above + height + 0.1)
     figure = new_figure(*size)
     return figure, figure.add_axes((left / size[0], 0.1 / size[1], width / size[0], height / size[1]))
 
 
-def _draw_cell(axes: Axes, column: float, row: float, rate: Rate | None, theme: Theme) -> None:
-    """One square: a share with its counts, or hatched."""
+def _draw_square(axes: Axes, column: float, row: float, square: Square | None, theme: Theme) -> None:
+    """One cell: a number with what stands below it, or hatched."""
     corner = (column - 0.5, row - 0.5)
-    if rate is None or rate.value is None:
+    if square is None:
         axes.add_patch(Rectangle(corner, 1, 1, facecolor=theme.empty, edgecolor=_HATCH, hatch="///", linewidth=0))
         axes.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor=theme.paper, linewidth=1.5))
         box = {"facecolor": theme.empty, "edgecolor": "none", "pad": 2.0}
         axes.text(column, row, UNDEFINED, ha="center", va="center", bbox=box)
         return
-    colour = mpl.colormaps[COLOURS](rate.value)
-    axes.add_patch(Rectangle(corner, 1, 1, facecolor=colour, edgecolor=theme.paper, linewidth=1.5))
-    style: dict[str, Any] = {"ha": "center", "color": text_colour(colour[:3])}
-    axes.text(column, row + 0.02, f"{100 * rate.value:.0f} %", va="bottom", **style)
-    axes.text(column, row + 0.06, f"{round(rate.numerator)}/{rate.denominator}", va="top", fontsize="small", **style)
+    axes.add_patch(Rectangle(corner, 1, 1, facecolor=square.colour, edgecolor=theme.paper, linewidth=1.5))
+    style: dict[str, Any] = {"ha": "center", "color": text_colour(square.colour)}
+    weight = "bold" if square.bold else "normal"
+    axes.text(column, row + (0.02 if square.below else 0.1), square.text, va="bottom", weight=weight, **style)
+    if square.below:
+        small = "x-small" if len(square.below) > 10 else "small"
+        axes.text(column, row + 0.06, square.below, va="top", fontsize=small, **style)

@@ -45,7 +45,8 @@ class DataSetTables:
         front: Under ``exact`` and under the planners' own protocols, then diagnosis, disagreement and driving scores.
         slices: By place, light, manoeuvre, speed and command: the same judges as ``front``.
         others: Under each other protocol; the collision table comes first.
-        matrices: Transfer matrices that get a picture, by the name of their table.
+        matrices: Transfer matrices that get a picture of shares, by the name of their table.
+        lifts: Those that get one of lift and φ, by the name of that table.
         records: What they are made from.
         notes: Sentences on what records lack.
     """
@@ -55,6 +56,7 @@ class DataSetTables:
     slices: tuple[Table, ...]
     others: dict[str, tuple[Table, ...]]
     matrices: dict[str, TransferMatrix]
+    lifts: dict[str, TransferMatrix]
     records: tuple[RunRecord, ...]
     notes: tuple[str, ...]
 
@@ -79,6 +81,7 @@ def data_set_tables(data_name: str, records: Sequence[RunRecord], against: Seque
     splits, verdicts = splits_of(records), Verdicts()
     front: list[Table | None] = [effect_table(data_name, records, against)]
     matrices: dict[str, TransferMatrix] = {}
+    lifts: dict[str, TransferMatrix] = {}
     names = [name for name in (EXACT, NATIVE) if name in protocols or (name == NATIVE and _has_native(records))]
     front += [
         native_table(data_name, records) if name == NATIVE else collision_table(data_name, name, records)
@@ -90,9 +93,12 @@ def data_set_tables(data_name: str, records: Sequence[RunRecord], against: Seque
     for split in splits:
         front += [planner_table(data_name, split, name, records, verdicts) for name in names if name != NATIVE]
         for name in names:
-            matrix, of_transfer = _transfer_tables(data_name, split, name, records)
+            found, of_transfer = _transfer_tables(data_name, split, name, records)
             front += of_transfer
-            matrices |= {} if matrix is None else {of_transfer[0].name: matrix}
+            matrices |= zip([table.name for table in of_transfer[::2]], found)
+            if found and name == EXACT:
+                # Where it is known who is an adversary, contacts with bystanders say nothing of attacks.
+                lifts[of_transfer[-1].name] = found[-1]
     front += [*attack_tables(data_name, records), *judgement_tables(data_name, records)]
     front += [longer_table(data_name, records), consistency_table(data_name, records)]
     if EXACT in protocols:
@@ -106,7 +112,7 @@ def data_set_tables(data_name: str, records: Sequence[RunRecord], against: Seque
     others = {name: _tables_under(data_name, name, splits, records) for name in sorted(protocols - {EXACT})}
     tables = tuple(table for table in front if table is not None)
     slices = _slices(data_name, records, (*names, PDM, DIAGNOSIS))
-    return DataSetTables(data_name, tables, slices, others, matrices, tuple(records), _missing(records))
+    return DataSetTables(data_name, tables, slices, others, matrices, lifts, tuple(records), _missing(records))
 
 
 def generation_tables(sheets: Sheets, ablations: Sequence[AblationReport]) -> dict[str, tuple[Table, ...]]:
@@ -151,8 +157,11 @@ def _slices(data_name: str, records: Sequence[RunRecord], asked: Sequence[str]) 
 
 def _transfer_tables(
     data_name: str, split: str, protocol: str, records: Sequence[RunRecord]
-) -> tuple[TransferMatrix | None, list[Table]]:
-    """Transfer and agreement of the planners that ran on the whole split; the tables say who is left out."""
+) -> tuple[list[TransferMatrix], list[Table]]:
+    """Matrices of the planners that ran on the whole split, of each a table of shares and one of lift and φ.
+
+    The tables say who is left out.
+    """
     kept, refused = [], []
     for record in in_table_order(records):
         if record.run.split != split:
@@ -168,10 +177,10 @@ def _transfer_tables(
             continue
         kept.append(record)
     if len(kept) < 2:
-        return None, []
+        return [], []
     matrices = both_matrices(kept, protocol)
     tables = [make(data_name, each) for each in matrices for make in (transfer_table, lift_table)]
-    return matrices[0], [replace(table, notes=(*table.notes, *refused)) for table in tables]
+    return matrices, [replace(table, notes=(*table.notes, *refused)) for table in tables]
 
 
 def _missing(records: Sequence[RunRecord]) -> tuple[str, ...]:

@@ -184,5 +184,6 @@ def _said_of_pairs(record: RunRecord, paired: PairedEffect) -> list[str]:
 def _too_few(found: PairedDifference) -> str | None:
     if found.value is None or found.low is not None:
         return None
-    told = f"only {found.differing} of {counted(found.recordings, 'recording')} differ, too few for an interval"
+    verb = "differs" if found.differing == 1 else "differ"
+    told = f"only {found.differing} of {found.recordings} recordings {verb}, too few for an interval"
     return told if found.enough is None else f"{told}; about {found.enough} recordings would do"

@@ -54,7 +54,8 @@ def drawn() -> None:
 
 def texts(records: Sequence[RunRecord]) -> dict[str, str]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("leaderboard.build.heat_maps", lambda _: (b"", b"", b""))
+        for name in ("heat_maps", "lift_maps"):
+            patch.setattr(f"leaderboard.build.{name}", lambda _: (b"", b"", b""))
         files = leaderboard_files(records).items()
     return {name: content.decode() for name, content in files if not name.endswith(".png")}
 
@@ -78,6 +79,9 @@ def test_the_same_records_give_the_same_bytes(runs: tuple[RunRecord, ...], drawn
     assert [name for name in files if name.endswith(".png")] == [
         "figures/fake/transfer-val-exact.png",
         "figures/fake/transfer-adv-exact.png",
+        "figures/fake/transfer-adv-adversary.png",
+        "figures/fake/lift-val-exact.png",
+        "figures/fake/lift-adv-adversary.png",
         "figures/fake/rates-exact.png",
         "figures/fake/disagreement-val.png",
         "figures/fake/disagreement-adv.png",
@@ -221,7 +225,8 @@ def test_transfer_shows_counts_and_a_dash_where_the_surrogate_never_fails(
 def test_a_name_from_a_strangers_record_stays_inside_the_folder(
     runs: tuple[RunRecord, ...], name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("leaderboard.build.heat_maps", lambda _: (b"", b"", b""))
+    for name in ("heat_maps", "lift_maps"):
+        monkeypatch.setattr(f"leaderboard.build.{name}", lambda _: (b"", b"", b""))
     folder = tmp_path / "board"
     for path in write_leaderboard([named(record, data=name) for record in runs], folder):
         assert path.resolve().is_relative_to(folder.resolve())

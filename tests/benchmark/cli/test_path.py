@@ -164,6 +164,15 @@ def test_transfer_under_any_protocol_and_its_heat_map(out: Path, tmp_path: Path)
     text = done(challenger_bench("transfer", "--out", out, "--figure", picture)).out
     assert "φ" in text and "lift" in text
     assert picture.read_bytes().startswith(b"\x89PNG")
+    drawn = {picture.read_bytes()}
+    for what in ("adversary", "lift"):
+        done(challenger_bench("transfer", "--out", out, "--figure", picture, "--figure-of", what))
+        drawn.add(picture.read_bytes())
+    assert len(drawn) == 3
+    bare = challenger_bench(
+        "transfer", "--out", out, "--protocol", "vad", "--figure", picture, "--figure-of", "adversary"
+    )
+    assert bare.code == 2 and "say whom contacts are with" in bare.err
     wrong = challenger_bench("transfer", "--out", out, "--figure", tmp_path / "transfer.docx")
     assert (wrong.code, wrong.err.count("\n")) == (2, 1)
 

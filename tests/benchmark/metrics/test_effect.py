@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.metrics.effect import AdversaryEffect, effect_of
-from benchmark.metrics.paired_interval import FEWEST_DIFFERING, FEWEST_RECORDINGS, paired_difference
+from benchmark.metrics.paired_interval import FEWEST_DIFFERING_OF_TEN, FEWEST_RECORDINGS, paired_difference
 from benchmark.metrics.unchanged import unchanged_record
 from benchmark.records.run import RunRecord
 from leaderboard.tables.effect import effect_table
@@ -109,10 +109,43 @@ def test_too_few_recordings_that_differ_give_no_interval_and_say_how_many_would(
     weights = np.full(10, 34.0)
     few = paired_difference(np.array([3.0, 2.0, *[0.0] * 8]), weights)
     assert (few.low, few.high, few.differing) == (None, None, 2) and few.value == pytest.approx(5 / 340)
-    assert few.enough == FEWEST_DIFFERING * 5
+    assert few.enough == FEWEST_DIFFERING_OF_TEN * 5
     assert paired_difference(np.zeros(10), weights).enough is None
     assert paired_difference(np.full(3, 2.0), weights[:3]).enough == FEWEST_RECORDINGS
     assert paired_difference(np.zeros(0), np.zeros(0)).value is None
+
+
+@pytest.mark.parametrize(
+    ("recordings", "differing", "enough"),
+    [(5, 4, None), (5, 3, 7), (7, 4, None), (7, 3, 12), (9, 4, None), (10, 4, 13), (10, 5, None), (30, 4, 38)],
+)
+def test_four_of_fewer_than_ten_recordings_must_differ_and_five_of_more(
+    recordings: int, differing: int, enough: int | None
+) -> None:
+    sums = np.array([*np.linspace(1.0, 4.0, differing), *[0.0] * (recordings - differing)])
+    found = paired_difference(sums, np.full(recordings, 30.0))
+    assert (found.low is None, found.enough) == (enough is not None, enough)
+    if enough is not None:
+        # What is named does, and one fewer does not.
+        assert [_given(number, number * differing // recordings) for number in (enough - 1, enough)] == [False, True]
+
+
+def _given(recordings: int, differing: int) -> bool:
+    sums = np.array([*np.linspace(1.0, 4.0, differing), *[0.0] * (recordings - differing)])
+    return paired_difference(sums, np.full(recordings, 30.0)).low is not None
+
+
+@pytest.mark.parametrize(
+    ("adversarial", "said"),
+    [
+        ({"A-1": "f..."}, "only 1 of 1 recordings differs, too few"),
+        ({f"{name}-1": "f..." if name in "AB" else "...." for name in "ABCDEFG"}, "only 2 of 7 recordings differ, too"),
+    ],
+)
+def test_the_table_says_in_words_how_many_recordings_differ(adversarial: Mapping[str, str], said: str) -> None:
+    unchanged = ran({scene[0]: "...." for scene in adversarial}, "val")
+    table = effect_table("d", [ran(adversarial), unchanged])
+    assert table is not None and sum(said in note for note in table.notes) == 1
 
 
 def test_the_interval_is_that_of_t_over_recordings_of_equal_length() -> None:

@@ -54,7 +54,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures have tests of their own and take most of the time."""
     monkeypatch.setattr("leaderboard.build.data_set_figures", lambda name, records: (FIGURE,))
-    monkeypatch.setattr("leaderboard.build.heat_maps", lambda _: (b"png", b"png", b"png"))
+    for name in ("heat_maps", "lift_maps"):
+        monkeypatch.setattr(f"leaderboard.build.{name}", lambda _: (b"png", b"png", b"png"))
     monkeypatch.setattr("leaderboard.build.attack_figures", lambda *_: ())
 
 
@@ -63,7 +64,8 @@ def folder(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pat
     """A written leaderboard."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("leaderboard.build.data_set_figures", lambda name, records: (FIGURE,))
-        patch.setattr("leaderboard.build.heat_maps", lambda _: (b"png", b"png", b"png"))
+        for name in ("heat_maps", "lift_maps"):
+            patch.setattr(f"leaderboard.build.{name}", lambda _: (b"png", b"png", b"png"))
         patch.setattr("leaderboard.build.attack_figures", lambda *_: ())
         found = tmp_path_factory.mktemp("board")
         write_leaderboard(made.records, found, sheets=made.sheets)

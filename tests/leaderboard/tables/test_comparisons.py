@@ -16,6 +16,8 @@ from leaderboard.tables.comparisons import planner_table, split_table
 from leaderboard.tables.contents import data_set_tables
 from leaderboard.tables.rows import FEW_NOTE
 from leaderboard.tables.transfer import agreement_table, transfer_table
+from tests.benchmark.metrics.made_attacks import attacked
+from tests.benchmark.metrics.test_effect import told
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, LATE, hand_made
 
 ALL = ("exact", "uniad", "vad")
@@ -125,8 +127,21 @@ def test_exact_and_native_come_first_and_others_have_tables_of_their_own() -> No
     assert sorted(found.matrices) == [
         f"transfer-{split}-{name}" for split in ("adv", "val") for name in ("exact", "native")
     ]
+    assert sorted(found.lifts) == ["lift-adv-exact", "lift-val-exact"]
     every = [table.name for table in found.tables]
     assert len(every) == len(set(every))
+
+
+def test_where_adversaries_are_known_the_picture_of_lift_is_of_contacts_with_them() -> None:
+    scenes = {"A-1": "f...", "B-1": "F..f", "C-1": "...."}
+    record = told(attacked("a", scenes, dict.fromkeys(scenes, True)))
+    other = told(attacked("b", {**scenes, "C-1": "F..."}, dict.fromkeys(scenes, True)))
+    found = data_set_tables("d", [record, other])
+    assert [name for name in found.matrices if name.endswith(("exact", "adversary"))] == [
+        *("transfer-adv-exact", "transfer-adv-adversary"),
+    ]
+    assert list(found.lifts) == ["lift-adv-adversary"] and found.lifts["lift-adv-adversary"].adversary_only
+    assert {*found.matrices, *found.lifts} <= {table.name for table in found.front}
 
 
 def test_changes_show_both_rates_and_the_paired_difference() -> None:
