@@ -240,12 +240,14 @@
           counts.set(cause, (counts.get(cause) ?? 0) + count);
         }
       }
-      return { run, counts, sum: [...counts.values()].reduce((sum, count) => sum + count, 0) };
+      const adversarial = scenes.some((each) => each.data === run.data && each.split === run.split && each.adversarial);
+      return { run, counts, adversarial, sum: [...counts.values()].reduce((sum, count) => sum + count, 0) };
     }).filter(({ sum }) => sum > 0);
     if (!lines.length) return element("p", { class: "quiet" }, "No diagnosed collision under protocol exact.");
     const causes = ["unseen", "misforecast", "misplanned", "not attributable"];
-    return element("dl", { class: "bars" }, lines.map(({ run, counts, sum }) => [
-      element("dt", {}, `${run.data}, ${run.split}: of ${counted(sum, "colliding sample")} under exact, `,
+    return element("dl", { class: "bars" }, lines.map(({ run, counts, adversarial, sum }) => [
+      element("dt", {}, `${run.data}, ${run.split}: of ${counted(sum, "colliding sample")}${
+        adversarial ? " with the adversary" : ""} under exact, `,
         causes.filter((cause) => counts.get(cause)).map((cause) => `${counts.get(cause)} ${cause}`).join(", ")),
       element("dd", { "aria-hidden": "true" }, causes.filter((cause) => counts.get(cause)).map((cause) => {
         const part = element("span", { class: `cause ${cause.replace(" ", "-")}` }, cause);
