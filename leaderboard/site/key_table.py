@@ -3,10 +3,12 @@
 from collections.abc import Collection, Sequence
 from typing import Final
 
+from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.effect import effect_of
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import PlannerFacts
-from benchmark.report.cells import MINIATURE_WORDS, UNDEFINED, Cell
+from benchmark.report.cells import MINIATURE_WORDS, PERCENT, UNDEFINED, Cell, Origin, record_name
 from benchmark.report.table import Table
 from leaderboard.tables.collision import collision_table
 from leaderboard.tables.rows import PRIVILEGED_NOTE, in_table_order, marked, splits_of
@@ -18,10 +20,14 @@ NOTES: Final = (
     "over recorded scenes.",
     "Increase: (adv − val) / val of the averages, as the paper computes it.",
 )
+_ADVERSARY_NOTE: Final = (
+    "Adversary: average of the rates of samples that touch the adversary first, every recording weighing once "
+    f"(docs/metrics.md); {UNDEFINED}: not said of whom, until challenger-bench rescore. Anybody: of all collisions."
+)
 
 
 def key_table(data_name: str, records: Sequence[RunRecord]) -> Table | None:
-    """Averages with their intervals under ``exact``, a row a planner.
+    """Averages with their intervals under ``exact``, a row a planner; contacts with the adversary first, where one is.
 
     Args:
         data_name: Name of a data set.
@@ -40,26 +46,43 @@ def key_table(data_name: str, records: Sequence[RunRecord]) -> Table | None:
     whole, splits = collision_table(data_name, EXACT, runs), splits_of(runs)
     found = {(run.planner, run.run.split): row for row, run in enumerate(runs)}
     planners = {run.planner: run.run.planner for run in runs}
+    adversarial = {run.run.split for run in runs if has_adversaries(run)}
     rows: list[tuple[str, ...]] = []
     cells: list[tuple[Cell | None, ...]] = []
     for name, facts in planners.items():
-        wanted = [(found.get((name, split)), column) for split in splits for column in (AVERAGE, INTERVAL)]
-        wanted += [(found.get((name, "adv")), INCREASE)] if "adv" in splits else []
-        taken = [_taken(whole, row, column) for row, column in wanted]
+        taken: list[tuple[str, Cell | None]] = []
+        for split in splits:
+            row = found.get((name, split))
+            taken += [_adversary(None if row is None else runs[row])] if split in adversarial else []
+            taken += [_taken(whole, row, column) for column in (AVERAGE, INTERVAL)]
+        taken += [_taken(whole, found.get((name, "adv")), INCREASE)] if "adv" in splits else []
         shown = marked(name, privileged=facts.privileged, miniature=facts.miniature)
         rows.append((shown, *(text for text, _ in taken)))
         cells.append((None, *(cell for _, cell in taken)))
     increase = ("increase",) if "adv" in splits else ()
+    heads = {
+        split: ("adversary", "anybody", "95 %") if split in adversarial else ("average", "95 %") for split in splits
+    }
+    notes = _notes(planners.values(), bool(increase))
     return Table(
         "key",
         f"{data_name}: how often plans collide (%), protocol exact",
-        ("planner", *(head for _ in splits for head in ("average", "95 %")), *increase),
+        ("planner", *(head for split in splits for head in heads[split]), *increase),
         tuple(rows),
-        _notes(planners.values(), bool(increase)),
+        (_ADVERSARY_NOTE, *notes) if adversarial else notes,
         1,
-        (("", 1), *((split, 2) for split in splits), *((("", 1),) if increase else ())),
+        (("", 1), *((split, len(heads[split])) for split in splits), *((("", 1),) if increase else ())),
         tuple(cells),
     )
+
+
+def _adversary(record: RunRecord | None) -> tuple[str, Cell | None]:
+    """Average rate of samples that touch the adversary first."""
+    effect = None if record is None or EXACT in record.stale_protocols else effect_of(record, None)
+    if effect is None or effect.touched is None:
+        return UNDEFINED, None
+    rate = Origin(EXACT, record_name(effect.record)).cell(effect.touched[3], PERCENT, effect.samples, scale=100.0)
+    return rate.shown(2).text, rate
 
 
 def _taken(table: Table, row: int | None, column: str) -> tuple[str, Cell | None]:

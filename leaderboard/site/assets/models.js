@@ -125,19 +125,20 @@
       const origin = (unit) => [unit, "samples", protocol, recordName(model, run)];
       const average = rateCell(found.collision?.avg, 100, origin("%"));
       return [...place(run).map(() => null), null, ...HORIZONS.map((horizon) => rateCell(found.collision?.[horizon], 100, origin("%"))),
-        average, average, rateCell(found.l2?.avg, 1, origin("m")), null, null, null];
+        average, average, rateCell(found.l2?.avg, 1, origin("m")), null, null, null, null];
     };
     return tableView({
       id: "model", title: "Collision rate (%) and L2 (m) under every protocol", textColumns: several ? 3 : 2,
-      notes: lines.some(([, , found]) => found.stale)
-        ? ["‡ judged by an earlier version of the protocol; run challenger-bench rescore."] : [],
+      notes: [`Collisions are with anybody. Scenes in which a sample hits the adversary first; ${UNDEFINED}: there is none, or
+        neither the record nor the protocol says whom.`, ...(lines.some(([, , found]) => found.stale)
+        ? ["‡ judged by an earlier version of the protocol; run challenger-bench rescore."] : [])],
       columns: [...(several ? ["data set"] : []), "split", "protocol", "col. 1s", "col. 2s", "col. 3s", "col. avg", "95 % of avg", "L2 avg",
-        "scenes failed", "counted", "coverage"],
+        "scenes: adversary hit", "anybody hit", "counted", "coverage"],
       rows: lines.map(([run, protocol, found]) => [...place(run), found.stale ? `${protocol} ‡` : protocol,
         ...[...HORIZONS, "avg"].map((horizon) => rateText(found.collision?.[horizon])),
         intervalText(found.collision?.avg),
         found.l2?.avg && found.l2.avg.value !== null ? found.l2.avg.value.toFixed(2) : UNDEFINED,
-        `${found.scenesFailed}/${found.scenesDecided}`, String(found.counted), percent(run.coverage, 1)]),
+        found.scenesHit ? found.scenesHit.join("/") : UNDEFINED, `${found.scenesFailed}/${found.scenesDecided}`, String(found.counted), percent(run.coverage, 1)]),
       cells: lines.map(cells),
     }, { sort: here.params.get("sort"), sorted: (order) => remember(here, { sort: order }) });
   }

@@ -10,7 +10,7 @@
   const WORDS = { true: ["✕", "fails"], false: ["○", "clear"], null: ["–", "cannot be said"] };
   /** On a split with adversaries. */
   const HITS = { ...WORDS, true: ["✕", "hits the adversary"], others: ["◇", "hits another"],
-    unsaid: ["–", "collides; with whom is not said"] };
+    unsaid: ["–", "whom not said"] };
   const KINDS = { "✕": "bad", "○": "good", "◇": "other", "–": "open" };
 
   /** @param {*} scene @param {string} model @param {string} protocol @returns {boolean|null|undefined} */
