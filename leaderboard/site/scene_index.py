@@ -188,7 +188,9 @@ def _add_samples(found: _Seen, record: RunRecord, places: NDArray[np.int64], tou
         found.colliding[planner] = found.bystanders[planner] = None
         return
     attributed = (touches.adversary | touches.unsaid)[places].tolist()
-    causes = Counter(row.diagnosis.cause for row, own in zip(rows, attributed) if own and row.diagnosis is not None)
+    causes: Counter[str] = Counter(
+        row.diagnosis.cause for row, own in zip(rows, attributed) if own and row.diagnosis is not None
+    )
     if causes:
         found.causes[planner] = dict(causes)
     unsaid = bool(touches.unsaid[places].any())
