@@ -166,6 +166,6 @@ def draw_captions(image: Picture, view: GroundView, sheet: Sheet, seconds: float
         row += 18
     for plan, text in zip(plans, words):
         draw_swatch(image, plan.style, (14.0, row), 26)
-        colour = CONTACT if plan.verdict.collides else INK
-        write_text(image, text, (46.0, row), size_px=12, colour=colour, bold=bool(plan.verdict.collides))
+        alarms = plan.verdict.alarms
+        write_text(image, text, (46.0, row), size_px=12, colour=CONTACT if alarms else INK, bold=alarms)
         row += 18

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import Final
 
 import cv2
@@ -46,6 +47,15 @@ class Contact:
     point: Floats
 
 
+class Whom(Enum):
+    """Whom a plan touches first."""
+
+    ANYBODY = "anybody, in a scene without adversaries"
+    ADVERSARY = "the adversary"
+    OTHER = "another than the adversary"
+    UNSAID = "the record does not say"
+
+
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """What one protocol says of one sample.
@@ -55,12 +65,19 @@ class Verdict:
         words: The same in words.
         brief: The same in few words.
         counted: Whether it enters the rates.
+        whom: With whom the contact is, if it collides.
     """
 
     collides: bool | None
     words: str
     brief: str
     counted: bool
+    whom: Whom = Whom.ANYBODY
+
+    @property
+    def alarms(self) -> bool:
+        """Whether it is what is counted: a contact with the adversary, where there is one."""
+        return self.collides is True and self.whom in (Whom.ANYBODY, Whom.ADVERSARY)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,12 +137,13 @@ class PathOverlay:
 Overlay = PlanOverlay | CandidatesOverlay | PathOverlay
 
 
-def verdict_of(row: SampleRow, protocol: str) -> Verdict:
+def verdict_of(row: SampleRow, protocol: str, *, adversaries: bool = False) -> Verdict:
     """What a protocol says of a sample, in words.
 
     Args:
         row: The sample.
         protocol: Who judges.
+        adversaries: Whether there are adversaries in the scene.
 
     Returns:
         The verdict.
@@ -148,7 +166,22 @@ def verdict_of(row: SampleRow, protocol: str) -> Verdict:
     cause = f" ({row.diagnosis.cause})" if protocol == EXACT and row.diagnosis is not None else ""
     exactly = row.outcomes[protocol].facts.get("first_contact_s") is not None
     when = f"{seconds:.1f} s ahead" if exactly else f"within {seconds:.1f} s"
-    return Verdict(True, f"collides {when}{cause}{tail}", f"contact {seconds:.1f} s", counted)
+    whom = _whom(row.outcomes[protocol].touches_adversary) if adversaries else Whom.ANYBODY
+    verb, noun, rest = _WORDS[whom]
+    return Verdict(True, f"{verb} {when}{cause}{rest}{tail}", f"{noun} {seconds:.1f} s", counted, whom)
+
+
+_WORDS: Final = {
+    Whom.ANYBODY: ("collides", "contact", ""),
+    Whom.ADVERSARY: ("hits the adversary", "contact", ""),
+    Whom.OTHER: ("hits another", "another", ""),
+    Whom.UNSAID: ("collides", "whom? in", ", whom is not said"),
+}
+"""Of each: what the plan does, in a word, and what follows."""
+
+
+def _whom(adversary: bool | None) -> Whom:
+    return Whom.UNSAID if adversary is None else Whom.ADVERSARY if adversary else Whom.OTHER
 
 
 def _contact_seconds(row: SampleRow, protocol: str) -> float | None:
@@ -181,7 +214,8 @@ def plan_overlay(
     Raises:
         InputError: If the protocol did not judge the sample, or the plan is damaged.
     """
-    verdict, plan = verdict_of(row, protocol), placed_plan(row, ego_pose(sheet, keyframe))
+    verdict = verdict_of(row, protocol, adversaries=any(agent.adversary for agent in sheet.agents))
+    plan = placed_plan(row, ego_pose(sheet, keyframe))
     contact = None
     if plan is not None and verdict.collides:
         seconds = _contact_seconds(row, protocol)

@@ -21,6 +21,8 @@ TITLE: Final[Rgb] = (34, 38, 46)
 TITLE_INK: Final[Rgb] = (245, 246, 248)
 TITLE_FAINT: Final[Rgb] = (176, 182, 192)
 CONTACT: Final[Rgb] = (176, 0, 32)
+BYSTANDER: Final[Rgb] = (84, 92, 112)
+"""Contacts that the adversary has no part in; their marks are hollow."""
 
 
 @dataclass(frozen=True, slots=True)

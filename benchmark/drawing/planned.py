@@ -17,8 +17,8 @@ from benchmark.drawing.canvas import (
     through,
 )
 from benchmark.drawing.lettering import Picture, text_width, write_text
-from benchmark.drawing.overlays import CandidatesOverlay, Contact, PlanOverlay
-from benchmark.drawing.palette import BEST, CONTACT, INK, PAPER, WORST, Rgb, mixed
+from benchmark.drawing.overlays import CandidatesOverlay, Contact, PlanOverlay, Whom
+from benchmark.drawing.palette import BEST, BYSTANDER, CONTACT, INK, PAPER, WORST, Rgb, mixed
 from benchmark.geometry import Floats, box_corners
 
 _LABEL_PX, _LABEL_LINE_PX = 114, 18
@@ -113,6 +113,8 @@ def draw_plan(image: Picture, view: GroundView, overlay: PlanOverlay) -> None:
 def draw_contacts(image: Picture, view: GroundView, overlays: Sequence[PlanOverlay]) -> None:
     """Where plans first touch something: both rectangles then, a star, and in how many seconds.
 
+    The star is hollow if it is with another than the adversary, or with whom is not said.
+
     Args:
         image: Changed in place.
         view: Where metres fall.
@@ -121,25 +123,27 @@ def draw_contacts(image: Picture, view: GroundView, overlays: Sequence[PlanOverl
     seen: list[tuple[float, float, PlanOverlay, Contact]] = []
     for overlay in reversed(overlays):
         if overlay.contact is not None:
-            at = _draw_contact(image, view, overlay.contact, overlay.style.colour)
+            at = _draw_contact(image, view, overlay.contact, overlay.style.colour, hollow=not overlay.verdict.alarms)
             if 0 <= at[0] < view.width_px and 0 <= at[1] < view.height_px:
                 seen.append((float(at[1]), float(at[0]), overlay, overlay.contact))
     row = {False: -np.inf, True: -np.inf}
     for y, x, overlay, contact in sorted(seen, key=lambda each: each[:2]):
         left = contact.seconds - overlay.age_s
-        when = f"contact in {left:.1f} s" if left >= 0.05 else "contact now"
+        what = "another" if overlay.verdict.whom is Whom.OTHER else "contact"
+        when = f"{what} in {left:.1f} s" if left >= 0.05 else f"{what} now"
+        colour = CONTACT if overlay.verdict.alarms else BYSTANDER
         # At the edge of the picture, so that they cover neither cars nor each other.
         on_left = x > view.width_px - 1.4 * _LABEL_PX
         row[on_left] = max(y, row[on_left] + _LABEL_LINE_PX)
         start = 22.0 if on_left else view.width_px - _LABEL_PX
         end = start + text_width(when, size_px=12, bold=True) + 4 if on_left else start - 14
         line = np.round(np.array([(x, y), (end, row[on_left])]) * (1 << SHIFT)).astype(np.int32)
-        cv2.polylines(image, [line], False, CONTACT, 1, cv2.LINE_AA, SHIFT)
-        write_text(image, when, (start, row[on_left]), size_px=12, colour=CONTACT, bold=True, plate=PAPER)
+        cv2.polylines(image, [line], False, colour, 1, cv2.LINE_AA, SHIFT)
+        write_text(image, when, (start, row[on_left]), size_px=12, colour=colour, bold=True, plate=PAPER)
         mark_at(image, np.array([start - 9.0, row[on_left]]), overlay.style.mark, 4.5, overlay.style.colour, PAPER)
 
 
-def _draw_contact(image: Picture, view: GroundView, contact: Contact, colour: Rgb) -> Floats:
+def _draw_contact(image: Picture, view: GroundView, contact: Contact, colour: Rgb, *, hollow: bool) -> Floats:
     """Rectangles and star; where the star is, pixels."""
     corners = box_corners(contact.ego)
     through(image, view, corners, 0.35, lambda: fill_box(image, view, contact.ego, colour))
@@ -148,7 +152,8 @@ def _draw_contact(image: Picture, view: GroundView, contact: Contact, colour: Rg
         outline_box(image, view, contact.other, INK, 2, dash=(4.0, 3.0))
     at = view.pixels(contact.point)
     turn = np.pi * np.arange(16) / 8
-    for radius, shade in ((11.0, PAPER), (9.0, CONTACT)):
+    rings = ((11.0, PAPER), (9.0, BYSTANDER), (5.5, PAPER)) if hollow else ((11.0, PAPER), (9.0, CONTACT))
+    for radius, shade in rings:
         reach = np.where(np.arange(16) % 2 == 0, radius, 0.5 * radius)
         points = at + reach[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
         cv2.fillPoly(image, [np.round(points * (1 << SHIFT)).astype(np.int32)], shade, cv2.LINE_AA, SHIFT)

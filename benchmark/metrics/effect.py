@@ -20,8 +20,8 @@ from benchmark.metrics.paired_interval import PairedDifference, paired_differenc
 from benchmark.metrics.rates import HORIZONS, with_average
 from benchmark.metrics.scores import Scored, require_current, scored, source_of_scenes
 from benchmark.protocols import PROTOCOLS, published_values
-from benchmark.protocols.touched import HIT_ADVERSARY
-from benchmark.records.run import RunRecord
+from benchmark.protocols.touched import HIT_ADVERSARY, TOUCHED_ADVERSARY, touches_adversary
+from benchmark.records.run import RunRecord, scene_failures, scenes_with
 
 HORIZON_S: Final = (1.0, 2.0, 3.0)
 AT_3_S: Final = 2
@@ -108,9 +108,24 @@ class AdversaryEffect:
     paired: PairedEffect | None
 
 
-def says_whom(record: RunRecord) -> bool:
+@dataclass(frozen=True, slots=True)
+class FirstTouches:
+    """The samples of a record that count and collide, by whom their plans touch first; each sample is in one at most.
+
+    Attributes:
+        adversary: (R,) an adversary; on a split without adversaries whoever it is.
+        others: (R,) somebody else, on a split with adversaries.
+        unsaid: (R,) on a split with adversaries, where the record does not say whom.
+    """
+
+    adversary: Bools
+    others: Bools
+    unsaid: Bools
+
+
+def says_whom(record: RunRecord, protocol: str = EXACT) -> bool:
     """Whether a record says of its contacts whether they are with an adversary; older ones do not until rescored."""
-    return knows_adversaries(record) and _judges_whom(record)
+    return knows_adversaries(record) and _judges_whom(record, protocol)
 
 
 def knows_adversaries(record: RunRecord) -> bool:
@@ -119,8 +134,11 @@ def knows_adversaries(record: RunRecord) -> bool:
     return all(fact is not None and fact.adversaries is not None for fact in facts)
 
 
-def _judges_whom(record: RunRecord) -> bool:
-    return EXACT in record.run.protocols and HIT_ADVERSARY in record.columns.outcomes(EXACT).facts
+def _judges_whom(record: RunRecord, protocol: str = EXACT) -> bool:
+    if protocol not in record.run.protocols:
+        return False
+    facts = record.columns.outcomes(protocol).facts
+    return HIT_ADVERSARY in facts or TOUCHED_ADVERSARY in facts
 
 
 def effect_of(record: RunRecord, unchanged: RunRecord | None) -> AdversaryEffect | None:
@@ -213,6 +231,53 @@ def sample_contacts(record: RunRecord) -> SampleContacts:
     )
 
 
+def first_touches(record: RunRecord, protocol: str = EXACT) -> FirstTouches:
+    """Whom colliding samples touch first.
+
+    Args:
+        record: Of R rows, all of them judged by the protocol.
+        protocol: Who judges.
+
+    Returns:
+        The samples.
+    """
+    columns = record.columns
+    hits, none = columns.collides(protocol), np.zeros(len(columns), np.bool_)
+    if not has_adversaries(record):
+        return FirstTouches(hits, none, none)
+    if not says_whom(record, protocol):
+        return FirstTouches(none, none, hits)
+    outcomes = columns.outcomes(protocol)
+    adversary = none.copy()
+    for row in np.flatnonzero(hits[columns.planned]).tolist():
+        facts = {name: column[row] for name, column in outcomes.facts.items()}
+        adversary[columns.planned[row]] = touches_adversary(outcomes.collision[row].tolist(), facts) is True
+    return FirstTouches(adversary, hits & ~adversary, none)
+
+
+def touched_scenes(record: RunRecord, protocol: str = EXACT) -> dict[str, bool | None]:
+    """Which scenes a planner fails by touching the adversary first; on a split without adversaries, anybody.
+
+    Args:
+        record: The record.
+        protocol: Who judges.
+
+    Returns:
+        Verdicts as `benchmark.records.run.scene_failures` has them; ``None`` also where a plan collides and the record
+        does not say with whom.
+
+    Raises:
+        InputError: If the protocol is unknown or did not judge the rows.
+    """
+    anybody = scene_failures(record.rows, protocol)
+    if not has_adversaries(record):
+        return anybody
+    found = first_touches(record, protocol)
+    silent = {scene for scene, places in record.columns.places_of_scenes.items() if found.unsaid[places].any()}
+    verdicts = scenes_with(record.columns, protocol, found.adversary)
+    return {scene: None if scene in silent else failed for scene, failed in verdicts.items()}
+
+
 def attributed_collisions(record: RunRecord) -> Bools:
     """(R,) samples that count under ``exact`` and whose collision is the adversary's doing.
 
@@ -223,12 +288,8 @@ def attributed_collisions(record: RunRecord) -> Bools:
         On a split with adversaries those whose first contact is with one; of recordings, and where the record does not
         say whom contacts are with, any collision.
     """
-    columns = record.columns
-    found = columns.collides(EXACT)
-    if any(facts.adversaries for facts in record.run.scene_facts.values()) and says_whom(record):
-        hits = columns.outcomes(EXACT).facts[HIT_ADVERSARY]
-        found[columns.planned] &= np.array([bool(one) for one in hits], np.bool_)
-    return found
+    found = first_touches(record)
+    return found.adversary | found.unsaid
 
 
 def touching_adversary(record: RunRecord) -> Scored:

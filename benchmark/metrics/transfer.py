@@ -18,7 +18,7 @@ import numpy as np
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import AT_3_S, sample_contacts, says_whom
+from benchmark.metrics.effect import says_whom, touched_scenes
 from benchmark.metrics.rates import Estimate, Rate, all_ends, resampled
 from benchmark.metrics.scores import named, require_current, source_of_scenes
 from benchmark.protocols import protocol as definition_of
@@ -308,17 +308,8 @@ def adversary_failures(record: RunRecord) -> dict[str, bool | None]:
         raise InputError(
             f"{named(record)} does not say whom contacts are with, or who is an adversary; run challenger-bench rescore"
         )
-    found, columns = sample_contacts(record), record.columns
-    counts = found.counted.tolist()
-    judged = {scene for scene, counted in zip(columns.planned_scenes, counts) if counted}
-    hit = (found.counted & (found.adversary[:, AT_3_S] > 0.0)).tolist()
-    failed = {scene for scene, touches in zip(columns.planned_scenes, hit) if touches}
-    # A sample on which the planner failed could have shown anything.
-    lost = np.flatnonzero(columns.failed & columns.flags("complete")).tolist()
-    unknown = {columns.values("scene")[place] for place in lost}
-    return {
-        scene: True if scene in failed else False if scene in judged - unknown else None for scene in record.run.scenes
-    }
+    found = touched_scenes(record)
+    return {scene: found.get(scene) for scene in record.run.scenes}
 
 
 def _judges(records: Sequence[RunRecord], protocol: str) -> tuple[str, ...]:

@@ -1,5 +1,6 @@
 """Which road user a verdict is about: who is touched at each colliding step, and whether it is an adversary."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,24 @@ TOUCHED, TOUCHED_ADVERSARY = "touched", "touched_adversary"
 """Facts of protocols that look at the steps alone."""
 HIT_ADVERSARY, ADVERSARY_S = "hit_adversary", "adversary_contact_s"
 """Facts of ``exact``, beside ``hit`` and ``first_contact_s``."""
+
+
+def touches_adversary(collision: Sequence[bool], facts: Mapping[str, Any]) -> bool | None:
+    """Whether the first contact of a plan is with an adversary.
+
+    Args:
+        collision: Verdicts at the steps.
+        facts: Of the same verdict.
+
+    Returns:
+        ``None`` where there is no contact, or the verdict does not say whom it is with: it is older, or of a protocol
+        that never does.
+    """
+    if not any(collision):
+        return None
+    said = facts.get(TOUCHED_ADVERSARY)
+    first = facts.get(HIT_ADVERSARY) if said is None else said[list(collision).index(True)]
+    return None if first is None else bool(first)
 
 
 def touched_facts(

@@ -4,6 +4,7 @@ from typing import Any, Final, Literal, get_args
 
 from pydantic import Field, model_validator
 
+from benchmark.protocols.touched import touches_adversary
 from benchmark.records.judgement import Impact, NotNegative, Text
 from benchmark.records.stored import Stored
 
@@ -51,6 +52,11 @@ class OutcomeRow(Stored):
     def cut_short(self) -> bool:
         """Whether some of its steps are unknown although it counts; asked of ``exact`` alone."""
         return self.counted and None in self.l2
+
+    @property
+    def touches_adversary(self) -> bool | None:
+        """Whether the first contact is with an adversary (`benchmark.protocols.touched.touches_adversary`)."""
+        return touches_adversary(self.collision or (), self.facts)
 
 
 Cause = Literal["unseen", "misforecast", "misplanned", "not attributable"]

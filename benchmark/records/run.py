@@ -267,12 +267,26 @@ def scene_failures(rows: Sequence[SampleRow] | RowColumns, protocol: str) -> dic
                 f"scene {columns.brief[unjudged].scene} was not judged by protocol {protocol!r}; run challenger-bench "
                 "rescore"
             )
-        hits, counted, unknown = columns.collides(protocol), columns.counted(protocol), _unknown(columns, protocol)
-        columns.failures[protocol] = {
-            scene: _fails(hits[places], counted[places], unknown[places])
-            for scene, places in sorted(columns.places_of_scenes.items())
-        }
+        columns.failures[protocol] = scenes_with(columns, protocol, columns.collides(protocol))
     return dict(columns.failures[protocol])
+
+
+def scenes_with(columns: RowColumns, protocol: str, hits: Bools) -> dict[str, bool | None]:
+    """Which scenes have one of some colliding samples.
+
+    Args:
+        columns: Of R rows, all of them judged by the protocol.
+        protocol: Name of a known protocol.
+        hits: (R,) the samples, of those that count and collide.
+
+    Returns:
+        Verdicts as of `scene_failures`.
+    """
+    counted, unknown = columns.counted(protocol), _unknown(columns, protocol)
+    return {
+        scene: _fails(hits[places], counted[places], unknown[places])
+        for scene, places in sorted(columns.places_of_scenes.items())
+    }
 
 
 def _fails(hits: Bools, counted: Bools, unknown: Bools) -> bool | None:

@@ -10,13 +10,13 @@ import numpy as np
 from benchmark.drawing.canvas import SHIFT, mark_at
 from benchmark.drawing.captions import draw_entry, draw_swatch, legend_of
 from benchmark.drawing.lettering import Picture, drawable, fitted, text_width, write_text
-from benchmark.drawing.overlays import Overlay, Verdict
-from benchmark.drawing.palette import ADVERSARY, CONTACT, FAINT_INK, INK, PANEL, PAPER, RULE, Rgb, mixed
+from benchmark.drawing.overlays import Overlay, Verdict, Whom
+from benchmark.drawing.palette import ADVERSARY, BYSTANDER, CONTACT, FAINT_INK, INK, PANEL, PAPER, RULE, Rgb, mixed
 from benchmark.drawing.placing import agent_box, ego_box
 from benchmark.geometry import Bools, Floats, box_gap
 from benchmark.records.scenes import Sheet
-from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS
-from leaderboard.films.tracks import PlannerTrack
+from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS, UNDEFINED
+from leaderboard.films.tracks import PlannerTrack, Tally
 
 _ROW_PX: Final = (56, 76)
 """Least and greatest height of one planner."""
@@ -100,7 +100,10 @@ class Panel:
             corner = left, top + (place % rows) * row_px
             _draw_track(image, self._sheet, track, frame, corner, (each_px, row_px))
         judges = ", ".join(dict.fromkeys(track.protocol for track in self._tracks))
-        words = f"one cell a sample; × is a plan that collides within 3 s (protocol {_one_line(judges)})"
+        what = (
+            "hits the adversary first within 3 s, ◇ another" if _has_adversary(self._sheet) else "collides within 3 s"
+        )
+        words = f"one cell a sample; × is a plan that {what} (protocol {_one_line(judges)})"
         words = fitted(words, image.shape[1] - 2 * _EDGE_PX, size_px=12)
         write_text(image, words, (_EDGE_PX, foot + 12.0), size_px=12, colour=FAINT_INK)
         if self._miniatures:
@@ -119,7 +122,7 @@ class Panel:
         said = f"{now:.1f} m" if np.isfinite(now) else "no adversary in the scene"
         words = f"gap between recorded ego and adversary: {said}"
         write_text(image, fitted(words, area.width, size_px=12), (area.left, area.top + 8.0), size_px=12)
-        top, bottom, right = area.top + 24, area.top + area.height - 8, area.left + _bar_px(area.width)
+        top, bottom, right = area.top + 24, area.top + area.height - 8, area.left + _bar_px(self._sheet, area.width)
         for metres in (0.0, _WIDEST_GAP_M / 2, _WIDEST_GAP_M):
             y = round(bottom - metres / _WIDEST_GAP_M * (bottom - top))
             cv2.line(image, (area.left, y), (right, y), RULE, 1)
@@ -162,9 +165,14 @@ def _one_line(text: str) -> str:
     return " ".join("".join(each if each.isprintable() else " " for each in text).split())
 
 
-def _bar_px(width_px: int) -> int:
+def _has_adversary(sheet: Sheet) -> bool:
+    return any(agent.adversary for agent in sheet.agents)
+
+
+def _bar_px(sheet: Sheet, width_px: int) -> int:
     """Width of a row of samples with words to the right of it."""
-    return width_px - text_width("00 of 00 collide", size_px=12) - 10
+    widest = Tally(88, {Whom.ANYBODY: 88, Whom.ADVERSARY: 88, Whom.OTHER: 88}).words(adversaries=_has_adversary(sheet))
+    return width_px - text_width(widest, size_px=12) - 10
 
 
 def _cell_edges(sheet: Sheet, left: int, width_px: int) -> list[int]:
@@ -192,7 +200,7 @@ def _draw_track(
     draw_swatch(image, track.style, (left, top + 12.0))
     plan = track.at(frame)
     verdict = Verdict(None, "no plan yet", "no plan", counted=False) if plan is None else plan.verdict
-    alarm, brief_px = verdict.collides is True, text_width(verdict.brief, size_px=13, bold=True)
+    alarm, brief_px = verdict.alarms, text_width(verdict.brief, size_px=13, bold=True)
     name = f"{drawable(track.name)} {MINIATURE_MARK}" if track.miniature else drawable(track.name)
     name = fitted(name, width_px - 52 - brief_px, size_px=14, bold=True)
     write_text(image, name, (left + 40.0, top + 12.0), size_px=14, bold=True)
@@ -200,11 +208,11 @@ def _draw_track(
     words = verdict.words if text_width(verdict.words, size_px=13, bold=alarm) <= room else verdict.brief
     right, colour = left + width_px, CONTACT if alarm else INK
     write_text(image, words, (right, top + 12.0), size_px=13, bold=alarm, colour=colour, anchor="right")
-    hits, counted = track.so_far(frame)
-    bar = Cells(left, top + 26, _bar_px(width_px), height_px - _ROW_PX[0] + 18)
+    said = track.so_far(frame).words(adversaries=_has_adversary(sheet))
+    bar = Cells(left, top + 26, _bar_px(sheet, width_px), height_px - _ROW_PX[0] + 18)
     _draw_samples(image, sheet, track, frame, bar)
     at = (right, bar.top + bar.height / 2)
-    write_text(image, f"{hits} of {counted} collide", at, size_px=12, colour=FAINT_INK, anchor="right")
+    write_text(image, said, at, size_px=12, colour=FAINT_INK, anchor="right")
 
 
 def _draw_samples(image: Picture, sheet: Sheet, track: PlannerTrack, frame: int, bar: Cells) -> None:
@@ -231,6 +239,10 @@ def _draw_cell(image: Picture, verdict: Verdict | None, cell: Cells) -> None:
         write_text(image, "!", (x, y), size_px=11, colour=PAPER, bold=True, anchor="centre")
     elif not verdict.collides:
         cv2.rectangle(image, *corners, _CLEAR, -1 if verdict.counted else 1)
+    elif not verdict.alarms:
+        cv2.rectangle(image, *corners, _CLEAR if verdict.whom is Whom.OTHER else RULE, -1 if verdict.counted else 1)
+        mark = "◇" if verdict.whom is Whom.OTHER else UNDEFINED
+        write_text(image, mark, (x, y), size_px=11, colour=BYSTANDER, bold=True, anchor="centre")
     else:
         cv2.rectangle(image, *corners, CONTACT, -1 if verdict.counted else 1)
         half, shade = min(3, max(cell.width // 3, 1)), PAPER if verdict.counted else CONTACT

@@ -1,11 +1,12 @@
 """What each planner planned in one scene, sample by sample, and what was said of it."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmark.drawing.overlays import PlanOverlay, plan_overlay
+from benchmark.drawing.overlays import PlanOverlay, Whom, plan_overlay
 from benchmark.drawing.palette import PlannerStyle, planner_style
 from benchmark.drawing.placing import frame_seconds
 from benchmark.errors import InputError
@@ -14,7 +15,37 @@ from benchmark.records.planner_versions import labelled
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord, protocol_of
 from benchmark.records.scenes import Sheet
+from benchmark.report.cells import UNDEFINED
 from benchmark.report.words import split_of
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """What a planner's counted samples came to.
+
+    Attributes:
+        counted: How many there are.
+        touches: How many collide, by whom they touch first; none is left out.
+    """
+
+    counted: int
+    touches: Mapping[Whom, int]
+
+    def words(self, *, adversaries: bool) -> str:
+        """In few words.
+
+        Args:
+            adversaries: Whether there are adversaries in the scene: contacts with others stand beside then.
+
+        Returns:
+            For example ``3 of 14 hit it, 2 another``, a dash where the record does not say whom.
+        """
+        if not adversaries:
+            return f"{self.touches.get(Whom.ANYBODY, 0)} of {self.counted} collide"
+        if self.touches.get(Whom.UNSAID):
+            return f"{UNDEFINED} of {self.counted} hit it"
+        others = self.touches.get(Whom.OTHER, 0)
+        return f"{self.touches.get(Whom.ADVERSARY, 0)} of {self.counted} hit it, {others} another"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +76,10 @@ class PlannerTrack:
         last = max(past)
         return replace(self.plans[last], age_s=float(self.seconds[frame] - self.seconds[last]))
 
-    def so_far(self, frame: int) -> tuple[int, int]:
-        """How many counted samples up to a frame collide, and how many there are."""
+    def so_far(self, frame: int) -> Tally:
+        """What the samples up to a frame came to."""
         counted = [plan.verdict for each, plan in self.plans.items() if each <= frame and plan.verdict.counted]
-        return sum(verdict.collides is True for verdict in counted), len(counted)
+        return Tally(len(counted), Counter(verdict.whom for verdict in counted if verdict.collides))
 
 
 def planner_tracks(

@@ -4,6 +4,9 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from benchmark.metrics.attacks import has_adversaries
+from benchmark.metrics.effect import says_whom, touched_scenes
+from benchmark.metrics.scores import registered_version
 from benchmark.records.driving import SUB_SCORES, TOTALS, VERSION
 from benchmark.records.file_plans import file_notes
 from benchmark.records.run import RunRecord
@@ -67,7 +70,10 @@ def _run(record: RunRecord) -> dict[str, Any]:
         "scenesInSplit": run.scenes_in_split,
         "recordings": recordings(record),
         "protocols": {
-            name: _protocol(of_protocol, stale=name in record.stale_protocols)
+            name: {
+                **_protocol(of_protocol, stale=name in record.stale_protocols),
+                "scenesHit": _scenes_hit(record, name),
+            }
             for name, of_protocol in summary.protocols.items()
         },
         "driving": None if summary.driving is None else _driving(summary.driving),
@@ -83,6 +89,15 @@ def _driving(summary: DrivingSummary) -> dict[str, Any]:
         "counted": summary.counted,
         "means": {name: _rate(summary.columns[name]["mean"]) for name in (*TOTALS, *SUB_SCORES)},
     }
+
+
+def _scenes_hit(record: RunRecord, protocol: str) -> list[int] | None:
+    """Scenes in which a sample touches the adversary first, and those of which that can be said; if anybody says it."""
+    told = has_adversaries(record) and registered_version(protocol) is not None and says_whom(record, protocol)
+    if not told:
+        return None
+    verdicts = touched_scenes(record, protocol).values()
+    return [sum(failed is True for failed in verdicts), sum(failed is not None for failed in verdicts)]
 
 
 def _protocol(summary: ProtocolSummary, *, stale: bool) -> dict[str, Any]:

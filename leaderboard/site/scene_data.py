@@ -3,7 +3,8 @@
 A script holds an object with these members; lengths are packed (`leaderboard.site.packing`) in centimetres and angles
 in milliradians, in the sheet's local frame, unless said otherwise:
 
-* ``key, data, split, scene, source, manoeuvre, description, labels, hasSheet, origin`` (metres, global);
+* ``key, data, split, scene, source, manoeuvre, description, labels, hasSheet, adversarial`` (whether its
+  records are of a split with adversaries), ``origin`` (metres, global);
 * ``frames``: seconds from the first frame, one a frame of the player (12 Hz with a sheet, one a sample without);
 * ``samples``: ``{frame, t, command}`` of each sample, ``command`` 0 right, 1 left, 2 straight, null if no planner ran;
 * ``body``: ``{length, width, ahead}`` of the ego as protocols see it, ``ahead`` of the lidar origin, metres;
@@ -29,6 +30,7 @@ from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M
 from benchmark.drawing.palette import ON_DARK
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
+from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord
@@ -120,6 +122,7 @@ def _scene(name: SceneName, key: str, stored: StoredSheet | None, ran: Sequence[
         "split": split,
         "scene": scene,
         "hasSheet": stored is not None,
+        "adversarial": any(has_adversaries(one.record) for one in ran),
         "protocols": protocols,
         "body": {"length": EGO_LENGTH_M, "width": EGO_WIDTH_M, "ahead": EGO_BOX_FROM_LIDAR_M},
     }

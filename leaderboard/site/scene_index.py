@@ -6,13 +6,17 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 from urllib.parse import quote
 
+import numpy as np
+from numpy.typing import NDArray
+
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, file_name
+from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.effect import FirstTouches, first_touches, touched_scenes
 from benchmark.metrics.scores import registered_version, source_of_scenes
-from benchmark.records.columns import BriefRow
 from benchmark.records.quality import QualityRecord
-from benchmark.records.run import RunRecord, scene_failures
+from benchmark.records.run import RunRecord
 from benchmark.records.scenes import Sheet, Sheets
 from benchmark.report.words import split_of
 from leaderboard.site.scene_judgements import judgement_entry, severity_entries
@@ -26,14 +30,35 @@ _QUALITY_DIGITS: Final = 4
 
 @dataclass(slots=True)
 class _Seen:
-    """What run records say of one scene, by planner where it is of one."""
+    """What run records say of one scene, by planner where it is of one.
+
+    Attributes:
+        source: The recording that it was made from.
+        manoeuvre: Of its adversary.
+        seconds: Its length.
+        adversarial: Whether its split has adversaries, so that contacts with others are counted by themselves.
+        verdicts: By protocol whether the planner fails it (`benchmark.metrics.effect.touched_scenes`).
+        others: Protocols under which a plan touches somebody else first.
+        unsaid: Protocols under which a plan collides and nobody says with whom.
+        causes: Of attributed collisions.
+        colliding: Samples that touch the adversary first under ``exact``, anybody without adversaries; ``None`` where
+            that is not said. What has none is left out.
+        bystanders: The same of samples that touch somebody else first.
+        failed: Samples on which the planner failed.
+        judgement: Who survives it.
+        severity: How severe the planner's plans are.
+    """
 
     source: str
     manoeuvre: str | None = None
     seconds: float = 0.0
     verdicts: dict[str, dict[str, bool | None]] = field(default_factory=dict)
     causes: dict[str, dict[str, int]] = field(default_factory=dict)
-    colliding: dict[str, int] = field(default_factory=dict)
+    adversarial: bool = False
+    others: dict[str, list[str]] = field(default_factory=dict)
+    unsaid: dict[str, list[str]] = field(default_factory=dict)
+    colliding: dict[str, int | None] = field(default_factory=dict)
+    bystanders: dict[str, int | None] = field(default_factory=dict)
     failed: dict[str, int] = field(default_factory=dict)
     judgement: dict[str, Any] | None = None
     severity: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -99,9 +124,13 @@ def _entry(
         "thumbDark": dark if dark in written else None,
         "rounds": quote(rounds) if rounds in written else None,
         "seconds": round(_duration_s(sheet) if sheet else known.seconds, 2),
+        "adversarial": known.adversarial,
         "verdicts": known.verdicts,
+        "others": known.others,
+        "unsaid": known.unsaid,
         "causes": known.causes,
         "colliding": known.colliding,
+        "bystanders": known.bystanders,
         "failed": known.failed,
         "judgement": known.judgement,
         "severity": known.severity,
@@ -122,6 +151,7 @@ def _add_record(seen: dict[SceneName, _Seen], record: RunRecord) -> None:
     for scene in (*record.run.scenes, *rows_of):
         facts = record.run.scene_facts.get(scene)
         found = seen.setdefault((data_name, split, scene), _Seen(sources.get(scene, scene)))
+        found.adversarial |= has_adversaries(record)
         if facts is not None:
             found.source, found.manoeuvre = facts.source, facts.manoeuvre
             found.judgement = found.judgement or judgement_entry(facts.judgement)
@@ -129,30 +159,44 @@ def _add_record(seen: dict[SceneName, _Seen], record: RunRecord) -> None:
         # A newer version's protocol cannot be asked what a failed scene is; the tables below it say so.
         if registered_version(protocol) is None:
             continue
-        for scene, failed in scene_failures(record.rows, protocol).items():
-            seen[data_name, split, scene].verdicts.setdefault(planner, {})[protocol] = failed
+        verdicts = touched_scenes(record, protocol)
+        touches = first_touches(record, protocol)
+        for scene, failed in verdicts.items():
+            found = seen[data_name, split, scene]
+            found.verdicts.setdefault(planner, {})[protocol] = failed
+            for kept, samples in ((found.others, touches.others), (found.unsaid, touches.unsaid)):
+                if samples[rows_of[scene]].any():
+                    kept.setdefault(planner, []).append(protocol)
     judged = columns.values("judged")
     everywhere = all(EXACT in judged[place] for place in columns.planned.tolist())
-    hits = columns.collides(EXACT) if everywhere else None
+    touches_exact = first_touches(record) if everywhere else None
     for scene, places in rows_of.items():
-        rows = columns.brief.at(places.tolist())
-        colliding = 0 if hits is None else int(hits[places].sum())
-        _add_samples(seen[data_name, split, scene], planner, rows, colliding)
+        _add_samples(seen[data_name, split, scene], record, places, touches_exact)
     for scene, severity in severity_entries(record).items():
         seen[data_name, split, scene].severity[planner] = severity
 
 
-def _add_samples(found: _Seen, planner: str, rows: Sequence[BriefRow], colliding: int) -> None:
+def _add_samples(found: _Seen, record: RunRecord, places: NDArray[np.int64], touches: FirstTouches | None) -> None:
+    """Add one planner's samples of a scene."""
+    rows, planner = record.columns.brief.at(places.tolist()), record.planner
     times = [row.timestamp_us for row in rows]
     found.seconds = max(found.seconds, (max(times) - min(times)) / _MICROSECONDS)
-    causes: Counter[str] = Counter(row.diagnosis.cause for row in rows if row.diagnosis is not None)
     failed = sum(row.status == "failed" for row in rows)
-    if causes:
-        found.causes[planner] = dict(causes)
-    if colliding:
-        found.colliding[planner] = colliding
     if failed:
         found.failed[planner] = failed
+    if touches is None:
+        found.colliding[planner] = found.bystanders[planner] = None
+        return
+    attributed = (touches.adversary | touches.unsaid)[places].tolist()
+    causes: Counter[str] = Counter(
+        row.diagnosis.cause for row, own in zip(rows, attributed) if own and row.diagnosis is not None
+    )
+    if causes:
+        found.causes[planner] = dict(causes)
+    unsaid = bool(touches.unsaid[places].any())
+    for counts, samples in ((found.colliding, touches.adversary), (found.bystanders, touches.others)):
+        if unsaid or samples[places].any():
+            counts[planner] = None if unsaid else int(samples[places].sum())
 
 
 def label_words(label: Mapping[str, Any]) -> str:

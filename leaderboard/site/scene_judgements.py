@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, Final
 
-from benchmark.metrics.attacks import SceneAttack, scene_attacks
+from benchmark.metrics.attacks import SceneAttack, has_adversaries, scene_attacks
 from benchmark.records.columns import BriefRow
 from benchmark.records.judgement import DRIVER_NAMES, JudgementSummary
 from benchmark.records.run import RunRecord
@@ -45,13 +45,15 @@ def severity_entries(record: RunRecord) -> dict[str, dict[str, Any]]:
         record: Of one planner on one split.
 
     Returns:
-        ``contacts`` (samples with one), ``atFault`` and ``attributable`` (verdicts on the scene, null where nobody can
-        tell), of the most severe contact ``kind``, ``agent`` (``adversary`` or ``other``), ``speed``, ``deltaV`` and
-        ``fatal``, and of samples without contact ``ttc`` and ``gap``.
+        ``contacts`` (samples whose first contact is with an adversary, with anybody on a split without them),
+        ``bystanders`` (samples whose first contact is with somebody else; null on a split without adversaries),
+        ``atFault`` and ``attributable`` (verdicts on the scene, null where nobody can tell), of the most severe of
+        ``contacts`` its ``kind``, ``speed``, ``deltaV`` and ``fatal``, and of samples without contact ``ttc`` and
+        ``gap``.
     """
-    attacks, rows_of = scene_attacks(record), _rows_of(record)
+    attacks, rows_of, adversarial = scene_attacks(record), _rows_of(record), has_adversaries(record)
     return {
-        scene: _entry(rows, attacks[scene])
+        scene: _entry(rows, attacks[scene], adversarial)
         for scene, rows in rows_of.items()
         if any(row.severity is not None and (row.severity.contact or row.severity.near) for row in rows)
     }
@@ -65,17 +67,18 @@ def _rows_of(record: RunRecord) -> dict[str, list[BriefRow]]:
     return found
 
 
-def _entry(rows: Sequence[BriefRow], attack: SceneAttack) -> dict[str, Any]:
+def _entry(rows: Sequence[BriefRow], attack: SceneAttack, adversarial: bool) -> dict[str, Any]:
     said = [row.severity for row in rows if row.severity is not None]
-    contacts = [each.contact for each in said if each.contact is not None]
+    touched = [each.contact for each in said if each.contact is not None]
+    contacts = [each for each in touched if each.adversary or not adversarial]
     near = [each.near for each in said if each.near is not None]
     worst = max(contacts, key=lambda contact: (contact.delta_v_ego_m_s, contact.impact_speed_m_s), default=None)
     return {
         "contacts": len(contacts),
+        "bystanders": len(touched) - len(contacts) if adversarial else None,
         "atFault": attack.verdicts["at_fault"],
         "attributable": attack.verdicts["attributable"],
         "kind": None if worst is None else worst.kind.replace("_", " "),
-        "agent": None if worst is None else "adversary" if worst.adversary else "other",
         "speed": None if worst is None else _short(worst.impact_speed_m_s),
         "deltaV": None if worst is None else _short(worst.delta_v_ego_m_s),
         "fatal": None if worst is None else float(f"{worst.fatal_probability:.3g}"),

@@ -8,7 +8,9 @@ import numpy as np
 from benchmark.constants import PLAN_STEP_S
 from benchmark.drawing.placing import PlacedForecasts, placed_plan
 from benchmark.geometry import Floats, to_global
+from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.effect import knows_adversaries
 from benchmark.records.row_schema import OutcomeRow, PlanRow, SampleRow
 from benchmark.records.run import RunRecord
 from leaderboard.site.packing import CENTIMETRE, DECIMETRE, MILLIRADIAN, packed, packed_path
@@ -50,8 +52,9 @@ def planner_samples(
     Raises:
         InputError: If a plan has lists of the wrong lengths.
     """
+    known = knows_adversaries(record) if has_adversaries(record) else None
     found = [
-        None if token not in rows else sample_entry(rows[token], pose, protocols, agents)
+        None if token not in rows else sample_entry(rows[token], pose, protocols, agents, known=known)
         for token, pose in zip(tokens, poses, strict=True)
     ]
     return {
@@ -63,7 +66,9 @@ def planner_samples(
     }
 
 
-def sample_entry(row: SampleRow, axle: Floats, protocols: Sequence[str], agents: Mapping[str, int]) -> dict[str, Any]:
+def sample_entry(
+    row: SampleRow, axle: Floats, protocols: Sequence[str], agents: Mapping[str, int], *, known: bool | None = None
+) -> dict[str, Any]:
     """What a planner did at one sample.
 
     Args:
@@ -71,6 +76,7 @@ def sample_entry(row: SampleRow, axle: Floats, protocols: Sequence[str], agents:
         axle: (3,) pose of the rear axle at the sample, local.
         protocols: Names in the order of the verdicts.
         agents: Number of each agent by instance identifier.
+        known: On a split with adversaries, whether the record says who they are.
 
     Returns:
         ``failed``, the last line of the error, alone where the planner raised. Else ``path`` and ``yaw`` (lidar origin
@@ -78,8 +84,10 @@ def sample_entry(row: SampleRow, axle: Floats, protocols: Sequence[str], agents:
         ``forecasts`` (x, y, length and width in decimetres, yaw in hundredths of a radian, and the path in decimetres
         if it moves), ``verdicts`` (for each protocol six bits, the first step lowest, and `COUNTED`; null if it did not
         judge or the surroundings are not annotated), ``contact`` (seconds to each protocol's first contact, or null),
-        ``cause``, ``reason``, ``hit`` and ``l2`` (metres at the six steps; null past the recording). Every plan has
-        ``path`` and ``yaw``, ``verdicts`` and ``contact``; what there is none of beyond them is left out.
+        ``whom`` (on a split with adversaries, if there is a contact: for each protocol 1 where it is with an adversary,
+        0 where it is with somebody else, null where that is not said), ``cause``, ``reason``, ``hit`` and ``l2``
+        (metres at the six steps; null past the recording). Every plan has ``path`` and ``yaw``, ``verdicts`` and
+        ``contact``; what there is none of beyond them is left out.
 
     Raises:
         InputError: If the plan has lists of the wrong lengths.
@@ -102,6 +110,8 @@ def sample_entry(row: SampleRow, axle: Floats, protocols: Sequence[str], agents:
         "forecasts": [] if placed.forecasts is None else _forecasts(placed.forecasts, axle),
         "l2": _displacements(judged),
     }
+    if known is not None and any(each is not None for each in always["contact"]):
+        sometimes["whom"] = [_whom(outcome) if known else None for outcome in judged]
     if row.diagnosis is not None:
         sometimes |= {"cause": row.diagnosis.cause, "reason": row.diagnosis.reason}
         sometimes["hit"] = agents.get(row.diagnosis.hit)
@@ -153,6 +163,11 @@ def _first_contact(protocol: str, outcome: OutcomeRow | None, row: SampleRow) ->
     if protocol == EXACT and row.diagnosis is not None:
         return round(row.diagnosis.first_contact_s, 2)
     return PLAN_STEP_S * (outcome.collision.index(True) + 1)
+
+
+def _whom(outcome: OutcomeRow | None) -> int | None:
+    adversary = None if outcome is None else outcome.touches_adversary
+    return None if adversary is None else int(adversary)
 
 
 def _displacements(judged: Sequence[OutcomeRow | None]) -> list[float | None] | None:

@@ -30,7 +30,8 @@
   const severities = (scene, model) => (model ? [own(scene.severity, model)].filter(Boolean)
     : Object.values(scene.severity));
 
-  /** @param {*} scene @param {string} [model] @returns {*|null} The most severe contact of any planner, or of one. */
+  /** @param {*} scene @param {string} [model] @returns {*|null} The most severe contact of any planner, or of one; with
+   * an adversary where there is one. */
   const hardest = (scene, model) => severities(scene, model).filter((each) => each.deltaV !== null)
     .reduce((worst, each) => (worst === null || each.deltaV > worst.deltaV ? each : worst), null);
 
@@ -125,19 +126,22 @@
     const ran = window.CHALLENGER.models.filter((model) => own(scene.severity, model.name));
     if (!ran.length) return null;
     const verdict = (value) => (value === null ? UNDEFINED : value ? "yes" : "no");
+    const { adversarial } = scene;
     return site.tableView({
       id: "severity", title: "How severe it is", textColumns: 1,
-      columns: ["planner", "contacts", "at fault", "attributable", "with", "kind", "impact, m/s", "delta-v, m/s", "P(fatal), %",
-        "TTC, s", "gap, m"],
-      groups: [["", 1], ["attack", 3], ["most severe contact", 5], ["without contact, least", 2]],
+      columns: ["planner", "contacts", "at fault", "attributable", ...(adversarial ? ["with others"] : []), "kind",
+        "impact, m/s", "delta-v, m/s", "P(fatal), %", "TTC, s", "gap, m"],
+      groups: [["", 1], ["attack", adversarial ? 4 : 3], ["most severe contact", 4], ["without contact, least", 2]],
       rows: ran.map(({ name, privileged, miniature }) => {
         const of = own(scene.severity, name);
         return [site.marked({ name, privileged, miniature }), String(of.contacts), verdict(of.atFault),
-          verdict(of.attributable), of.agent ?? UNDEFINED, of.kind ?? UNDEFINED, amount(of.speed, 1, ""),
+          verdict(of.attributable), ...(adversarial ? [amount(of.bystanders, 0, "")] : []), of.kind ?? UNDEFINED,
+          amount(of.speed, 1, ""),
           amount(of.deltaV, 1, ""), of.fatal === null ? UNDEFINED : (100 * of.fatal).toFixed(2), amount(of.ttc, 2, ""),
           amount(of.gap, 2, "")];
       }),
-      notes: [`Contacts: samples whose plan touches anybody within 3 s. At fault, attributable: whether any is the planner's
+      notes: [`Contacts: samples whose plan touches ${adversarial ? "the adversary first" : "anybody"} within 3 s${
+        adversarial ? "; with others: somebody else first" : ""}. At fault, attributable: whether any is the planner's
         fault, and whether the careful human survives the scene besides; ${UNDEFINED}: nobody can tell.`,
         "TTC, gap: plans without contact and the adversary (docs/severity.md)."],
     }).node;

@@ -125,19 +125,20 @@
       const origin = (unit) => [unit, "samples", protocol, recordName(model, run)];
       const average = rateCell(found.collision?.avg, 100, origin("%"));
       return [...place(run).map(() => null), null, ...HORIZONS.map((horizon) => rateCell(found.collision?.[horizon], 100, origin("%"))),
-        average, average, rateCell(found.l2?.avg, 1, origin("m")), null, null, null];
+        average, average, rateCell(found.l2?.avg, 1, origin("m")), null, null, null, null];
     };
     return tableView({
       id: "model", title: "Collision rate (%) and L2 (m) under every protocol", textColumns: several ? 3 : 2,
-      notes: lines.some(([, , found]) => found.stale)
-        ? ["‡ judged by an earlier version of the protocol; run challenger-bench rescore."] : [],
+      notes: [`Collisions are with anybody. Scenes in which a sample hits the adversary first; ${UNDEFINED}: there is none, or
+        neither the record nor the protocol says whom.`, ...(lines.some(([, , found]) => found.stale)
+        ? ["‡ judged by an earlier version of the protocol; run challenger-bench rescore."] : [])],
       columns: [...(several ? ["data set"] : []), "split", "protocol", "col. 1s", "col. 2s", "col. 3s", "col. avg", "95 % of avg", "L2 avg",
-        "scenes failed", "counted", "coverage"],
+        "scenes: adversary hit", "anybody hit", "counted", "coverage"],
       rows: lines.map(([run, protocol, found]) => [...place(run), found.stale ? `${protocol} ‡` : protocol,
         ...[...HORIZONS, "avg"].map((horizon) => rateText(found.collision?.[horizon])),
         intervalText(found.collision?.avg),
         found.l2?.avg && found.l2.avg.value !== null ? found.l2.avg.value.toFixed(2) : UNDEFINED,
-        `${found.scenesFailed}/${found.scenesDecided}`, String(found.counted), percent(run.coverage, 1)]),
+        found.scenesHit ? found.scenesHit.join("/") : UNDEFINED, `${found.scenesFailed}/${found.scenesDecided}`, String(found.counted), percent(run.coverage, 1)]),
       cells: lines.map(cells),
     }, { sort: here.params.get("sort"), sorted: (order) => remember(here, { sort: order }) });
   }
@@ -240,12 +241,14 @@
           counts.set(cause, (counts.get(cause) ?? 0) + count);
         }
       }
-      return { run, counts, sum: [...counts.values()].reduce((sum, count) => sum + count, 0) };
+      const adversarial = scenes.some((each) => each.data === run.data && each.split === run.split && each.adversarial);
+      return { run, counts, adversarial, sum: [...counts.values()].reduce((sum, count) => sum + count, 0) };
     }).filter(({ sum }) => sum > 0);
     if (!lines.length) return element("p", { class: "quiet" }, "No diagnosed collision under protocol exact.");
     const causes = ["unseen", "misforecast", "misplanned", "not attributable"];
-    return element("dl", { class: "bars" }, lines.map(({ run, counts, sum }) => [
-      element("dt", {}, `${run.data}, ${run.split}: of ${counted(sum, "colliding sample")} under exact, `,
+    return element("dl", { class: "bars" }, lines.map(({ run, counts, adversarial, sum }) => [
+      element("dt", {}, `${run.data}, ${run.split}: of ${counted(sum, "colliding sample")}${
+        adversarial ? " with the adversary" : ""} under exact, `,
         causes.filter((cause) => counts.get(cause)).map((cause) => `${counts.get(cause)} ${cause}`).join(", ")),
       element("dd", { "aria-hidden": "true" }, causes.filter((cause) => counts.get(cause)).map((cause) => {
         const part = element("span", { class: `cause ${cause.replace(" ", "-")}` }, cause);

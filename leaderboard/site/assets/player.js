@@ -307,9 +307,10 @@
       const { scene, protocol } = this;
       const models = this.chosen.map((name) => this.model(name));
       for (const model of models) {
-        const contact = model.verdict(sample, this.judge())?.contact ?? null;
-        const seconds = contact === null ? null : scene.samples[sample].t + contact;
-        player.markMoment(this.tracks.get(model.name), scene, seconds === null ? null : this.frameAt(seconds));
+        const verdict = model.verdict(sample, this.judge());
+        const contact = verdict?.contact ?? null;
+        const frame = contact === null ? null : this.frameAt(scene.samples[sample].t + contact);
+        player.markMoment(this.tracks.get(model.name), scene, frame, contact !== null && player.fails(verdict));
       }
       this.verdicts.replaceChildren(...player.verdicts(scene, models, sample, protocol, this.compare));
       this.later("say", SAY_EVERY_MS, () => {

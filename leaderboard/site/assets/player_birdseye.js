@@ -356,6 +356,7 @@
     /** Where and when a plan first touches something, and with what. */
     drawContact({ model, plan, style, verdict }, age) {
       if (!verdict || verdict.contact === null) return;
+      const counts = player.fails(verdict);
       const { context, colours, scene, state } = this;
       const start = scene.samples[this.sample];
       const startYaw = scene.ego ? scene.ego.yaw[start.frame] : 0;
@@ -366,7 +367,7 @@
       context.fillStyle = style.colour;
       context.fill();
       context.globalAlpha = 1;
-      context.strokeStyle = colours.contact;
+      context.strokeStyle = counts ? colours.contact : colours.faint;
       context.lineWidth = 2;
       context.stroke();
       const hit = state.exact && plan.hit !== null ? this.hitBox(plan.hit, start.t + verdict.contact) : null;
@@ -379,14 +380,15 @@
         context.setLineDash([]);
       }
       const [x, y] = this.pixel(...(hit ? [(hit.x + box.x) / 2, (hit.y + box.y) / 2] : [box.x, box.y]));
-      this.drawStar(x, y);
+      this.drawStar(x, y, counts);
       const left = verdict.contact - age;
       const when = left >= 0.05 ? `in ${left.toFixed(1)} s` : "now";
-      this.label(`${cut(model.name)} ${when}`, x + 14, y);
+      const whom = verdict.whom === "other" ? " another" : "";
+      this.label(`${cut(model.name)}${whom} ${when}`, x + 14, y, counts);
     }
 
-    /** @param {number} x @param {number} y Pixels. */
-    drawStar(x, y) {
+    /** @param {number} x @param {number} y Pixels. @param {boolean} counts Hollow if not. */
+    drawStar(x, y, counts = true) {
       const { context, colours } = this;
       context.beginPath();
       for (const [at, [dx, dy]] of star(8, 0, 0.5).entries()) {
@@ -394,8 +396,8 @@
         else context.moveTo(x + 10 * dx, y + 10 * dy);
       }
       context.closePath();
-      context.fillStyle = colours.contact;
-      context.strokeStyle = colours.paper;
+      context.fillStyle = counts ? colours.contact : colours.paper;
+      context.strokeStyle = counts ? colours.paper : colours.faint;
       context.lineWidth = 2;
       context.fill();
       context.stroke();
@@ -410,8 +412,8 @@
       return this.boxOf(agents[number], frame);
     }
 
-    /** Text beside a point, inside the canvas and clear of what is written there already. */
-    label(text, x, y) {
+    /** Text beside a point, inside the canvas and clear of what is written there already; faint if it does not count. */
+    label(text, x, y, counts = true) {
       const { context } = this;
       const size = 12, line = 16;
       context.font = FONT(size);
@@ -424,7 +426,7 @@
       let top = outside ? y - 22 : y;
       while (this.labels.some(meets)) top += outside ? -line : line;
       this.labels.push([left, top, width]);
-      this.write(text, left, top, { size, colour: this.colours.contact, plate: width });
+      this.write(text, left, top, { size, colour: counts ? this.colours.contact : this.colours.faint, plate: width });
     }
 
     /** @param {string} text @param {number} x @param {number} y @param {*} how A plate is as wide as it says. */

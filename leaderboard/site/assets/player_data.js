@@ -6,6 +6,7 @@
   const SCENES_KEPT = 6;
   const STEPS = 6, STEP_S = 0.5;
   const COUNTED = 64;
+  const WHOM = ["other", "adversary"];
   const KEY = /^[0-9a-f]{16}$/;
 
   /**
@@ -162,14 +163,17 @@
       },
       /**
        * @param {number} sample @param {number} protocol Its number.
-       * @returns {{steps: number, counted: boolean, contact: number|null}|null} Null without a verdict.
+       * @returns {{steps: number, counted: boolean, contact: number|null, whom: string|null}|null} Null without a verdict;
+       *   `whom` it touches first: `anybody` where no adversary is, `adversary`, `other`, or `unsaid`.
        */
       verdict(sample, protocol) {
         const bits = raw.samples[sample]?.verdicts?.[protocol] ?? null;
         if (bits === null) return null;
+        const { contact, whom } = raw.samples[sample];
+        const seconds = contact?.[protocol] ?? null;
         return {
-          steps: bits & (COUNTED - 1), counted: bits >= COUNTED,
-          contact: raw.samples[sample].contact?.[protocol] ?? null,
+          steps: bits & (COUNTED - 1), counted: bits >= COUNTED, contact: seconds,
+          whom: seconds === null ? null : whom ? WHOM[whom[protocol]] ?? "unsaid" : "anybody",
         };
       },
     };

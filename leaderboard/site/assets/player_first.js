@@ -5,6 +5,13 @@
   const BEFORE_S = 2;
   const FAILING = 2, SHOWN = 3;
 
+  /** @param {*} scene @param {*} model @param {string|null} protocol @param {(verdict: *) => boolean} [fits]
+   * @returns {number[]} Samples that collide and count, and touch the adversary first where there is one. */
+  function failures(scene, model, protocol, fits = player.fails) {
+    const judge = scene.protocols.indexOf(protocol);
+    return player.collisions(scene, model, protocol).filter((sample) => fits(model.verdict(sample, judge)));
+  }
+
   /**
    * Planners whose verdicts differ: two that fail and one that does not; where all plain planners agree, a privileged one
    * may be who differs. Where nobody differs, the first ones, those that fail before the others.
@@ -14,7 +21,7 @@
   function differing(scene, models, protocol) {
     const judge = scene.protocols.indexOf(protocol);
     const ran = models.filter((model) => scene.samples.some((_, sample) => model.at(sample)));
-    const fails = new Set(ran.filter((model) => player.collisions(scene, model, protocol).length));
+    const fails = new Set(ran.filter((model) => failures(scene, model, protocol).length));
     const judged = ran.filter((model) => scene.samples.some((_, sample) => model.verdict(sample, judge)?.counted));
     const plainFirst = (list) => [...list.filter((each) => !each.privileged), ...list.filter((each) => each.privileged)];
     const failing = plainFirst(ran.filter((model) => fails.has(model)));
@@ -26,11 +33,12 @@
     return models.filter((model) => first.includes(model)).map((model) => model.name);
   }
 
-  /** @param {*} scene @param {*[]} models @param {string|null} protocol
-   * @returns {number|null} When the first plan of theirs touches something, seconds after the scene began. */
-  function firstContact(scene, models, protocol) {
+  /** @param {*} scene @param {*[]} models @param {string|null} protocol @param {(verdict: *) => boolean} [fits]
+   * @returns {number|null} When the first plan of theirs touches the adversary, or without one anybody, seconds after the
+   * scene began. */
+  function firstContact(scene, models, protocol, fits = player.fails) {
     const judge = scene.protocols.indexOf(protocol);
-    const moments = models.flatMap((model) => player.collisions(scene, model, protocol)
+    const moments = models.flatMap((model) => failures(scene, model, protocol, fits)
       .map((sample) => scene.samples[sample].t + (model.verdict(sample, judge).contact ?? 0)));
     return moments.length ? Math.min(...moments) : null;
   }

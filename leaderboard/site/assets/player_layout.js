@@ -13,6 +13,8 @@
     ["H", "heading or north up"], ["C", "next camera"],
   ];
   const MARKS = "✕ a plan made then collides, ┃ where the present one first does, ? the planner failed";
+  const MARKS_BY_WHOM = "✕ a plan made then hits the adversary, ◇ another, – whom is not said, ┃ where the present one does, "
+    + "? the planner failed";
   const TOGGLES = [
     ["recorded", "recorded ways", true], ["bodies", "footprints", true], ["forecasts", "forecasts", false],
     ["modes", "other modes", false], ["considered", "what the adversary considered", true],
@@ -215,7 +217,7 @@
         return element("label", {}, box, ` ${words}`);
       });
       return element("div", { class: "cp-choices", role: "group", "aria-label": "What is drawn" }, ...choices,
-        element("span", { class: "cp-quiet" }, MARKS));
+        element("span", { class: "cp-quiet" }, this.scene.adversarial ? MARKS_BY_WHOM : MARKS));
     }
 
     buildKeys() {

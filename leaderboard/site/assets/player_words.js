@@ -28,6 +28,19 @@
   /** @param {*} scene @param {number} sample @returns {string} */
   const seconds = (scene, sample) => `${scene.samples[sample].t.toFixed(1)} s`;
 
+  /** Mark, class and words of a contact by whom it is with. */
+  const MARKS = {
+    anybody: ["✕", "bad", "hits"], adversary: ["✕", "bad", "hits"], other: ["◇", "other", "another"],
+    unsaid: ["–", "other", "hits, whom is not said"],
+  };
+  const SENTENCES = {
+    anybody: "collides", adversary: "hits the adversary", other: "hits another than the adversary",
+    unsaid: "hits somebody, whom is not said,",
+  };
+
+  /** @param {*} verdict @returns {boolean} Whether it is what is counted: a contact with the adversary, where one is. */
+  const fails = (verdict) => verdict.whom === "anybody" || verdict.whom === "adversary";
+
   /** @param {*} scene @param {*} model @param {string|null} protocol @returns {number[]} Samples that collide and count. */
   function collisions(scene, model, protocol) {
     const judge = scene.protocols.indexOf(protocol);
@@ -63,10 +76,11 @@
     const judge = scene.protocols.indexOf(protocol);
     const hits = collisions(scene, model, protocol).map((sample) => {
       const { frame } = scene.samples[sample];
-      const { contact } = model.verdict(sample, judge);
-      const node = mark("✕", frame,
-        `${name}: the plan made at ${seconds(scene, sample)} collides ${contact.toFixed(1)} s later (${protocol})`, "cp-hit");
-      Object.assign(node.dataset, { testid: "player-collision", frame, model: name, contact });
+      const { contact, whom } = model.verdict(sample, judge);
+      const [sign, kind] = MARKS[whom];
+      const node = mark(sign, frame, `${name}: the plan made at ${seconds(scene, sample)} ${SENTENCES[whom]} ${
+        contact.toFixed(1)} s later (${protocol})`, `cp-hit cp-${kind}`);
+      Object.assign(node.dataset, { testid: "player-collision", frame, model: name, contact, whom });
       return node;
     });
     return track.replaceChildren(...failed, ...hits);
@@ -74,12 +88,13 @@
 
   /**
    * A line where the plan in force first touches something.
-   * @param {HTMLElement} track @param {*} scene @param {number|null} frame Null for nowhere.
+   * @param {HTMLElement} track @param {*} scene @param {number|null} frame Null for nowhere. @param {boolean} counts
+   * Whether it is with whom contacts are counted.
    */
-  function markMoment(track, scene, frame) {
+  function markMoment(track, scene, frame, counts) {
     track.querySelector(".cp-moment")?.remove();
     if (frame === null) return;
-    const node = element("i", { class: "cp-moment", "aria-hidden": "true" });
+    const node = element("i", { class: counts ? "cp-moment" : "cp-moment cp-other", "aria-hidden": "true" });
     node.style.left = along(scene, frame);
     track.append(node);
   }
@@ -127,7 +142,7 @@
       ...HORIZONS.map(([, steps]) => ({ words: plan.l2[steps - 1]?.toFixed(2) ?? "–" })),
     ];
     const sentence = !verdict ? `${name} was not judged.` : contact === null ? `${name} is clear.`
-      : `${name} collides after ${contact.toFixed(1)} seconds${cause ? `, ${cause}: ${plan.reason}` : ""}.`;
+      : `${name} ${SENTENCES[verdict.whom]} after ${contact.toFixed(1)} seconds${cause ? `, ${cause}: ${plan.reason}` : ""}.`;
     return { name, cells, sentence };
   }
 
@@ -135,7 +150,8 @@
   function within(verdict, steps) {
     if (!verdict) return { words: "not judged" };
     const hits = (verdict.steps & ((1 << steps) - 1)) !== 0;
-    return { words: `${hits ? "✕ hits" : "○ clear"}${verdict.counted ? "" : " ‡"}`, kind: hits ? "cp-bad" : "cp-good" };
+    const [sign, kind, words] = hits ? MARKS[verdict.whom] : ["○", "good", "clear"];
+    return { words: `${sign} ${words}${verdict.counted ? "" : " ‡"}`, kind: `cp-${kind}` };
   }
 
   /**
@@ -217,5 +233,5 @@
     return [`${seconds(scene, sample)}.`, ...models.map((model) => entry(model, sample, judge).sentence)].join(" ");
   }
 
-  Object.assign(player, { element, along, collisions, fillTrack, markMoment, marks, paintSwatch, verdicts, sentence });
+  Object.assign(player, { element, along, collisions, fails, fillTrack, markMoment, marks, paintSwatch, verdicts, sentence });
 })();

@@ -8,9 +8,50 @@
   /** Cards that are made at once; the others follow while the page is already there. */
   const SLICE = 48;
   const WORDS = { true: ["✕", "fails"], false: ["○", "clear"], null: ["–", "cannot be said"] };
+  /** On a split with adversaries. */
+  const HITS = { ...WORDS, true: ["✕", "hits the adversary"], others: ["◇", "hits another"],
+    unsaid: ["–", "whom not said"] };
+  const KINDS = { "✕": "bad", "○": "good", "◇": "other", "–": "open" };
 
   /** @param {*} scene @param {string} model @param {string} protocol @returns {boolean|null|undefined} */
   const verdict = (scene, model, protocol) => own(own(scene.verdicts, model) ?? {}, protocol);
+
+  /** @param {*} scene @param {string} name Of lists of protocols. @param {string} model @param {string} protocol */
+  const says = (scene, name, model, protocol) => (own(scene[name], model) ?? []).includes(protocol);
+
+  /** @param {*} scene @param {string} model @param {string} protocol
+   * @returns {[string, string]} Mark and words: who hits the adversary, who another alone, of whom it cannot be said. */
+  function markOf(scene, model, protocol) {
+    const fails = verdict(scene, model, protocol);
+    if (!scene.adversarial) return WORDS[fails];
+    if (fails === false && says(scene, "others", model, protocol)) return HITS.others;
+    return fails === null && says(scene, "unsaid", model, protocol) ? HITS.unsaid : HITS[fails];
+  }
+
+  /** @param {*} scene @param {string} protocol @returns {string} How many planners fail, and how many hit others alone. */
+  function tally(scene, protocol) {
+    const [bad, of] = [failing(scene, protocol).length, decided(scene, protocol).length];
+    if (!scene.adversarial) return of ? `${bad} of ${counted(of, "planner")} ${bad === 1 ? "fails" : "fail"}` : "not judged";
+    const names = Object.keys(scene.verdicts).filter((model) => verdict(scene, model, protocol) !== undefined);
+    const count = (words) => names.filter((model) => markOf(scene, model, protocol) === words).length;
+    const [others, unsaid] = [count(HITS.others), count(HITS.unsaid)];
+    const said = [of ? `${bad} of ${counted(of, "planner")} ${bad === 1 ? "hits" : "hit"} the adversary` : "",
+      others ? `${others} another` : "", unsaid ? `${UNDEFINED} of ${unsaid}, whom is not said` : ""].filter(Boolean);
+    return said.join(", ") || "not judged";
+  }
+
+  /** @param {Object<string, number|null>} counts @param {string} model @returns {string} A dash where it is not said. */
+  const countOf = (counts, model) => String((own(counts, model) === undefined ? 0 : own(counts, model)) ?? UNDEFINED);
+
+  /** @param {*} scene @param {string} [model] @returns {string} What one planner's samples come to, after the tally. */
+  function samplesOf(scene, model) {
+    if (!model || !own(scene.verdicts, model)) return "";
+    const [hits, others] = [scene.colliding, scene.bystanders].map((counts) => own(counts, model));
+    if (!scene.adversarial) return hits ? `; ${counted(hits, "colliding sample")}` : "";
+    const words = [hits ? `${counted(hits, "sample")} ${hits === 1 ? "hits" : "hit"} it` : "",
+      others ? `${counted(others, "sample")} another` : ""].filter(Boolean).join(", ");
+    return words ? `; ${words}` : "";
+  }
 
   /** @param {*} scene @param {string} protocol @returns {string[]} Planners that fail it. */
   const failing = (scene, protocol) =>
@@ -46,17 +87,14 @@
   function marks(scene, protocol) {
     const judged = window.CHALLENGER.models.filter((model) => verdict(scene, model.name, protocol) !== undefined);
     return element("span", { class: "marks", "aria-hidden": "true" }, judged.map((model) => {
-      const [mark, words] = WORDS[verdict(scene, model.name, protocol)];
-      return element("span", { class: mark === "✕" ? "bad" : mark === "○" ? "good" : "open",
-        title: `${model.name}: ${words}` }, mark);
+      const [mark, words] = markOf(scene, model.name, protocol);
+      return element("span", { class: KINDS[mark], title: `${model.name}: ${words}` }, mark);
     }));
   }
 
   /** @param {*} scene @param {string} protocol @param {string} [model] Whose plans the scene page starts with.
    * @returns {HTMLElement} */
   site.sceneCard = (scene, protocol, model) => {
-    const [bad, of] = [failing(scene, protocol).length, decided(scene, protocol).length];
-    const colliding = model ? own(scene.colliding, model) : undefined;
     return element("article", { class: "card", "data-testid": "scene-card", "data-key": scene.key },
       element("a", { class: "picture", href: address(["scene", scene.key], { model }), tabindex: "-1",
         "aria-hidden": "true" },
@@ -66,9 +104,7 @@
         element("a", { class: "name", href: address(["scene", scene.key], { model }) }, scene.scene),
         element("span", { class: "tags" }, element("span", { class: "tag" }, scene.split),
           scene.manoeuvre ? element("span", { class: "tag" }, scene.manoeuvre) : null),
-        element("span", { class: "verdict" }, of
-          ? `${bad} of ${counted(of, "planner")} ${bad === 1 ? "fails" : "fail"}${
-            colliding ? `; ${counted(colliding, "colliding sample")}` : ""}` : "not judged"),
+        element("span", { class: "verdict" }, tally(scene, protocol), samplesOf(scene, model)),
         site.judgementLine(scene, model),
         marks(scene, protocol)));
   };
@@ -176,8 +212,10 @@
             choices: orders().map((name) => [name, ORDERS[name][0]]),
             change: (sort) => refresh({ sort }) })),
         element("div", { class: "count-line" }, count, element("p", { class: "legend" },
-          element("span", { class: "bad" }, "✕"), " fails  ", element("span", { class: "good" }, "○"),
-          " does not  ", element("span", { class: "open" }, "–"), " cannot be said; one mark a planner")),
+          element("span", { class: "bad" }, "✕"), " fails  ", element("span", { class: "good" }, "○"), " does not  ",
+          scenes.some((scene) => scene.adversarial) ? [element("span", { class: "other" }, "◇"),
+            " hits another than the adversary  "] : null,
+          element("span", { class: "open" }, "–"), " cannot be said; one mark a planner")),
         cards,
       ],
       destroy: () => stop(),
@@ -211,22 +249,28 @@
     const { models, protocols } = window.CHALLENGER;
     const judged = models.filter((model) => own(scene.verdicts, model.name));
     if (!judged.length) return element("p", { class: "quiet" }, "No planner ran on this scene.");
-    const words = (value) => (value === undefined ? UNDEFINED : WORDS[value].join(" "));
+    const words = (name, protocol) => (verdict(scene, name, protocol) === undefined ? UNDEFINED
+      : markOf(scene, name, protocol).join(" "));
+    const samples = scene.adversarial ? ["samples that hit it", "another"] : ["colliding samples"];
     const causes = (name) => Object.entries(own(scene.causes, name) ?? {})
       .map(([cause, count]) => `${cause} ${count}`).join(", ");
     const view = site.tableView({
       id: "verdicts", title: "Who fails this scene", textColumns: protocols.length + 1,
-      columns: ["planner", ...protocols, "colliding samples", "failed samples", "causes (exact)"],
-      groups: [["", 1], ["protocol", protocols.length], ["", 3]],
-      rows: judged.map(({ name, privileged, miniature }) => [site.marked({ name, privileged, miniature }), ...protocols.map((protocol) => words(verdict(scene, name, protocol))),
-        String(own(scene.colliding, name) ?? 0), String(own(scene.failed, name) ?? 0), causes(name)]),
-      notes: ["A planner fails a scene if one of its counted samples collides within 3 s under the protocol.",
-        "Colliding samples and causes are those under protocol exact.",
+      columns: ["planner", ...protocols, ...samples, "failed samples", "causes (exact)"],
+      groups: [["", 1], ["protocol", protocols.length], ["", samples.length + 2]],
+      rows: judged.map(({ name, privileged, miniature }) => [site.marked({ name, privileged, miniature }),
+        ...protocols.map((protocol) => words(name, protocol)), countOf(scene.colliding, name),
+        ...(scene.adversarial ? [countOf(scene.bystanders, name)] : []), String(own(scene.failed, name) ?? 0), causes(name)]),
+      notes: [scene.adversarial
+        ? `A planner fails a scene if one of its counted samples hits the adversary first within 3 s under the protocol. ◇: one
+          hits another first, and none the adversary. ${UNDEFINED}: neither the record nor the protocol says whom.`
+        : "A planner fails a scene if one of its counted samples collides within 3 s under the protocol.",
+        `${scene.adversarial ? "Samples" : "Colliding samples"} and causes are those under protocol exact.`,
         ...(judged.some((model) => model.miniature) ? [site.MINIATURE_NOTE] : [])],
     });
     for (const cell of view.node.querySelectorAll("tbody td")) {
-      cell.classList.toggle("bad", cell.textContent.startsWith("✕"));
-      cell.classList.toggle("good", cell.textContent.startsWith("○"));
+      const kind = KINDS[cell.textContent[0]];
+      if (kind) cell.classList.add(kind);
     }
     return view.node;
   }

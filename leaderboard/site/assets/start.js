@@ -99,10 +99,9 @@
       this.swatches = this.chosen.map(({ place }) => [place,
         element("canvas", { class: "cp-swatch", width: 48, height: 28, "aria-hidden": "true" })]);
       const planners = this.models.map((model, at) => {
-        const contact = player.firstContact(scene, [model], this.protocol);
+        const [kind, words] = this.outcome(model);
         return element("li", {}, this.swatches[at][1], element("a", { href: address(["model", model.name]) },
-          site.marked(model)), contact === null ? element("span", { class: "good" }, "○ stays clear")
-          : element("span", { class: "bad" }, `✕ would collide at ${contact.toFixed(1)} s`));
+          site.marked(model)), element("span", { class: kind }, words));
       });
       this.words.replaceChildren(
         element("p", { class: "cp-legend" }, kinds.map(([kind, words]) =>
@@ -113,6 +112,18 @@
             "All of this scene")),
         element("p", { class: "quiet showing-name" }, [entry.scene, entry.manoeuvre, entry.description].filter(Boolean)
           .join(" · ")));
+    }
+
+    /** @param {*} model @returns {[string, string]} What its plans come to: class and words. */
+    outcome(model) {
+      const { scene } = this;
+      const first = (...whom) => player.firstContact(scene, [model], this.protocol, (verdict) => whom.includes(verdict.whom));
+      const [contact, other] = [first("anybody", "adversary"), first("other")];
+      if (contact !== null) {
+        return ["bad", `✕ would ${scene.adversarial ? "hit the adversary" : "collide"} at ${contact.toFixed(1)} s`];
+      }
+      if (other !== null) return ["other", `◇ would hit another than the adversary at ${other.toFixed(1)} s`];
+      return first("unsaid") === null ? ["good", "○ stays clear"] : ["open", "– would collide; with whom is not said"];
     }
 
     /** @param {number} seconds @returns {number} The nearest frame. */

@@ -5,10 +5,11 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmark.drawing.birdseye import SceneFromAbove, draw_birdseye
-from benchmark.drawing.overlays import candidates_overlay, plan_overlay, verdict_of
+from benchmark.drawing.overlays import Whom, candidates_overlay, plan_overlay, verdict_of
 from benchmark.drawing.palette import (
     ADVERSARY,
     BEST,
+    BYSTANDER,
     CONTACT,
     EGO,
     ON_DARK,
@@ -110,7 +111,8 @@ def test_a_plan_is_a_line_in_the_planners_colour_and_its_first_contact_is_marked
     straight = {"frame": "ego", "waypoints": [[1.5 * step, 0.0] for step in range(1, 7)]}
     scene, style = sheet(), planner_style(0)
     hits = with_plan(record("p", [HIT]), straight).rows[0]
-    outcome = hits.outcomes["exact"].model_copy(update={"facts": {"first_contact_s": 1.9, "hit": "car"}})
+    facts = {"first_contact_s": 1.9, "hit": "car", "hit_adversary": True}
+    outcome = hits.outcomes["exact"].model_copy(update={"facts": facts})
     overlay = plan_overlay(scene, 0, hits.model_copy(update={"outcomes": {"exact": outcome}}), "exact", "p", style)
     assert overlay.contact is not None and overlay.contact.other is not None
     # The plan's front at 1.9 s: 3 m a second, the lidar 0.94 m ahead of the axle, the body 0.5 m and half its length.
@@ -135,6 +137,30 @@ def test_verdicts_in_words() -> None:
     assert [verdict_of(row, "exact").collides for row in rows] == [True, False, None, False]
     with pytest.raises(InputError, match="rescore"):
         verdict_of(rows[0], "vad")
+
+
+@pytest.mark.parametrize(
+    ("adversary", "words", "whom", "alarms"),
+    [
+        (True, "hits the adversary 0.1 s ahead", Whom.ADVERSARY, True),
+        (False, "hits another 0.1 s ahead", Whom.OTHER, False),
+        (None, "collides within 0.5 s, whom is not said", Whom.UNSAID, False),
+    ],
+)
+def test_contacts_with_others_than_the_adversary_are_told_apart(
+    adversary: bool | None, words: str, whom: Whom, alarms: bool
+) -> None:
+    facts = {} if adversary is None else {"hit_adversary": adversary, "first_contact_s": 0.1, "hit": "car"}
+    straight = {"frame": "ego", "waypoints": [[1.5 * step, 0.0] for step in range(1, 7)]}
+    row = with_plan(record("p", [HIT]), straight).rows[0]
+    row = row.model_copy(update={"outcomes": {"exact": row.outcomes["exact"].model_copy(update={"facts": facts})}})
+    overlay = plan_overlay(sheet(), 0, row, "exact", "p", planner_style(0))
+    assert (overlay.verdict.words, overlay.verdict.whom, overlay.verdict.alarms) == (words, whom, alarms)
+    image = draw_birdseye(sheet(), 0, [overlay], size_px=SIZE, extent_m=EXTENT, captions=True)
+    assert (share(image, CONTACT) > 0) == alarms and (share(image, BYSTANDER) > 0) == (not alarms)
+    # In a scene without adversaries any contact counts.
+    alone = plan_overlay(sheet(agents=[agent("car", 10.0, 0.0)]), 0, row, "exact", "p", planner_style(0))
+    assert alone.verdict.alarms and alone.verdict.words.startswith("collides")
 
 
 def trace(**changes: object) -> RefinementTrace:

@@ -11,8 +11,10 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from benchmark.drawing.overlays import Whom
 from benchmark.drawing.palette import ADVERSARY, CONTACT, EGO, TITLE
 from benchmark.errors import InputError
+from benchmark.records.run import RunRecord
 from leaderboard.films.film import HEIGHT_PX, TITLE_PX, WIDTH_PX, Film, FilmLayout, FilmSettings
 from leaderboard.films.filming import FilmFormat, sheet_folders, write_film
 from leaderboard.films.panel import adversary_gap
@@ -52,15 +54,54 @@ def test_pictures_are_held_and_the_adversarys_edges_are_drawn_on_theirs(tmp_path
 def test_what_a_planner_came_to_is_shown_up_to_now_only(tmp_path: Path) -> None:
     stored = written(tmp_path)
     samples = [CLEAN, CLEAN, CLEAN, HIT, FAILED]
-    film = Film(stored, [record("p", samples)], ["p"], FilmSettings(layout=FilmLayout.CAMERAS))
+    film = Film(stored, [touching(record("p", samples), True)], ["p"], FilmSettings(layout=FilmLayout.CAMERAS))
     red = [pixels_of(frame[TITLE_PX + 488 :], CONTACT) for frame in film]
     assert max(red[:18]) == 0 and min(red[18:24]) > 500
     (track,) = film.tracks
-    assert [track.so_far(frame) for frame in (0, 17, 18, 24)] == [(0, 1), (0, 3), (1, 4), (1, 4)]
+    tallies = [track.so_far(frame) for frame in (0, 17, 18, 24)]
+    assert [(tally.touches.get(Whom.ADVERSARY, 0), tally.counted) for tally in tallies] == [
+        (0, 1),
+        (0, 3),
+        (1, 4),
+        (1, 4),
+    ]
     last = track.at(24)
     assert last is not None and last.plan is None and last.verdict.words == "the planner failed"
     fading = [plan.opacity for frame in range(6) if (plan := track.at(frame)) is not None]
     assert fading == sorted(fading, reverse=True) and fading[0] == 1.0 and fading[-1] > 0.5
+
+
+def touching(ran: RunRecord, adversary: bool | None) -> RunRecord:
+    """The same record, which says whom each contact is with, or does not."""
+    rows = []
+    for row in ran.rows:
+        hit = row.status == "ok" and any(row.outcomes["exact"].collision or ())
+        facts = {} if adversary is None else {"hit_adversary": adversary if hit else None}
+        outcomes = {name: each.model_copy(update={"facts": facts}) for name, each in row.outcomes.items()}
+        rows.append(row.model_copy(update={"outcomes": outcomes}))
+    return RunRecord(ran.directory, ran.run, tuple(rows), ran.summary)
+
+
+@pytest.mark.parametrize(
+    ("adversary", "said"),
+    [(True, "1 of 2 hit it, 0 another"), (False, "0 of 2 hit it, 1 another"), (None, "– of 2 hit it")],
+)
+def test_contacts_with_others_than_the_adversary_have_a_mark_and_a_number_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, adversary: bool | None, said: str
+) -> None:
+    written_words: list[str] = []
+    monkeypatch.setattr("leaderboard.films.panel.write_text", lambda _, text, *__, **___: written_words.append(text))
+    stored = written(tmp_path)
+    ran = touching(record("p", [CLEAN, HIT, *[UNCOUNTED] * 3]), adversary)
+    film = Film(stored, [ran], ["p"], FilmSettings(layout=FilmLayout.CAMERAS))
+    last = list(film)[-1]
+    assert said in written_words
+    assert (pixels_of(last[TITLE_PX + 488 :], CONTACT) > 300) == (adversary is True)
+    assert ("◇" in written_words) == (adversary is False)
+    none = written(tmp_path / "none", agents=[])
+    written_words.clear()
+    list(Film(none, [ran], ["p"], FilmSettings(layout=FilmLayout.CAMERAS)))
+    assert "1 of 2 collide" in written_words
 
 
 def test_a_miniature_carries_its_mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,8 @@ import re
 from urllib.parse import parse_qs, quote
 
 from benchmark.machine.storage import content_key
-from benchmark.records.run import RunRecord, scene_failures
+from benchmark.metrics.effect import touched_scenes
+from benchmark.records.run import RunRecord
 from tests.leaderboard.site.big_workspace import DATA_NAME
 from tests.leaderboard.site.browser import Browser
 from tests.leaderboard.site.conftest import Site
@@ -31,12 +32,14 @@ def record_of(site: Site, planner: str, split: str) -> RunRecord:
 
 def failing(site: Site, planner: str, split: str = "adv", protocol: str = "exact") -> set[str]:
     """Scenes that a planner fails."""
-    verdicts = scene_failures(record_of(site, planner, split).rows, protocol)
+    verdicts = touched_scenes(record_of(site, planner, split), protocol)
     return {scene for scene, fails in verdicts.items() if fails}
 
 
-def colliding_frames(site: Site, planner: str, scene: str, protocol: str = "exact") -> list[int]:
-    """Frames of the samples whose plan collides and counts."""
+def colliding_frames(
+    site: Site, planner: str, scene: str, protocol: str = "exact", whom: tuple[bool | None, ...] = (True, False, None)
+) -> list[int]:
+    """Frames of the samples whose plan collides and counts, and touches an adversary first, another, or nobody says."""
     sheet = next(stored.sheet for (_, _, name), stored in site.sheets.scenes.items() if name == scene)
     frame_of = dict(zip(sheet.sample_tokens, sheet.keyframes, strict=True))
     return [
@@ -46,6 +49,7 @@ def colliding_frames(site: Site, planner: str, scene: str, protocol: str = "exac
         and row.status == "ok"
         and row.outcomes[protocol].counted
         and any(row.outcomes[protocol].collision or ())
+        and row.outcomes[protocol].touches_adversary in whom
     ]
 
 

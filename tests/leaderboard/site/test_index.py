@@ -3,7 +3,7 @@
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,18 +16,22 @@ from hypothesis import strategies as st
 from benchmark.drawing.palette import ADVERSARY, PLANNERS_ON_DARK, PLANNERS_ON_LIGHT, hexadecimal
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, write_bytes
-from benchmark.metrics.attacks import counted_rows, scene_attacks
-from benchmark.metrics.effect import AT_3_S, effect_of
+from benchmark.metrics.attacks import counted_rows, has_adversaries, scene_attacks
+from benchmark.metrics.effect import AT_3_S, effect_of, first_touches, touched_scenes
 from benchmark.records.judgement import DRIVER_NAMES
-from benchmark.records.run import RunRecord, find_records, scene_failures
+from benchmark.records.run import RunRecord, find_records
+from benchmark.records.run_schema import SceneFacts
 from benchmark.records.scenes import NO_SHEETS, Sheets, StoredSheet, find_sheets
 from benchmark.report.table import Table
 from leaderboard.build import stale_files, write_leaderboard
 from leaderboard.figures.charts import NamedFigure
 from leaderboard.site.index_data import PlacedTable, index_data
+from leaderboard.site.key_table import key_table
+from leaderboard.site.model_index import model_index
 from leaderboard.site.scene_index import label_words, scene_index
 from leaderboard.site.scripts import data_script
 from leaderboard.site.site import INDEX_PATH, site_files
+from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 from tests.leaderboard.site.big_workspace import DATA_NAME, IMAGE_TAG, BigWorkspace, make_workspace
 
 ASSETS = Path(__file__).resolve().parents[3] / "leaderboard" / "site" / "assets"
@@ -99,16 +103,63 @@ def test_scenes_fail_in_the_index_as_in_the_records(made: Made, folder: Path) ->
     assert {name for _, name in scenes} == set(made.workspace.scenes)
     for record in made.records:
         for protocol in record.summary.protocols:
-            for scene, failed in scene_failures(record.rows, protocol).items():
+            for scene, failed in touched_scenes(record, protocol).items():
                 assert scenes[record.run.split, scene]["verdicts"][record.planner][protocol] is failed
-        for scene in record.run.scenes:
+        touches = first_touches(record)
+        for scene, places in record.columns.places_of_scenes.items():
+            shown = scenes[record.run.split, scene]
+            assert shown["adversarial"] == has_adversaries(record)
+            assert shown["colliding"].get(record.planner, 0) == touches.adversary[places].sum()
+            assert shown["bystanders"].get(record.planner, 0) == touches.others[places].sum()
+            assert ("exact" in shown["others"].get(record.planner, [])) == touches.others[places].any()
             rows = [row for row in record.rows if row.scene == scene]
-            causes = Counter(row.diagnosis.cause for row in rows if row.diagnosis is not None)
-            assert scenes[record.run.split, scene]["causes"].get(record.planner, {}) == causes
+            hits = [row for row, hit in zip(rows, touches.adversary[places], strict=True) if hit]
+            causes = Counter(row.diagnosis.cause for row in hits if row.diagnosis is not None)
+            assert shown["causes"].get(record.planner, {}) == causes
             failed_samples = sum(row.status == "failed" for row in rows)
             assert scenes[record.run.split, scene]["failed"].get(record.planner, 0) == failed_samples
     assert {model["name"] for model in index["models"]} == set(made.workspace.planners)
     assert IMAGE_TAG in made.workspace.planners
+
+
+def test_the_index_tells_contacts_with_the_adversary_from_others_and_never_says_zero_for_unknown() -> None:
+    records = [
+        touching("told", {"a": [True, False, None], "b": [False, None, None]}),
+        touching("old", {"a": [True, None, None], "b": [None, None, None]}, told=False),
+    ]
+    a, b = scene_index(records, NO_SHEETS, (), frozenset())
+    assert a["adversarial"] and b["adversarial"]
+    assert a["verdicts"] == {"told": {"exact": True}, "old": {"exact": None}}
+    assert b["verdicts"] == {"told": {"exact": False}, "old": {"exact": False}}
+    assert (a["others"], b["others"]) == ({"told": ["exact"]}, {"told": ["exact"]})
+    assert (a["unsaid"], b["unsaid"]) == ({"old": ["exact"]}, {})
+    assert a["colliding"] == {"told": 1, "old": None} and a["bystanders"] == {"told": 1, "old": None}
+    assert (b["colliding"], b["bystanders"]) == ({}, {"told": 1})
+    runs = {model["name"]: model["runs"][0]["protocols"]["exact"] for model in model_index(records)}
+    assert runs["told"]["scenesHit"] == [1, 2] and runs["told"]["scenesFailed"] == 2
+    assert runs["old"]["scenesHit"] is None and runs["old"]["scenesFailed"] == 1
+    table = key_table("d", records)
+    assert table is not None
+    assert [row[1] for row in table.rows] == ["–", f"{100 / 6:.2f}"]
+
+
+def touching(planner: str, scenes: Mapping[str, Sequence[bool | None]], *, told: bool = True) -> RunRecord:
+    """A record of adversarial scenes; each sample hits the adversary, somebody else or nobody, and may say whom."""
+    plain = hand_made(
+        planner, {scene: [CLEAN if each is None else HIT for each in found] for scene, found in scenes.items()}
+    )
+    rows = []
+    for row, adversary in zip(plain.rows, [each for found in scenes.values() for each in found], strict=True):
+        facts = {
+            "hit": None if adversary is None else "x",
+            "first_contact_s": None if adversary is None else 0.1,
+            **({"hit_adversary": adversary} if told else {}),
+        }
+        exact = row.outcomes["exact"].model_copy(update={"facts": facts})
+        rows.append(row.model_copy(update={"outcomes": {"exact": exact}}))
+    known = {scene: SceneFacts(source=scene, adversaries=1) for scene in scenes}
+    run = plain.run.model_copy(update={"scene_facts": known})
+    return RunRecord(plain.directory, run, tuple(rows), plain.summary)
 
 
 def test_scenes_are_judged_in_the_index_as_in_the_records(made: Made, folder: Path) -> None:
@@ -135,8 +186,11 @@ def test_scenes_are_judged_in_the_index_as_in_the_records(made: Made, folder: Pa
                 assert severity is None or (severity["contacts"] == 0 and severity["deltaV"] is None)
                 continue
             touched += 1
-            assert severity["contacts"] == len(contacts)
-            assert severity["deltaV"] == round(max(each.delta_v_ego_m_s for each in contacts), 3)
+            with_adversary = [each for each in contacts if each.adversary]
+            assert severity["contacts"] == len(with_adversary)
+            assert severity["bystanders"] == len(contacts) - len(with_adversary)
+            hardest = max((each.delta_v_ego_m_s for each in with_adversary), default=None)
+            assert severity["deltaV"] == (None if hardest is None else round(hardest, 3))
             assert severity["atFault"] is attacks[scene].verdicts["at_fault"]
             assert severity["attributable"] is attacks[scene].verdicts["attributable"]
     assert touched and any(scene["judgement"] for scene in scenes.values())

@@ -117,12 +117,18 @@ def test_collisions_are_marked_where_the_record_says(browser: Browser, site: Sit
     marks = browser.all("player-collision")
     assert sorted(int(str(mark.get_attribute("data-frame"))) for mark in marks) == expected
     assert expected
+    signs = {"adversary": "✕", "other": "◇", "unsaid": "–"}
+    assert all(mark.text == signs[str(mark.get_attribute("data-whom"))] for mark in marks)
+    for kind, whom in (("adversary", True), ("other", False), ("unsaid", None)):
+        shown = [mark.get_attribute("data-frame") for mark in marks if mark.get_attribute("data-whom") == kind]
+        found = [colliding_frames(site, name, scene, protocol, (whom,)) for name in planners]
+        assert sorted(int(str(each)) for each in shown) == sorted(frame for frames in found for frame in frames)
     browser.click(marks[-1])
     browser.until(
         "document.querySelector('[data-testid=player-scrub]').value === arguments[0]",
         marks[-1].get_attribute("data-frame"),
     )
-    assert "collides" in browser.one("player").text.lower()
+    assert "hits" in browser.one("player-verdicts").text
 
 
 def test_planners_are_chosen_and_remembered(browser: Browser, site: Site) -> None:
@@ -200,7 +206,7 @@ def test_a_missing_script_is_said(browser: Browser, site: Site, tmp_path: Path) 
 
 
 def fails(site: Site, planner: str, scene: str) -> bool:
-    return bool(colliding_frames(site, planner, scene))
+    return bool(colliding_frames(site, planner, scene, whom=(True,)))
 
 
 def test_the_player_begins_two_seconds_before_the_first_contact_with_planners_that_differ(
@@ -215,6 +221,7 @@ def test_the_player_begins_two_seconds_before_the_first_contact_with_planners_th
     contacts = [
         float(str(mark.get_attribute("data-frame"))) / 12 + float(str(mark.get_attribute("data-contact")))
         for mark in browser.all("player-collision")
+        if mark.get_attribute("data-whom") == "adversary"
     ]
     assert shown_seconds(browser) == pytest.approx(max(min(contacts) - 2.0, 0.0), abs=0.06)
     assert "?" not in browser.route

@@ -168,7 +168,22 @@ def test_verdicts_contacts_and_causes() -> None:
     assert (entry["cause"], entry["reason"], entry["hit"]) == ("unseen", "no forecast near", 1)
     assert entry["l2"] == [0.12] * 5 + [None]
     gone = sample_entry(row, POSE, ["exact"], {})
-    assert "hit" not in gone
+    assert "hit" not in gone and "whom" not in gone
+
+
+def test_whom_a_plan_touches_first_is_said_on_splits_with_adversaries() -> None:
+    plan = PlanRow(frame="lidar", waypoints=WAYPOINTS.tolist())
+    touched = [None, None, None, False, True, None]
+    verdicts = {
+        "exact": outcome("...xx.").model_copy(update={"facts": {"hit_adversary": True}}),
+        "uniad": outcome("...xx.").model_copy(update={"facts": {"touched_adversary": touched}}),
+        "bev-planner": outcome("...x.."),
+        "vad": outcome("......"),
+    }
+    row, protocols = row_of(plan, outcomes=verdicts), [*verdicts, "stp3"]
+    assert sample_entry(row, POSE, protocols, {}, known=True)["whom"] == [1, 0, None, None, None]
+    assert sample_entry(row, POSE, protocols, {}, known=False)["whom"] == [None] * 5
+    assert "whom" not in sample_entry(row, POSE, ["vad"], {}, known=True)
 
 
 def test_a_failure_is_its_last_line_and_no_plan() -> None:

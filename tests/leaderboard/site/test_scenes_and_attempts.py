@@ -1,11 +1,16 @@
 """The scene browser and the list of attempts in a real browser."""
 
 from collections import Counter
+from dataclasses import replace
+from pathlib import Path
 from urllib.parse import quote
 
 from selenium.webdriver.common.by import By
 
 from benchmark.records.judgement import JudgementSummary
+from benchmark.records.row_schema import SampleRow
+from benchmark.records.run import RunRecord
+from leaderboard.build import write_leaderboard
 from tests.leaderboard.site.big_workspace import EMOJI, HOSTILE_REASON, IMAGE_TAG, RIGHT_TO_LEFT, SCRIPT_TAG
 from tests.leaderboard.site.browser import Browser
 from tests.leaderboard.site.conftest import Site
@@ -53,6 +58,40 @@ def test_filter_by_who_fails(browser: Browser, site: Site) -> None:
         assert shown == keys(site, failing(site, planner))
         seen.append(len(shown))
     assert len(set(seen)) > 1, "all planners fail the same number of scenes, so this shows nothing"
+
+
+def into_others(record: RunRecord) -> RunRecord:
+    """The same record, every contact under ``exact`` with somebody else than the adversary."""
+    rows: list[SampleRow] = []
+    for row in record.rows:
+        exact = row.outcomes.get("exact")
+        if exact is not None and exact.facts["hit_adversary"]:
+            other = exact.model_copy(update={"facts": {**exact.facts, "hit_adversary": False}})
+            row = row.model_copy(update={"outcomes": {**row.outcomes, "exact": other}})
+        rows.append(row)
+    return replace(record, rows=tuple(rows))
+
+
+def test_who_hits_another_than_the_adversary_does_not_fail_and_has_a_mark_of_its_own(
+    browser: Browser, site: Site, tmp_path: Path
+) -> None:
+    planner = site.made.planners[1]
+    records = [into_others(record) if record.planner == planner else record for record in site.records]
+    write_leaderboard(records, tmp_path, sheets=site.sheets)
+    browser.open(f"#/scenes?split=adv&fails={planner}", start=(tmp_path / "site" / "index.html").as_uri())
+    assert not shown_scenes(browser)
+    browser.choose("filter-fails", "")
+    browser.choose("filter-passes", planner)
+    cards = {str(card.get_attribute("data-key")): card for card in browser.all("scene-card")}
+    hit = keys(site, failing(site, planner)) & set(cards)
+    assert hit
+    for key, card in cards.items():
+        mark = card.find_element(By.CSS_SELECTOR, f".marks [title^='{planner}:']")
+        assert (mark.text == "◇") == (key in hit)
+        assert ("another" in card.text) == (key in hit)
+    browser.go(f"#/scene/{min(hit)}")
+    verdicts = browser.driver.find_element(By.CSS_SELECTOR, "main").text
+    assert "◇ hits another" in verdicts
 
 
 def judgements(site: Site) -> dict[str, JudgementSummary]:
