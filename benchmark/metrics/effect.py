@@ -128,6 +128,14 @@ def says_whom(record: RunRecord, protocol: str = EXACT) -> bool:
     return HIT_ADVERSARY in facts or TOUCHED_ADVERSARY in facts
 
 
+def attributes(record: RunRecord) -> bool:
+    """Whether contacts are counted by whom they are with: with adversaries, unless it is known that there are none."""
+    known_to_have_none = knows_adversaries(record) and not any(
+        facts.adversaries for facts in record.run.scene_facts.values()
+    )
+    return has_adversaries(record) and not known_to_have_none
+
+
 def knows_adversaries(record: RunRecord) -> bool:
     """Whether a record says of each of its scenes who is an adversary."""
     facts = [record.run.scene_facts.get(scene) for scene in record.run.scenes]
@@ -218,7 +226,7 @@ def first_touches(record: RunRecord, protocol: str = EXACT) -> FirstTouches:
     """
     columns = record.columns
     hits, none = columns.collides(protocol), np.zeros(len(columns), np.bool_)
-    if not has_adversaries(record):
+    if not attributes(record):
         return FirstTouches(hits, none, none)
     if not says_whom(record, protocol):
         return FirstTouches(none, none, hits)
@@ -245,7 +253,7 @@ def touched_scenes(record: RunRecord, protocol: str = EXACT) -> dict[str, bool |
         InputError: If the protocol is unknown or did not judge the rows.
     """
     anybody = scene_failures(record.rows, protocol)
-    if not has_adversaries(record):
+    if not attributes(record):
         return anybody
     found = first_touches(record, protocol)
     silent = {scene for scene, places in record.columns.places_of_scenes.items() if found.unsaid[places].any()}

@@ -3,9 +3,8 @@
 from collections.abc import Collection, Sequence
 from typing import Final
 
-from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import effect_of
+from benchmark.metrics.effect import attributes, effect_of
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.report.cells import MINIATURE_WORDS, PERCENT, UNDEFINED, Cell, Origin, record_name
@@ -46,7 +45,7 @@ def key_table(data_name: str, records: Sequence[RunRecord]) -> Table | None:
     whole, splits = collision_table(data_name, EXACT, runs), splits_of(runs)
     found = {(run.planner, run.run.split): row for row, run in enumerate(runs)}
     planners = {run.planner: run.run.planner for run in runs}
-    adversarial = {run.run.split for run in runs if has_adversaries(run)}
+    adversarial = {run.run.split for run in runs if attributes(run)}
     rows: list[tuple[str, ...]] = []
     cells: list[tuple[Cell | None, ...]] = []
     for name, facts in planners.items():
