@@ -128,6 +128,14 @@ def says_whom(record: RunRecord, protocol: str = EXACT) -> bool:
     return knows_adversaries(record) and _judges_whom(record, protocol)
 
 
+def attributes(record: RunRecord) -> bool:
+    """Whether contacts are counted by whom they are with: with adversaries, unless it is known that there are none."""
+    known_to_have_none = knows_adversaries(record) and not any(
+        facts.adversaries for facts in record.run.scene_facts.values()
+    )
+    return has_adversaries(record) and not known_to_have_none
+
+
 def knows_adversaries(record: RunRecord) -> bool:
     """Whether it is known which road users of a record's scenes are adversaries; of strangers' data it is not."""
     facts = [record.run.scene_facts.get(scene) for scene in record.run.scenes]
@@ -243,7 +251,7 @@ def first_touches(record: RunRecord, protocol: str = EXACT) -> FirstTouches:
     """
     columns = record.columns
     hits, none = columns.collides(protocol), np.zeros(len(columns), np.bool_)
-    if not has_adversaries(record):
+    if not attributes(record):
         return FirstTouches(hits, none, none)
     if not says_whom(record, protocol):
         return FirstTouches(none, none, hits)
@@ -270,7 +278,7 @@ def touched_scenes(record: RunRecord, protocol: str = EXACT) -> dict[str, bool |
         InputError: If the protocol is unknown or did not judge the rows.
     """
     anybody = scene_failures(record.rows, protocol)
-    if not has_adversaries(record):
+    if not attributes(record):
         return anybody
     found = first_touches(record, protocol)
     silent = {scene for scene, places in record.columns.places_of_scenes.items() if found.unsaid[places].any()}

@@ -17,6 +17,7 @@ from benchmark.drawing.lettering import drawable
 from benchmark.drawing.plots import Sketch, Theme, for_pages, new_figure
 from benchmark.metrics.confusion import comparisons
 from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.effect import says_whom, touched_scenes
 from benchmark.records.run import NATIVE, RunRecord, protocol_of, scene_failures
 from benchmark.report.words import titled
 from leaderboard.tables.rows import in_table_order, judges, marked, splits_of
@@ -117,7 +118,9 @@ def disagreement_figure(data_name: str, split: str, records: Sequence[RunRecord]
 
 
 def manoeuvre_figure(data_name: str, protocol: str, records: Sequence[RunRecord]) -> Sketch | None:
-    """How many adversarial scenes there are of each manoeuvre, and how many of them each planner fails.
+    """How many adversarial scenes there are of each manoeuvre, and in how many each planner hits the adversary first.
+
+    Where records do not say whom contacts are with: how many it fails.
 
     Args:
         data_name: Name of the data set, for the title.
@@ -226,12 +229,14 @@ def _manoeuvre_panels(data_name: str, protocol: str, runs: Sequence[RunRecord], 
     order = sorted(total, key=lambda name: (-total[name], name))
     lines = -(-len(runs) // PANELS)
     figure = new_figure(2.2 + 2.3 * min(len(runs), PANELS), 0.5 + (0.8 + 0.3 * len(order)) * lines)
+    whom = all(says_whom(run, protocol_of(run, protocol)) for run in runs)
     grid = figure.subplots(lines, min(len(runs), PANELS), sharey=True, sharex=True, squeeze=False)
     panels = list(grid.flat)
     for axes in panels[len(runs) :]:
         axes.set_axis_off()
     for axes, run in zip(panels, runs):
-        manoeuvres, failures = _manoeuvres(run), scene_failures(run.rows, protocol_of(run, protocol))
+        manoeuvres, judge = _manoeuvres(run), protocol_of(run, protocol)
+        failures = touched_scenes(run, judge) if whom else scene_failures(run.rows, judge)
         decided = [scene for scene, fails in failures.items() if fails is not None and scene in manoeuvres]
         scenes = Counter(manoeuvres[scene] for scene in decided)
         failed = Counter(manoeuvres[scene] for scene, fails in failures.items() if fails and scene in manoeuvres)
@@ -249,7 +254,8 @@ def _manoeuvre_panels(data_name: str, protocol: str, runs: Sequence[RunRecord], 
     panels[0].set_yticks(range(len(order)), [drawable(name) for name in order], parse_math=False)
     panels[0].set_ylim(len(order) - 0.5, -0.5)
     figure.tight_layout(rect=(0, 0, 1, 0.93))
-    _heading(figure, f"{drawable(data_name)}: adversarial scenes failed (red), {judges(protocol)}")
+    what = "scenes in which the adversary is hit first" if whom else "adversarial scenes failed"
+    _heading(figure, f"{drawable(data_name)}: {what} (red), {judges(protocol)}")
     return figure
 
 

@@ -4,8 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from benchmark.metrics.attacks import has_adversaries
-from benchmark.metrics.effect import says_whom, touched_scenes
+from benchmark.metrics.effect import attributes, says_whom, touched_scenes
 from benchmark.metrics.scores import registered_version
 from benchmark.records.driving import SUB_SCORES, TOTALS, VERSION
 from benchmark.records.file_plans import file_notes
@@ -93,7 +92,7 @@ def _driving(summary: DrivingSummary) -> dict[str, Any]:
 
 def _scenes_hit(record: RunRecord, protocol: str) -> list[int] | None:
     """Scenes in which a sample touches the adversary first, and those of which that can be said; if anybody says it."""
-    told = has_adversaries(record) and registered_version(protocol) is not None and says_whom(record, protocol)
+    told = attributes(record) and registered_version(protocol) is not None and says_whom(record, protocol)
     if not told:
         return None
     verdicts = touched_scenes(record, protocol).values()

@@ -30,8 +30,8 @@ from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M
 from benchmark.drawing.palette import ON_DARK
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.effect import attributes
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord
 from benchmark.records.scenes import Polygon, Sheet, SheetAgent, SheetMap, Sheets, StoredSheet, picture_name
@@ -122,7 +122,7 @@ def _scene(name: SceneName, key: str, stored: StoredSheet | None, ran: Sequence[
         "split": split,
         "scene": scene,
         "hasSheet": stored is not None,
-        "adversarial": any(has_adversaries(one.record) for one in ran),
+        "adversarial": any(attributes(one.record) for one in ran),
         "protocols": protocols,
         "body": {"length": EGO_LENGTH_M, "width": EGO_WIDTH_M, "ahead": EGO_BOX_FROM_LIDAR_M},
     }

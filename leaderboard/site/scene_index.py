@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, file_name
-from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import FirstTouches, first_touches, touched_scenes
+from benchmark.metrics.effect import FirstTouches, attributes, first_touches, touched_scenes
 from benchmark.metrics.scores import registered_version, source_of_scenes
 from benchmark.records.quality import QualityRecord
 from benchmark.records.run import RunRecord
@@ -151,7 +150,7 @@ def _add_record(seen: dict[SceneName, _Seen], record: RunRecord) -> None:
     for scene in (*record.run.scenes, *rows_of):
         facts = record.run.scene_facts.get(scene)
         found = seen.setdefault((data_name, split, scene), _Seen(sources.get(scene, scene)))
-        found.adversarial |= has_adversaries(record)
+        found.adversarial |= attributes(record)
         if facts is not None:
             found.source, found.manoeuvre = facts.source, facts.manoeuvre
             found.judgement = found.judgement or judgement_entry(facts.judgement)

@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 from typing import Any, Final
 
-from benchmark.metrics.attacks import SceneAttack, has_adversaries, scene_attacks
+from benchmark.metrics.attacks import SceneAttack, scene_attacks
+from benchmark.metrics.effect import attributes
 from benchmark.records.columns import BriefRow
 from benchmark.records.judgement import DRIVER_NAMES, JudgementSummary
 from benchmark.records.run import RunRecord
@@ -51,7 +52,7 @@ def severity_entries(record: RunRecord) -> dict[str, dict[str, Any]]:
         ``contacts`` its ``kind``, ``speed``, ``deltaV`` and ``fatal``, and of samples without contact ``ttc`` and
         ``gap``.
     """
-    attacks, rows_of, adversarial = scene_attacks(record), _rows_of(record), has_adversaries(record)
+    attacks, rows_of, adversarial = scene_attacks(record), _rows_of(record), attributes(record)
     return {
         scene: _entry(rows, attacks[scene], adversarial)
         for scene, rows in rows_of.items()

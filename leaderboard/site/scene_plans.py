@@ -8,9 +8,8 @@ import numpy as np
 from benchmark.constants import PLAN_STEP_S
 from benchmark.drawing.placing import PlacedForecasts, placed_plan
 from benchmark.geometry import Floats, to_global
-from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import knows_adversaries
+from benchmark.metrics.effect import attributes, knows_adversaries
 from benchmark.records.row_schema import OutcomeRow, PlanRow, SampleRow
 from benchmark.records.run import RunRecord
 from leaderboard.site.packing import CENTIMETRE, DECIMETRE, MILLIRADIAN, packed, packed_path
@@ -52,7 +51,7 @@ def planner_samples(
     Raises:
         InputError: If a plan has lists of the wrong lengths.
     """
-    known = knows_adversaries(record) if has_adversaries(record) else None
+    known = knows_adversaries(record) if attributes(record) else None
     found = [
         None if token not in rows else sample_entry(rows[token], pose, protocols, agents, known=known)
         for token, pose in zip(tokens, poses, strict=True)

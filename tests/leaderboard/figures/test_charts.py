@@ -12,6 +12,8 @@ from benchmark.drawing.plots import DARK, LIGHT
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import SceneFacts
 from leaderboard.figures.charts import data_set_figures, disagreement_figure, manoeuvre_figure, rates_over_horizon
+from tests.benchmark.metrics.made_attacks import attacked
+from tests.benchmark.metrics.test_effect import told
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 
 HOSTILE = ("$x_{1$ \\frac", "<script>&--", "a\x00b\nc", "日本語", "x" * 500, "")
@@ -48,6 +50,22 @@ def test_what_the_records_allow_is_drawn() -> None:
     assert manoeuvre_figure("d", "exact", [run("a", 3, split="val")]) is None
     assert rates_over_horizon("d", "vad", [run("a", 3)]) is None
     assert disagreement_figure("d", "val", [run("a", 3)]) is None
+
+
+def test_where_records_say_whom_contacts_are_with_scenes_in_which_bystanders_are_hit_are_not_failed() -> None:
+    letters = {"A-1": "f...", "B-1": "F...", "C-1": "...."}
+    record = told(attacked("a", letters, dict.fromkeys(letters, True)))
+
+    def words(run: RunRecord) -> list[str]:
+        sketch = manoeuvre_figure("d", "exact", [run])
+        assert sketch is not None
+        figure = sketch(LIGHT)
+        return [text.get_text().strip() for text in (*figure.texts, *figure.axes[0].texts)]
+
+    assert words(record) == ["d: scenes in which the adversary is hit first (red), protocol exact", "1/3"]
+    assert words(attacked("a", letters, dict.fromkeys(letters, True))) == [
+        *("d: adversarial scenes failed (red), protocol exact", "2/3"),
+    ]
 
 
 def test_the_same_records_give_the_same_bytes_in_any_order_and_whatever_the_users_settings() -> None:
