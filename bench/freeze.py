@@ -26,10 +26,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 PRESENT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(PRESENT), str(PRESENT / "bench")]
+sys.path.insert(0, str(PRESENT))
 
-from freezing.cases import CASES, NOT_FROZEN, in_order, left_out  # noqa: E402 - found beside this file
-from freezing.tree import Seen, Tree  # noqa: E402
+from bench.freezing.cases import CASES, NOT_FROZEN, in_order, left_out  # noqa: E402 - found beside this file
+from bench.freezing.tree import Seen, Tree  # noqa: E402
 
 _COMPUTE_OR_DRAW = ("numpy", "scipy", "torch", "opencv-python-headless", "pillow", "shapely", "matplotlib", "typer")
 """Packages whose other version makes a kept side worthless."""

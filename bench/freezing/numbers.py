@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 _ENDINGS = "jsonl?|csv|md|html|js|css|svg|png|webp|webm|jpg|npz|npy|pkl|parquet|safetensors|toml|tex|xosc|zip"
-_NAME_OF_FILE = rf"[\w.@/-]*\w\.(?:{_ENDINGS})\b"
+_NAME_OF_FILE = rf"(?<![\w.@/-])[\w.@/-]*\w\.(?:{_ENDINGS})\b"
 _NUMBER = r"(?<![\w.])[-+]?\d[\d,]*(?:\.\d+)?(?:[eE][-+]?\d+)?(?!\w)"
 _FOUND = re.compile(rf"{_NAME_OF_FILE}|{_NUMBER}")
 

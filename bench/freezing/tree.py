@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from freezing.cases import Case
-from freezing.inputs import INPUTS
-from freezing.numbers import numbers_in
+from bench.freezing.cases import Case
+from bench.freezing.inputs import INPUTS
+from bench.freezing.numbers import numbers_in
 
 PACKAGES: Final = ("benchmark", "generation", "adapters", "leaderboard")
 _WIDTH = 100
