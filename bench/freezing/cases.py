@@ -49,7 +49,8 @@ class Case:
 
 def _case(name: str, members: dict[str, Any]) -> Case:
     lines = tuple(line for line in members.pop("lines").splitlines() if line)
-    return Case(name, lines, **{key: tuple(each) if isinstance(each, list) else each for key, each in members.items()})
+    given: dict[str, Any] = {key: tuple(each) if isinstance(each, list) else each for key, each in members.items()}
+    return Case(name, lines, **given)
 
 
 CASES: Final = {name: _case(name, members) for name, members in _TABLE["case"].items()}

@@ -82,18 +82,16 @@ class Tree:
         folder = self.work / case.name
         shutil.rmtree(folder, ignore_errors=True)
         self._inputs(case)
-        folder.mkdir(exist_ok=True)
+        folder.mkdir()
         for source in (*(self.work / name for name in case.own), *(self.start_work / name for name in case.of_start)):
             shutil.copytree(source, folder, dirs_exist_ok=True)
         before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
-        if not before:
-            folder.rmdir()
         seen: Seen = {}
         with self._served(case, seen) as url:
             for line in case.lines:
                 if line == "@help":
-                    for name, said in self.commands().items():
-                        self._note(seen, f"{name} --help", said["help"])
+                    for name, command in self.commands().items():
+                        self._note(seen, f"{name} --help", command["help"])
                     continue
                 given = re.sub(r" --golden \{golden\}/\S+" if self.golden is None else "^$", "", line)
                 words = shlex.split(given.replace("{url}", url).replace("{golden}", str(self.golden)))

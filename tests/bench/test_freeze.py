@@ -78,7 +78,14 @@ def test_two_cases_of_a_changed_tree(tmp_path: Path) -> None:
     commit(start)
 
     def frozen(*options: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, ROOT / "bench/freeze.py", "--start", start, "--golden", tmp_path / "none"]
+        command = [
+            sys.executable,
+            str(ROOT / "bench/freeze.py"),
+            "--start",
+            str(start),
+            "--golden",
+            str(tmp_path / "none"),
+        ]
         return subprocess.run([*command, *options], capture_output=True, text=True, check=False)
 
     done = frozen("--only", *cases)
