@@ -1,23 +1,36 @@
 """One tree of the code under comparison: its command line, run in a folder of its own, and what was seen of it."""
 
+import contextlib
 import hashlib
+import json
 import os
 import re
+import shlex
 import shutil
+import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Final
 
-PACKAGES = ("benchmark", "generation", "adapters", "leaderboard")
-TIMINGS = ".challenger/timing"
-"""Of the state that a root keeps (``.challenger``), the one folder that holds seconds; all else in it is compared."""
+from bench.freezing.cases import Case
+from bench.freezing.inputs import INPUTS
+from bench.freezing.numbers import numbers_in
+
+PACKAGES: Final = ("benchmark", "generation", "adapters", "leaderboard")
 _WIDTH = 100
-_OPTION = re.compile(r"^  -")
-
-Seen = dict[str, dict[str, str]]
-"""For each compared thing, what stands under each path: the hash of a file, or the text that a command printed."""
+_SECONDS = ("timings/", "/timing/", "timing.json", "/work.json")
+"""What of a path says that seconds are in the file; all else is compared."""
+_OF_THE_COMMIT = re.compile(r'"source": \{\s*"commit": [^}]*\}')
+"""The commit that made a record; the trees that are compared have two."""
+_HASH = re.compile(r"(?<=\")[0-9a-f]{64}(?=\")")
+_MODULE = re.compile(rf"\b(?:{'|'.join(PACKAGES)})(?:[./]\w+)*[./](\w+)(?:\.py)?\b(?![./])")
+"""A module is compared by its last name, for modules move."""
+_PROGRESS = re.compile(r"\d+:\d\d|\d s\b")
+Seen = dict[str, list[str]]
+"""For each path of a file, and each command line: what was seen, and the numbers, keys and names in it, or hashes."""
 
 
 @dataclass
@@ -25,20 +38,21 @@ class Tree:
     """A tree of the code and the folder in which its commands run.
 
     All paths in commands are relative to the folder, so that what is printed and written names no folder of the
-    machine and needs no normalisation for it.
+    machine.
 
     Attributes:
         name: What messages call it.
         code: Root of the tree.
         work: Folder in which its commands run.
-        start_work: The folder of the start's tree, whose records and sheets both trees read.
-        seen: What was seen so far.
+        start_work: The folder of the start's tree, whose records and inputs both trees read.
+        golden: Folder of golden sets; those of the packages are used without.
     """
 
     name: str
     code: Path
     work: Path
     start_work: Path
+    golden: Path | None = None
     seen: Seen = field(default_factory=dict)
 
     def check(self) -> None:
@@ -52,90 +66,119 @@ class Tree:
         if wrong or len(found) != len(PACKAGES):
             raise SystemExit(f"{self.name}: commands in {self.work} would import {wrong or 'nothing'}, not {self.code}")
 
-    def run(self, *arguments: str, codes: tuple[int, ...] = (0,)) -> str:
-        """Run a command of the command line.
+    def commands(self) -> dict[str, dict[str, Any]]:
+        """Every command of the app, with its help, whether it does something itself, and the choices of its options."""
+        found: dict[str, dict[str, Any]] = json.loads(
+            self._start(["-c", Path(__file__).with_name("walk.py").read_text()]).stdout
+        )
+        return found
 
-        Args:
-            arguments: What follows ``challenger-bench``.
-            codes: Exit codes that are expected.
+    def run(self, case: Case) -> Seen:
+        """Run a case and say what was seen of it.
 
-        Returns:
-            What it printed on stdout; behind it, after an unexpected exit code, that code and stderr, which show as a
-            difference. Of the start that is an error: nothing could be compared with it.
+        Raises:
+            SystemExit: If the start's tree ends with an exit code that is not of the case: nothing could be compared.
         """
-        done = self._start(["-m", "benchmark", *arguments])
-        if done.returncode in codes:
-            return done.stdout
-        if self.code_is_start:
-            raise SystemExit(f"the start fails at {' '.join(arguments)} (exit code {done.returncode}): {done.stderr}")
-        return f"{done.stdout}exit code {done.returncode}: {done.stderr}"
-
-    def refusal(self, *arguments: str) -> str:
-        """Exit code and stderr of a command that must refuse."""
-        done = self._start(["-m", "benchmark", *arguments])
-        return f"exit code {done.returncode}: {done.stdout}{done.stderr}"
-
-    def print(self, thing: str, *arguments: str, codes: tuple[int, ...] = (0,)) -> None:
-        """Run a command and compare what it prints."""
-        self.note(thing, f"printed by {' '.join(arguments)}", self.run(*arguments, codes=codes))
-
-    def note(self, thing: str, path: str, text: str) -> None:
-        """Compare a text."""
-        self.seen.setdefault(thing, {})[path] = text
-
-    def files(self, thing: str, folder: str, keep: Callable[[str], bool] = lambda path: True) -> None:
-        """Compare the files below a folder, by their hashes.
-
-        Args:
-            thing: What they are.
-            folder: Relative to the work folder.
-            keep: Whether a file counts, by its path relative to the folder.
-        """
-        root = self.work / folder
-        of_thing = self.seen.setdefault(thing, {})
-        for path in sorted(root.rglob("*")):
-            relative = path.relative_to(root).as_posix()
-            if path.is_file() and TIMINGS not in relative and keep(relative):
-                of_thing[f"{folder}/{relative}"] = hashlib.sha256(path.read_bytes()).hexdigest()
-
-    def remove(self, folder: str) -> None:
-        """Remove what an interrupted run left."""
-        shutil.rmtree(self.work / folder, ignore_errors=True)
-
-    def copy_of_start(self, source: str, target: str) -> None:
-        """A byte-identical copy of a folder that the start's tree wrote; both trees work on one."""
-        self.remove(target)
-        shutil.copytree(self.start_work / source, self.work / target)
+        folder = self.work / case.name
+        shutil.rmtree(folder, ignore_errors=True)
+        self._inputs(case)
+        folder.mkdir()
+        for source in (*(self.work / name for name in case.own), *(self.start_work / name for name in case.of_start)):
+            shutil.copytree(source, folder, dirs_exist_ok=True)
+        before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+        seen: Seen = {}
+        with self._served(case, seen) as url:
+            for line in case.lines:
+                if line == "@help":
+                    for name, command in self.commands().items():
+                        self._note(seen, f"{name} --help", command["help"])
+                    continue
+                given = re.sub(r" --golden \{golden\}/\S+" if self.golden is None else "^$", "", line)
+                words = shlex.split(given.replace("{url}", url).replace("{golden}", str(self.golden)))
+                done = self._start(["-m", "benchmark", *words])
+                if self.code_is_start and done.returncode not in case.codes:
+                    raise SystemExit(f"the start fails at {given} (exit code {done.returncode}): {done.stderr}")
+                told = "".join(each for each in done.stderr.splitlines(True) if not _PROGRESS.search(each))
+                said = f"exit code {done.returncode}\n{done.stdout}{told}"
+                self._note(seen, line, said.replace(url, "http://HOST:PORT") if url else said)
+        for path in sorted(folder.rglob("*")):
+            if path.is_file() and before.get(path) != path.stat().st_mtime_ns:
+                relative = path.relative_to(self.work).as_posix()
+                if not any(part in relative for part in _SECONDS):
+                    self._note_file(seen, relative, path)
+        return seen
 
     @property
     def code_is_start(self) -> bool:
         """Whether this is the tree that the other is compared with."""
         return self.work == self.start_work
 
+    def _inputs(self, case: Case) -> None:
+        """Make what its lines name below ``inputs``, or take what was made for the start."""
+        for name in sorted({name for line in case.lines for name in re.findall(r"\binputs/([\w.]+)", line)}):
+            made, here = self.start_work / "inputs" / name, self.work / "inputs" / name
+            if not made.exists():
+                made.parent.mkdir(exist_ok=True)
+                INPUTS[name](made, self.start_work)
+            if not here.exists():
+                here.parent.mkdir(exist_ok=True)
+                (shutil.copytree if made.is_dir() else shutil.copy)(made, here)
+
+    @contextlib.contextmanager
+    def _served(self, case: Case, seen: Seen) -> Iterator[str]:
+        """The address of the case's server while it runs, if it has one; what it told is compared."""
+        if not case.serve:
+            yield ""
+            return
+        command = [sys.executable, "-m", "benchmark", *shlex.split(case.serve)]
+        pipe = subprocess.PIPE
+        with subprocess.Popen(command, cwd=self.work, env=self._environment(), stderr=pipe, text=True) as server:
+            said, url = [], None
+            while url is None and server.stderr and (line := server.stderr.readline()):
+                said.append(line)
+                url = re.search(r"http://\S+?:\d+", line)
+            if url is None:
+                raise SystemExit(f"{self.name}: {case.serve} does not serve: {''.join(said)}")
+            try:
+                yield url[0]
+            finally:
+                server.send_signal(signal.SIGINT)
+                _, rest = server.communicate(timeout=60)
+            text = f"exit code {server.returncode}\n{''.join(said)}{rest}"
+            self._note(seen, case.serve, text.replace(url[0], "http://HOST:PORT"))
+
+    def _note(self, seen: Seen, what: str, text: str) -> None:
+        text = self._plain(text)
+        seen[what] = [text, numbers_in(text)]
+
+    def _note_file(self, seen: Seen, relative: str, path: Path) -> None:
+        content = path.read_bytes()
+        try:
+            text = self._plain(content.decode())
+        except UnicodeDecodeError:
+            seen[relative] = [hashlib.sha256(content).hexdigest()] * 2
+            if path.suffix in (".png", ".webp"):
+                # Words may be drawn in it; that there is such a picture is what remains.
+                seen[relative][1] = "a picture"
+            return
+        seen[relative] = [hashlib.sha256(each.encode()).hexdigest() for each in (text, numbers_in(text))]
+
+    def _plain(self, text: str) -> str:
+        """A text without what differs between two trees and folders that do the same."""
+        text = text.replace(str(self.work), "WORK").replace(str(self.code), "CODE")
+        return _MODULE.sub(r"\1", _OF_THE_COMMIT.sub('"source": {}', text))
+
     def _start(self, arguments: list[str]) -> subprocess.CompletedProcess[str]:
-        environment = {name: value for name, value in os.environ.items() if name != "CHALLENGER_BENCH_CACHE"} | {
+        # Not the tree itself: relative paths then lie in the work folder, and PYTHONPATH leads to the tree.
+        command = [sys.executable, *arguments]
+        return subprocess.run(
+            command, cwd=self.work, env=self._environment(), capture_output=True, text=True, check=False
+        )
+
+    def _environment(self) -> dict[str, str]:
+        return {name: value for name, value in os.environ.items() if name != "CHALLENGER_BENCH_CACHE"} | {
             "PYTHONPATH": str(self.code),
             "XDG_CACHE_HOME": str(self.work / "cache"),
             "OMP_NUM_THREADS": "1",
             "COLUMNS": str(_WIDTH),
         }
-        # Not the tree itself: relative paths then lie in the work folder, and PYTHONPATH leads to the tree.
-        command = [sys.executable, *arguments]
-        return subprocess.run(command, cwd=self.work, env=environment, capture_output=True, text=True, check=False)
-
-
-def commands_in(help_text: str) -> list[str]:
-    """Names of the commands that a help lists."""
-    _, _, listed = help_text.partition("\nCommands:\n")
-    return re.findall(r"^  (\S+)  ", listed, re.MULTILINE)
-
-
-def without_options(help_text: str, options: tuple[str, ...]) -> str:
-    """A help without the lines of some options, and with single spaces: column widths follow the longest option."""
-    kept, dropping = [], False
-    for line in help_text.splitlines():
-        if _OPTION.match(line) or not line.startswith("   "):
-            dropping = any(re.search(rf"{option}\b", line[:40]) for option in options)
-        if not dropping:
-            kept.append(line)
-    return re.sub(r"\s+", " ", " ".join(kept))

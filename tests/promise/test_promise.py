@@ -8,6 +8,7 @@ import pytest
 
 from benchmark.cli import app as command_line
 from tests.promise import surface
+from tests.promise.answers import Options, of_face, unanswered
 from tests.promise.said import said, small_town
 from tests.promise.snapshots import CHANGELOG, HOW, SNAPSHOTS, broken_unsaid, gone_unsaid, stored, unsaid, word_of
 
@@ -109,3 +110,43 @@ def test_exit_codes_are_as_promised(town: Path, tmp_path: Path, monkeypatch: pyt
 
     monkeypatch.setattr("adapters.known_planners.known_planners", interrupted)
     assert code("models") == 130
+
+
+ANSWERS = {"face": of_face, "options": Options(stored("options", "then")).of}
+
+
+@pytest.mark.parametrize("name", SNAPSHOTS)
+def test_whatever_was_promised_answers_or_says_its_new_name(name: str) -> None:
+    broken = unanswered(stored(name, "then"), ANSWERS[name])
+    assert not broken, "\n".join(broken)
+
+
+GONE = {
+    "evaluate2 function": "evaluate2",
+    "Scene.ego2 field": "Scene.ego2",
+    "evaluate(sed: by name = 0)": "evaluate(sed)",
+    "challenger-bench eval | --horizon | int, default 1": "challenger-bench eval | --horizon",
+    "challenger-bench data info | --horizon/--no-horizon | bool, default False": (
+        "challenger-bench data info | --horizon/--no-horizon"
+    ),
+    "challenger-bench eval | --image-format | gif": "challenger-bench eval | --image-format | gif",
+    "challenger-bench review | command": "challenger-bench review | command",
+}
+
+
+@pytest.mark.parametrize("line", GONE)
+def test_what_is_gone_needs_an_entry_whose_new_name_is_said(line: str) -> None:
+    answer = ANSWERS["options" if " | " in line else "face"]
+    refused = answer(line)
+    assert refused is not None
+    assert "has no new name" in unanswered([line], answer, {})[0]
+    assert "does not say" in unanswered([line], answer, {GONE[line]: "--after"})[0]
+    assert not unanswered([line], lambda _: "error: it is --after now\n", {GONE[line]: "--after"})
+    assert unanswered([line], lambda _: "Traceback\nit is --after now\n", {GONE[line]: "--after"})
+
+
+def test_an_option_that_wants_more_than_before_is_found() -> None:
+    before = Options(["challenger-bench data show | root | Path, required"])
+    refused = before.of("challenger-bench data show | --limit | int, default None")
+    assert refused is not None and "--to" in refused
+    assert of_face("evaluate(data: 3, required)") is not None
