@@ -13,7 +13,7 @@ from benchmark.records.run import RunRecord
 from benchmark.report.cells import UNDEFINED, Origin, Shown, record_name
 from benchmark.report.table import Brief, Table, table_of
 from benchmark.report.words import counted
-from leaderboard.tables.rows import in_table_order, notes_of_marks, row_name, run_notes
+from leaderboard.tables.rows import FEW_NOTE, in_table_order, notes_of_marks, row_name, run_notes
 
 _NOTE: Final = (
     "Adversary: samples whose plan touches the adversary before anything else within 3 s (avg: mean of 1, 2 and 3 s); "
@@ -69,12 +69,14 @@ def effect_table(data_name: str, records: Sequence[RunRecord], against: Sequence
         found += [] if effect is None else [effect]
     title = f"{data_name}: effect of the adversary (%, samples), protocol {EXACT}"
     lacking = (*_missing(runs, found), *dict.fromkeys(refused))
+    # Of other tables' intervals: this one's hold over few recordings, or are not given.
+    told = [note for note in run_notes(runs, ()) if note != FEW_NOTE]
     return table_of(
         "effect",
         title,
         _COLUMNS,
         rows,
-        notes=(_NOTE, _OTHERS_NOTE, *lacking, *run_notes(runs, ())),
+        notes=(_NOTE, _OTHERS_NOTE, *lacking, *told),
         text_columns=2,
         groups=(
             ("", 2),
