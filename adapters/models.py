@@ -34,7 +34,7 @@ class Network:
         settings: What else `build` is given.
         fitted: Whether `config` is given the shapes of a checkpoint's tensors by name, where official files differ.
         seeded: Whether `build` is given the seed of the run.
-        verify: Compares it with numbers of its official code (`adapters.verification.models`).
+        verify: Compares it with numbers of its official code (`adapters.extensions.golden_sets.models`).
         renamed: Patterns and replacements for tensor names that official files have under an older name.
         ignored: Patterns of tensor names that official files may have and the network does not need.
         anchors: Tensor of the network that official checkpoints lack, because it is published in a file of its own
@@ -235,7 +235,7 @@ _VAD: Final = Network(
     config="adapters.networks.vad.config:VADConfig.base",
     example="adapters.networks.vad.planner:example_frame",
     published_normalisation="bgr-mean",
-    verify="adapters.verification.vad:verify_vad",
+    verify="adapters.extensions.golden_sets.vad:verify_vad",
     as_published={"can-after": {}},
 )
 _SPARSE: Final = Network(
@@ -243,7 +243,7 @@ _SPARSE: Final = Network(
     config="adapters.networks.sparse.config:SparseConfig.sparsedrive",
     example="adapters.networks.sparse.planner:example_frame",
     published_normalisation="rgb-mean-std",
-    verify="adapters.verification.sparse:verify_sparse",
+    verify="adapters.extensions.golden_sets.sparse:verify_sparse",
     clustered=True,
     as_published={"memory": {"memory_crosses_scenes": True}},
 )
@@ -259,7 +259,7 @@ _UNIAD: Final = Network(
     published_normalisation="bgr-mean",
     settings={"solver": "newton", "stores_anchors": True},
     fitted=True,
-    verify="adapters.verification.uniad:verify_uniad",
+    verify="adapters.extensions.golden_sets.uniad:verify_uniad",
     renamed=((r"\.conv(\d)_offset\.", r".conv\1.conv_offset."),),
     # Left over from a rewrite of the official code, whose authors say that nothing reads them.
     ignored=(
@@ -277,17 +277,17 @@ _VAD_BASE: Final = Model("vad-base", _VAD_PLANNER, _VAD, weights="vad-base", pub
 _BASELINES: Final = (
     Model(
         "constant-velocity",
-        "adapters.baselines.constant_velocity:ConstantVelocity",
+        "adapters.planners.constant_velocity:ConstantVelocity",
         wants=("motion",),
         sees="own motion",
     ),
-    Model("log-replay", "adapters.baselines.log_replay:LogReplay", wants=(), sees="recorded future"),
-    Model("idm", "adapters.baselines.idm:IntelligentDriver", wants=("map", "motion"), sees="boxes, map"),
-    Model("ego-status", "adapters.baselines.ego_status:EgoStatus", wants=("motion",), sees="own motion, command"),
-    Model("stop", "adapters.baselines.stop:Stop", wants=(), sees="nothing"),
+    Model("log-replay", "adapters.planners.log_replay:LogReplay", wants=(), sees="recorded future"),
+    Model("idm", "adapters.planners.idm:IntelligentDriver", wants=("map", "motion"), sees="boxes, map"),
+    Model("ego-status", "adapters.planners.ego_status:EgoStatus", wants=("motion",), sees="own motion, command"),
+    Model("stop", "adapters.planners.stop:Stop", wants=(), sees="nothing"),
     Model(
         "constant-velocity-on-path",
-        "adapters.baselines.constant_velocity_on_path:ConstantVelocityOnPath",
+        "adapters.planners.constant_velocity_on_path:ConstantVelocityOnPath",
         wants=("motion",),
         sees="own motion, recorded path",
     ),
@@ -343,9 +343,9 @@ _MINIATURES: Final = (
         replace(_UNIAD, config="adapters.networks.uniad.config:UniADConfig.miniature", fitted=False),
         miniature=Miniature(
             ("uniad",),
-            "adapters.training.uniad.start:untrained",
-            "adapters.training.uniad.phases:phases",
-            "adapters.training.uniad.start:seen_by_vad",
+            "adapters.extensions.training.uniad.start:untrained",
+            "adapters.extensions.training.uniad.phases:phases",
+            "adapters.extensions.training.uniad.start:seen_by_vad",
         ),
         native_protocol="uniad",
     ),
@@ -355,9 +355,9 @@ _MINIATURES: Final = (
         replace(_VAD, config="adapters.networks.vad.config:VADConfig.miniature"),
         miniature=Miniature(
             ("vad-tiny", "vad-base"),
-            "adapters.training.vad.start:untrained",
-            "adapters.training.vad.phases:phases",
-            "adapters.training.vad.start:begun_from",
+            "adapters.extensions.training.vad.start:untrained",
+            "adapters.extensions.training.vad.phases:phases",
+            "adapters.extensions.training.vad.start:begun_from",
         ),
         native_protocol="vad",
     ),
@@ -367,9 +367,9 @@ _MINIATURES: Final = (
         replace(_SPARSE, config="adapters.networks.sparse.config:SparseConfig.miniature"),
         miniature=Miniature(
             ("sparsedrive",),
-            "adapters.training.sparse.start:untrained",
-            "adapters.training.sparse.phases:phases",
-            "adapters.training.own_eyes:seen_with_own_eyes",
+            "adapters.extensions.training.sparse.start:untrained",
+            "adapters.extensions.training.sparse.phases:phases",
+            "adapters.extensions.training.own_eyes:seen_with_own_eyes",
         ),
         native_protocol="sparsedrive",
     ),
@@ -379,9 +379,9 @@ _MINIATURES: Final = (
         replace(_DIFFUSION, config="adapters.networks.sparse.config:SparseConfig.miniature"),
         miniature=Miniature(
             ("diffusiondrive",),
-            "adapters.training.sparse.start:untrained_diffusion",
-            "adapters.training.sparse.phases:diffusion_phases",
-            "adapters.training.sparse.start:planned_from",
+            "adapters.extensions.training.sparse.start:untrained_diffusion",
+            "adapters.extensions.training.sparse.phases:diffusion_phases",
+            "adapters.extensions.training.sparse.start:planned_from",
         ),
         native_protocol="diffusiondrive",
     ),

@@ -27,14 +27,9 @@ from benchmark.constants import FARTHEST_WAYPOINT_M, LONGEST_PLAN_STEPS, PLAN_ST
 from benchmark.datasets.contents import scenes_by_split
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
-from benchmark.foreign.files import one_line
-from benchmark.foreign.tables import read_table
 from benchmark.geometry import Floats
 from benchmark.machine.storage import file_sha256
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
-from benchmark.plausibility.compared import ComparedPlans
-from benchmark.plausibility.measuring import FrameName, plausibility_of
-from benchmark.plausibility.verdicts import caveat_as_is, checks_said, refusal_of
 from benchmark.records.caveats import Caveat
 from benchmark.records.inventory import where_planned
 from benchmark.records.planner_versions import PLANS_SHA256
@@ -42,6 +37,11 @@ from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.code_identity import code_sha256
 from benchmark.runs.planner_facts import known_native
 from benchmark.truth import SampleTruth
+from benchmark.untrusted.files import one_line
+from benchmark.untrusted.plan_plausibility import FrameName, plausibility_of
+from benchmark.untrusted.plan_verdicts import caveat_as_is, checks_said, refusal_of
+from benchmark.untrusted.plans_beside_recording import ComparedPlans
+from benchmark.untrusted.tables import read_table
 from benchmark.waypoints import waypoints_in_lidar
 
 if TYPE_CHECKING:
@@ -269,7 +269,7 @@ def plan_file_factory(
 
     Raises:
         InputError: If the file is malformed, its rows do not match the samples, its plans fit far better otherwise
-            (`benchmark.plausibility`), or the native protocol is unknown.
+            (`benchmark.untrusted`), or the native protocol is unknown.
     """
     known_native(native, f"plan file {path}")
     plans = read_plan_file(path, frame)

@@ -1,6 +1,6 @@
 """Planners by name: of the table (`adapters.models`), of installed packages, ``module:Class``, ``http://HOST:PORT``.
 
-Planners of other packages are built in a process of their own (`benchmark.supervision`), here never.
+Planners of other packages are built in a process of their own (`benchmark.sandbox`), here never.
 """
 
 import contextlib
@@ -15,20 +15,20 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from adapters.models import MODELS, published_as
-from benchmark.closed_loop.wire.address import Address, is_address
 from benchmark.errors import InputError, did_you_mean
+from benchmark.extensions.http.address import Address, is_address
 from benchmark.machine.several_devices import device_here
 from benchmark.machine.storage import content_key, file_sha256
 from benchmark.planning import Planner
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.plan_rows import FAILURES
 from benchmark.runs.planner_facts import facts_of
-from benchmark.supervision.limits import Supervision
-from benchmark.supervision.planner import Identity, Maker, identity_of, supervised
+from benchmark.sandbox.limits import Supervision
+from benchmark.sandbox.planner import Identity, Maker, identity_of, supervised
 
 ENTRY_POINT_GROUP = "challenger_bench.adapters"
 _MAKER_OF_NETWORKS = "adapters.checkpoints.loading:planner_of"
-_MAKER_OVER_HTTP = "benchmark.closed_loop.wire.model:http_planner"
+_MAKER_OVER_HTTP = "benchmark.extensions.http.model:http_planner"
 _CONTRACT = ("reset", "plan")
 _LONGEST_NAME = 100
 _BUILT_FROM = "adapters.registry:planner_with_facts"
@@ -211,7 +211,7 @@ def planner(
         device: For planners that take ``device``: cpu, cuda, cuda:1.
         precision: For planners that take ``precision``: float32, bfloat16.
         as_published: For planners that take ``as_published``.
-        over_http: For planners behind HTTP (`benchmark.closed_loop.wire.model.http_planner`).
+        over_http: For planners behind HTTP (`benchmark.extensions.http.model.http_planner`).
 
     Returns:
         The planner.

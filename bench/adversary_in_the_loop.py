@@ -22,17 +22,17 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import benchmark
-from benchmark.closed_loop.drives.default_engine import DefaultRides
-from benchmark.closed_loop.drives.driving import Drive, Stage, drive
-from benchmark.closed_loop.drives.sensors import NoSensor
+from benchmark.closed_loop.default_engine import DefaultRides
+from benchmark.closed_loop.driving import Drive, Stage, drive
 from benchmark.closed_loop.ladder import climbed
-from benchmark.closed_loop.scores.scoring import score_drive
-from benchmark.drivers.reaction import Driver
+from benchmark.closed_loop.scoring import score_drive
+from benchmark.closed_loop.sensors import NoSensor
 from benchmark.geometry import boxes_overlap
+from benchmark.interactions.reaction import Driver
 from benchmark.runs.redriving import can_of
 from benchmark.scene import Scene
-from generation.in_the_loop.making import InTheLoop
-from generation.in_the_loop.settings import AdversarySettings
+from generation.extensions.reactive_adversary.making import InTheLoop
+from generation.extensions.reactive_adversary.settings import AdversarySettings
 
 
 def touched(scene: Scene, found: Drive) -> list[str]:

@@ -6,18 +6,18 @@ from typing import Any
 import numpy as np
 import shapely
 
-from adapters.baselines.constant_velocity import ConstantVelocity
+from adapters.planners.constant_velocity import ConstantVelocity
 from benchmark.constants import PLAN_STEP_S
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.sample_truth import planar_lidar_poses, truth_of_scene
-from benchmark.drivers.reaction import Driver
-from benchmark.drivers.solvability import SceneLadder
-from benchmark.encounters.contacts import KINDS, Pairs, at_fault, is_agent
-from benchmark.encounters.tracks import Tracks
+from benchmark.fairness.features import Run, recorded_runs, runs_of
+from benchmark.fairness.validity import faults_of
 from benchmark.geometry import Floats, box_corners, to_global
+from benchmark.interactions.contacts import KINDS, Pairs, at_fault, is_agent
+from benchmark.interactions.reaction import Driver
+from benchmark.interactions.solvability import SceneLadder
+from benchmark.interactions.tracks import Tracks
 from benchmark.protocols.exact import INSTANTS_PER_STEP, Exact, ego_boxes
-from benchmark.realism.features import Run, recorded_runs, runs_of
-from benchmark.realism.validity import faults_of
 from benchmark.road_map import RoadMap
 from benchmark.scene import Scene
 from generation.search.chains import Chain

@@ -16,8 +16,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmark.closed_loop.agents.idm import Idm
 from benchmark.closed_loop.courses import course_of, recorded_poses, replay_of
+from benchmark.closed_loop.idm import Idm
 from benchmark.closed_loop.stepping import begin, step, step_together
 from benchmark.closed_loop.world import STEP_US, Course, World
 from benchmark.geometry import Floats, to_local

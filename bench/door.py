@@ -39,14 +39,14 @@ def checkpoint_through_the_door(path: Path) -> float:
 
 def recording_before(path: Path) -> float:
     """In this process, with the allow-list alone."""
-    from benchmark.foreign.allowed import AllowListUnpickler
+    from benchmark.untrusted.allowed import AllowListUnpickler
 
     with path.open("rb") as stream:
         return float(sum(track["position"].sum() for track in AllowListUnpickler(stream).load().values()))
 
 
 def recording_through_the_door(path: Path) -> float:
-    from benchmark.foreign.pickles import read_pickle
+    from benchmark.untrusted.pickles import read_pickle
 
     return float(sum(track["position"].sum() for track in read_pickle(path).values()))
 

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmark import api
-from benchmark.closed_loop.drives.default_engine import DefaultRides
-from benchmark.closed_loop.drives.driving import Stage, drive
-from benchmark.closed_loop.scores.scoring import score_drive
+from benchmark.closed_loop.default_engine import DefaultRides
+from benchmark.closed_loop.driving import Stage, drive
+from benchmark.closed_loop.scoring import score_drive
 from benchmark.machine.workers import single_threaded
 from benchmark.planning import SceneInfo
 from benchmark.runs.redriving import can_of

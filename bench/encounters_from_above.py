@@ -21,15 +21,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import benchmark
 from benchmark.closed_loop.engines import rides_as
-from benchmark.drawing.birdseye import SceneFromAbove
-from benchmark.drawing.canvas import png
-from benchmark.drawing.captions import draw_scale_bar, draw_time
-from benchmark.drawing.driven import DrivenSheet
-from benchmark.drawing.lettering import Picture
-from benchmark.drawing.palette import planner_style
 from benchmark.machine.storage import file_name, write_bytes
 from benchmark.records.drive_schema import AdversaryRow, DriveRow
 from benchmark.records.drives import load_drives
+from benchmark.report.birdseye import SceneFromAbove
+from benchmark.report.canvas import png
+from benchmark.report.captions import draw_scale_bar, draw_time
+from benchmark.report.driven import DrivenSheet
+from benchmark.report.lettering import Picture
+from benchmark.report.palette import planner_style
 from benchmark.runs.drive_sheets import driven_sheet
 from benchmark.scene import Scene
 

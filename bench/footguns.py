@@ -21,14 +21,9 @@ from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEP_S, PLAN_STEPS
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
-from benchmark.geometry import Bools, Floats, box_corners
-from benchmark.machine.storage import content_seed, write_bytes
-from benchmark.machine.workspace import EMBEDDED, cache_root
-from benchmark.protocols import PROTOCOLS, Outcomes
-from benchmark.protocols.exact import ego_boxes
-from benchmark.protocols.explain.clearest_cases import Case, case_of, clearest_cases, plan_in_lidar
-from benchmark.protocols.explain.pictures import draw_case
-from benchmark.protocols.explain.views import (
+from benchmark.extensions.explain.clearest_cases import Case, case_of, clearest_cases, plan_in_lidar
+from benchmark.extensions.explain.pictures import draw_case
+from benchmark.extensions.explain.views import (
     EGO,
     GHOST,
     HIT,
@@ -41,9 +36,14 @@ from benchmark.protocols.explain.views import (
     outline,
     png,
 )
+from benchmark.geometry import Bools, Floats, box_corners
+from benchmark.machine.storage import content_seed, write_bytes
+from benchmark.machine.workspace import EMBEDDED, cache_root
+from benchmark.protocols import PROTOCOLS, Outcomes
+from benchmark.protocols.exact import ego_boxes
 from benchmark.records.run import RunRecord
 from benchmark.truth import SampleTruth
-from generation.build.settings import BuildSettings
+from generation.pipeline.settings import BuildSettings
 from generation.sources.mini import TownSettings, build_town
 from generation.splits.building import build_frozen
 from generation.splits.packaged import frozen_split

@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmark.constants import PLAN_STEP_S
+from benchmark.extensions.explain.views import EGO, HIT, INK, draw_path, fill, frame_view
 from benchmark.geometry import Floats, box_corners
 from benchmark.protocols import Outcomes
 from benchmark.protocols.exact import ego_boxes
-from benchmark.protocols.explain.views import EGO, HIT, INK, draw_path, fill, frame_view
 from benchmark.truth import SampleTruth
 
 FROM_FURTHER_CAUSES = {

@@ -16,14 +16,14 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmark.drivers.solvability import SceneLadder
-from benchmark.encounters.tracks import Tracks
-from benchmark.realism.features import recorded_runs, runs_of
-from benchmark.realism.judging import realism_of
-from benchmark.realism.road_edge import RoadEdge
-from benchmark.realism.validity import faults_of
+from benchmark.fairness.encounter import severity_of
+from benchmark.fairness.features import recorded_runs, runs_of
+from benchmark.fairness.realism import realism_of
+from benchmark.fairness.road_edge import RoadEdge
+from benchmark.fairness.validity import faults_of
+from benchmark.interactions.solvability import SceneLadder
+from benchmark.interactions.tracks import Tracks
 from benchmark.scene import Scene
-from benchmark.severity.encounter import severity_of
 from generation.sources.town import town_scene
 
 SPLIT = 150

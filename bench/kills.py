@@ -16,9 +16,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-import adapters.training.ego_status
+import adapters.extensions.training.ego_status
 import benchmark.evaluation
-from adapters.training.ego_status import TrainingSettings
+from adapters.extensions.training.ego_status import TrainingSettings
 from bench.attacking.campaign import preload
 from bench.killing.commands import COMMANDS, Killed
 from bench.killing.series import EXEMPT, Bench, Series
@@ -46,7 +46,7 @@ def main() -> None:
     benchmark.evaluation.PROCESSES_PAY_AFTER_S = 0.0
     # Its command has no option of how long it trains, which is minutes.
     short = partial(TrainingSettings, steps=60, batch=64)
-    adapters.training.ego_status.TrainingSettings = short  # type: ignore[assignment, misc]
+    adapters.extensions.training.ego_status.TrainingSettings = short  # type: ignore[assignment, misc]
     bench = Bench(options.folder, options.seed)
     try:
         found = list(_series(bench, options))

@@ -21,12 +21,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmark import api
 from benchmark.constants import PLAN_STEPS
 from benchmark.datasets.roots import DataSet
+from benchmark.extensions.submissions.checking import Record, facts_of_record
+from benchmark.extensions.submissions.leaked_futures import figures_of, moments_of_run
 from benchmark.geometry import Floats
 from benchmark.metrics.leaks import LeakFigures, Moment, leak_figures
 from benchmark.records.drives import find_drives
 from benchmark.records.run import RunRecord, find_records
-from benchmark.runs.submissions.checking import Record, facts_of_record
-from benchmark.runs.submissions.leaked_futures import figures_of, moments_of_run
 
 Noise = Callable[[np.random.Generator], Floats]
 LEAKS_ON: Final = ("all", "dangerous", "own contacts")

@@ -6,7 +6,7 @@ on a processor a network of reduced size in single precision; ``--mode``, ``--si
 line's. Times are of whole evaluations after warming up, synchronised; on a processor they are processor time. A scene
 is 30 steps with two evaluations each and, once, the encoders of both branches; the video decoder has a line of its own,
 the text encoder (0.01 % of the operations) none. Operations are counted by formula
-(``generation/render/magicdrive/cost.py``).
+(``generation/extensions/magicdrive/cost.py``).
 """
 
 import argparse
@@ -25,13 +25,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import torch
 from torch import Tensor, nn
 
-from generation.render.magicdrive.autoencoder import DIFFUSERS, VideoDecoder
-from generation.render.magicdrive.conditions import TEXT_TOKENS, Conditions, TextStates
-from generation.render.magicdrive.config import MagicDriveConfig
-from generation.render.magicdrive.cost import Operations, Workload, operations
-from generation.render.magicdrive.guidance import GuidedModel
-from generation.render.magicdrive.latents import LatentSize
-from generation.render.magicdrive.model import MagicDriveDiT
+from generation.extensions.magicdrive.autoencoder import DIFFUSERS, VideoDecoder
+from generation.extensions.magicdrive.conditions import TEXT_TOKENS, Conditions, TextStates
+from generation.extensions.magicdrive.config import MagicDriveConfig
+from generation.extensions.magicdrive.cost import Operations, Workload, operations
+from generation.extensions.magicdrive.guidance import GuidedModel
+from generation.extensions.magicdrive.latents import LatentSize
+from generation.extensions.magicdrive.model import MagicDriveDiT
 
 STEPS = 30
 PUBLISHED_SECONDS = 395.0

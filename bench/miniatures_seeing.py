@@ -29,15 +29,15 @@ import numpy as np
 from adapters.camera_inputs import RGB_MEAN_STD
 from adapters.checkpoints.cache import load_weights
 from adapters.checkpoints.importing import resolve_checkpoint
+from adapters.extensions.training.plan_figures import Difference, Images, JudgedPlans, Loss, judged_plans
 from adapters.models import miniature, miniatures, resolve
-from adapters.training.plan_figures import Difference, Images, JudgedPlans, Loss, judged_plans
 from benchmark.datasets.roots import DataSet, open_data
+from benchmark.fairness.plan_severity import plan_severities
 from benchmark.geometry import Floats
 from benchmark.machine.workers import single_threaded
 from benchmark.machine.workspace import cache_root
 from benchmark.metrics.rates import ratios_over_scenes
 from benchmark.pdm.layers import road_of, route_of
-from benchmark.severity.plans import plan_severities
 from generation.sources.mini import TownSettings, build_town
 
 

@@ -18,17 +18,17 @@ from typing import Any
 import httpx2
 
 from adapters.registry import planner
-from benchmark.closed_loop.drives.default_engine import DefaultRides
-from benchmark.closed_loop.drives.driving import drive
-from benchmark.closed_loop.wire.images import ImageFormat
-from benchmark.closed_loop.wire.model import HttpPlanner, http_planner
-from benchmark.closed_loop.wire.observed import request_of
+from benchmark.closed_loop.default_engine import DefaultRides
+from benchmark.closed_loop.driving import drive
 from benchmark.errors import InputError
+from benchmark.extensions.http.images import ImageFormat
+from benchmark.extensions.http.model import HttpPlanner, http_planner
+from benchmark.extensions.http.observed import request_of
 from benchmark.runs.driving import DriveSettings, drive_split
 from generation.render.sensor import SchematicSensor
-from tests.benchmark.closed_loop.drives.staged import staged
-from tests.benchmark.closed_loop.wire.made import Looking, Painted, free_port, observed, serving
-from tests.benchmark.closed_loop.wire.malformed import answered, malformed
+from tests.benchmark.closed_loop.staged import staged
+from tests.benchmark.extensions.http.made import Looking, Painted, free_port, observed, serving
+from tests.benchmark.extensions.http.malformed import answered, malformed
 from tests.benchmark.fake_data import town_of_two
 from tests.hand_made import scene_on_straight_road
 

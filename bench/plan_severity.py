@@ -15,9 +15,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmark.datasets.sample_truth import truth_of_scene
+from benchmark.fairness.plan_severity import plan_severities
 from benchmark.geometry import Floats
 from benchmark.scene import Scene
-from benchmark.severity.plans import plan_severities
 from benchmark.truth import SampleTruth
 from generation.sources.town import town_scene
 

@@ -24,8 +24,8 @@ from benchmark.machine.storage import read_kept_json, write_json
 from benchmark.machine.workers import LocalProcesses, single_threaded
 from benchmark.published import ADV_NUSC, TABLE_1
 from benchmark.records.attempts import ATTEMPTS_FILE, Attempt, read_attempts
-from generation.build.settings import BuildSettings
-from generation.build.split import NothingSurvivedError, build_split
+from generation.pipeline.settings import BuildSettings
+from generation.pipeline.split import NothingSurvivedError, build_split
 from generation.search.presets import PRESETS, Preset, hyper_parameters, trajectory_model
 
 BLIND: Final = ("constant-velocity",)

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import torch
 
+from benchmark.extensions.quality.consistency import SubjectFeatures
+from benchmark.extensions.quality.cut_masks import Mask
+from benchmark.extensions.quality.imaging import ImagingQuality
+from benchmark.extensions.quality.musiq import Musiq
+from benchmark.extensions.quality.segmentation import Segmenter
 from benchmark.machine.devices import device_of, single_precision
 from benchmark.machine.workers import single_threaded
-from benchmark.quality.consistency import SubjectFeatures
-from benchmark.quality.cut_masks import Mask
-from benchmark.quality.imaging import ImagingQuality
-from benchmark.quality.musiq import Musiq
-from benchmark.quality.segmentation import Segmenter
 
 FRAME = (450, 800)
 SUBJECT = (90, 140)

@@ -20,9 +20,9 @@ from bench.wrong_set_ups import PLAIN, RIGHT, WRONG, DataSetUp, SetUp, changed_p
 from benchmark import api
 from benchmark.datasets.roots import DataSet
 from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.extensions.reproduce.reproducing import Expected, compared, expected_file, store_expected
 from benchmark.records.reproduction import ComparedNumber, Reproduction
 from benchmark.records.run import RunRecord
-from benchmark.runs.reproducing import Expected, compared, expected_file, store_expected
 
 
 def run_of(model: str, data: DataSet, scenes: tuple[str, ...], set_up: SetUp, out: Path) -> RunRecord:

@@ -114,7 +114,7 @@ def evaluated(data: DataSet, planner: Planner, out: Path) -> int:
 
 def driven(data: DataSet, planner: Planner, out: Path) -> int:
     """Drive every scene of a data set anew, without images."""
-    from benchmark.closed_loop.drives.default_engine import DefaultRides
+    from benchmark.closed_loop.default_engine import DefaultRides
     from benchmark.runs.driving import DriveSettings, drive_split
 
     settings = DriveSettings("default", DefaultRides("idm"), "idm", fresh=True)

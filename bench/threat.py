@@ -24,10 +24,10 @@ from bench.threat_figure import write_figure
 from benchmark import api
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
+from benchmark.fairness.features import Run
+from benchmark.fairness.realism import realism_of
 from benchmark.machine.storage import read_kept_json, write_json
 from benchmark.machine.workers import LocalProcesses, single_threaded
-from benchmark.realism.features import Run
-from benchmark.realism.judging import realism_of
 from generation.labels.manoeuvres import Manoeuvre
 from generation.search.chains import SearchResult, search_chains
 from generation.search.definition import Search

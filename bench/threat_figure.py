@@ -13,8 +13,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmark.drawing.plots import LIGHT, new_figure, picture
 from benchmark.metrics.rates import Rate, ratios_over_scenes
+from benchmark.report.plots import LIGHT, new_figure, picture
 
 _WIDTH, _HEIGHT = 7.2, 3.9
 READINGS: Final = {"contact": "any contact", "attributable": "attributable"}

@@ -31,7 +31,7 @@ _DEFINED_IN: Final = {
         "verify",
     ],
     "generation.render.pictures": ["write_pictures"],
-    "generation.render.magicdrive.condition_pictures": ["write_condition_pictures"],
+    "generation.extensions.magicdrive.condition_pictures": ["write_condition_pictures"],
     "generation.sources.importing": ["ImportSettings", "import_scenarionet"],
     "generation.sources.mini": ["TownSettings", "build_town"],
     "benchmark.planning": [
@@ -49,9 +49,9 @@ _DEFINED_IN: Final = {
     "adapters.result_files.writing.formats": ["write_results"],
     "benchmark.evaluation": ["evaluate", "EvalSettings"],
     "benchmark.runs.shards": ["Shard"],
-    "benchmark.sharded": ["plan_shard", "merge_shards"],
-    "benchmark.judging.splits": ["judge_split"],
-    "benchmark.challenge.scoring": ["ScoreSettings"],
+    "benchmark.runs.sharded": ["plan_shard", "merge_shards"],
+    "benchmark.fairness.splits": ["judge_split"],
+    "benchmark.extensions.challenge.scoring": ["ScoreSettings"],
     "benchmark.runs.driving": ["drive_split", "drive_planners", "DriveSettings"],
     "benchmark.runs.rescoring_drives": ["rescore_drives", "rescore_all_drives"],
     "benchmark.records.drives": ["DriveRecord", "load_drives", "find_drives"],
@@ -61,24 +61,24 @@ _DEFINED_IN: Final = {
     "benchmark.records.review": ["Verdict"],
     "benchmark.datasets.reviewed": ["record_verdicts", "scene_tokens"],
     "benchmark.metrics.frames": ["samples_frame"],
-    "benchmark.cards.data_card": ["write_data_card"],
-    "benchmark.cards.records_card": ["write_records_card"],
-    "benchmark.cards.writing": ["CardSettings"],
-    "benchmark.datasets.infos.exporting": ["InfoSettings", "export_infos"],
-    "benchmark.datasets.exchange.exporting": ["export_scenarionet"],
-    "benchmark.datasets.exchange.openscenario": ["export_openscenario"],
+    "benchmark.extensions.cards.data_card": ["write_data_card"],
+    "benchmark.extensions.cards.records_card": ["write_records_card"],
+    "benchmark.extensions.cards.writing": ["CardSettings"],
+    "benchmark.extensions.infos.exporting": ["InfoSettings", "export_infos"],
+    "benchmark.extensions.exchange.exporting": ["export_scenarionet"],
+    "benchmark.extensions.exchange.openscenario": ["export_openscenario"],
     "benchmark.runs.rescoring": ["rescore", "rescore_all"],
-    "benchmark.runs.submissions.checking": ["check_submission"],
-    "benchmark.runs.reproducing": ["reproduce", "published_numbers", "expected_file", "store_expected"],
-    "leaderboard.tables.reproduction": ["reproduction_table"],
+    "benchmark.extensions.submissions.checking": ["check_submission"],
+    "benchmark.extensions.reproduce.reproducing": ["reproduce", "published_numbers", "expected_file", "store_expected"],
+    "leaderboard.extensions.reproduction.tables": ["reproduction_table"],
     "benchmark.metrics.transfer": ["transfer"],
     "leaderboard.tables.transfer": ["transfer_matrices", "transfer_table", "agreement_table"],
     "leaderboard.tables.collision": ["run_tables"],
     "leaderboard.tables.slices": ["slice_tables"],
-    "leaderboard.publishing.checking": ["check_publishable"],
+    "leaderboard.extensions.publishing.checking": ["check_publishable"],
     "leaderboard.tables.disagreement": ["disagreement_table"],
     "leaderboard.figures.heat_map": ["write_heat_map", "write_lift_map"],
-    "generation.build.settings": ["BuildSettings"],
+    "generation.pipeline.settings": ["BuildSettings"],
     "generation.splits.building": ["build_frozen"],
     "generation.splits.packaged": ["frozen_split", "packaged_splits"],
     "generation.splits.edited": ["edited_split"],
@@ -86,18 +86,18 @@ _DEFINED_IN: Final = {
     "generation.splits.unpacking": ["read_split_package"],
     "generation.search.hyperparameters": ["HyperParameters"],
     "generation.search.presets": ["hyper_parameters", "trajectory_model"],
-    "generation.render.magicdrive.command": ["magicdrive_renderer"],
-    "generation.build.ablation": ["ablate"],
-    "benchmark.sheets.writing": ["SheetSettings"],
-    "leaderboard.films.filming": ["write_films"],
-    "leaderboard.films.film": ["FilmSettings"],
-    "benchmark.quality.measure": ["measure_quality", "QualitySettings"],
-    "leaderboard.tables.quality": ["quality_tables"],
-    "generation.diffusion.training.loop": ["train_denoiser", "TrainingConfig"],
-    "generation.diffusion.training.card": ["write_model_card"],
+    "generation.extensions.magicdrive.command": ["magicdrive_renderer"],
+    "generation.pipeline.ablation": ["ablate"],
+    "benchmark.scene_pages.writing": ["SheetSettings"],
+    "leaderboard.extensions.films.filming": ["write_films"],
+    "leaderboard.extensions.films.film": ["FilmSettings"],
+    "benchmark.extensions.quality.measure": ["measure_quality", "QualitySettings"],
+    "leaderboard.extensions.quality.tables": ["quality_tables"],
+    "generation.extensions.denoiser_training.loop": ["train_denoiser", "TrainingConfig"],
+    "generation.extensions.denoiser_training.card": ["write_model_card"],
     "generation.diffusion.bank": ["write_bank"],
-    "adapters.training.planners": ["train_planner", "judge_again", "PlannerTraining"],
-    "adapters.training.ego_status": ["train_ego_status"],
+    "adapters.extensions.training.planners": ["train_planner", "judge_again", "PlannerTraining"],
+    "adapters.extensions.training.ego_status": ["train_ego_status"],
     "adapters.checkpoints.listing": ["known_weights"],
     "adapters.checkpoints.arrival": ["import_weights", "fetch_weights"],
     "adapters.checkpoints.anchor_files": ["write_anchors"],
@@ -109,13 +109,13 @@ _RENAMED: Final = {
     "recorded_samples": "adapters.result_files.samples:samples_of_data",
     "data_contents": "benchmark.datasets.contents:contents",
     "data_statistics": "benchmark.datasets.statistics:statistics",
-    "challenge_rules": "benchmark.challenge.rules:read_rules",
-    "check_challenge": "benchmark.challenge.checking:check_entry",
-    "score_challenge": "benchmark.challenge.scoring:score_entries",
-    "check_data": "benchmark.datasets.integrity.check:check_tables",
-    "explain_protocols": "benchmark.protocols.explain.pictures:explain",
-    "generate": "generation.build.split:build_split",
-    "QualityDefinition": "benchmark.quality.definition:Definition",
+    "challenge_rules": "benchmark.extensions.challenge.rules:read_rules",
+    "check_challenge": "benchmark.extensions.challenge.checking:check_entry",
+    "score_challenge": "benchmark.extensions.challenge.scoring:score_entries",
+    "check_data": "benchmark.datasets.schema.check:check_tables",
+    "explain_protocols": "benchmark.extensions.explain.pictures:explain",
+    "generate": "generation.pipeline.split:build_split",
+    "QualityDefinition": "benchmark.extensions.quality.definition:Definition",
     "doctor": "benchmark.machine.environment:checks",
 }
 _FACE: Final = {name: f"{module}:{name}" for module, names in _DEFINED_IN.items() for name in names} | _RENAMED
@@ -189,24 +189,24 @@ if TYPE_CHECKING:
         write_pictures as write_pictures,
         write_sheets as write_sheets,
     )
-    from benchmark.cards.data_card import write_data_card as write_data_card
-    from benchmark.cards.records_card import write_records_card as write_records_card
-    from benchmark.cards.writing import CardSettings as CardSettings
-    from benchmark.challenge.checking import check_entry as _check_challenge
-    from benchmark.challenge.rules import read_rules as _challenge_rules
-    from benchmark.challenge.scoring import ScoreSettings as ScoreSettings, score_entries as _score_challenge
+    from benchmark.extensions.cards.data_card import write_data_card as write_data_card
+    from benchmark.extensions.cards.records_card import write_records_card as write_records_card
+    from benchmark.extensions.cards.writing import CardSettings as CardSettings
+    from benchmark.extensions.challenge.checking import check_entry as _check_challenge
+    from benchmark.extensions.challenge.rules import read_rules as _challenge_rules
+    from benchmark.extensions.challenge.scoring import ScoreSettings as ScoreSettings, score_entries as _score_challenge
     from benchmark.cli.demonstration import demo as demo, full_demo as full_demo, stale_demo as stale_demo
     from benchmark.datasets.contents import contents as _data_contents
-    from benchmark.datasets.exchange.exporting import export_scenarionet as export_scenarionet
-    from benchmark.datasets.exchange.openscenario import export_openscenario as export_openscenario
-    from benchmark.datasets.infos.exporting import InfoSettings as InfoSettings, export_infos as export_infos
-    from benchmark.datasets.integrity.check import check_tables as _check_data
+    from benchmark.extensions.exchange.exporting import export_scenarionet as export_scenarionet
+    from benchmark.extensions.exchange.openscenario import export_openscenario as export_openscenario
+    from benchmark.extensions.infos.exporting import InfoSettings as InfoSettings, export_infos as export_infos
+    from benchmark.datasets.schema.check import check_tables as _check_data
     from benchmark.datasets.reviewed import record_verdicts as record_verdicts, scene_tokens as scene_tokens
     from benchmark.datasets.roots import DataSet as DataSet
     from benchmark.datasets.statistics import statistics as _data_statistics
     from benchmark.errors import InputError as InputError
     from benchmark.evaluation import EvalSettings as EvalSettings, evaluate as evaluate
-    from benchmark.judging.splits import judge_split as judge_split
+    from benchmark.fairness.splits import judge_split as judge_split
     from benchmark.machine.environment import checks as _doctor
     from benchmark.machine.workspace import Workspace as Workspace
     from benchmark.metrics.frames import samples_frame as samples_frame
@@ -222,9 +222,12 @@ if TYPE_CHECKING:
         SceneInfo as SceneInfo,
     )
     from benchmark.protocols import PROTOCOLS as PROTOCOLS
-    from benchmark.protocols.explain.pictures import explain as _explain_protocols
-    from benchmark.quality.definition import Definition as _QualityDefinition
-    from benchmark.quality.measure import QualitySettings as QualitySettings, measure_quality as measure_quality
+    from benchmark.extensions.explain.pictures import explain as _explain_protocols
+    from benchmark.extensions.quality.definition import Definition as _QualityDefinition
+    from benchmark.extensions.quality.measure import (
+        QualitySettings as QualitySettings,
+        measure_quality as measure_quality,
+    )
     from benchmark.records.drives import (
         DriveRecord as DriveRecord,
         find_drives as find_drives,
@@ -237,7 +240,7 @@ if TYPE_CHECKING:
         drive_planners as drive_planners,
         drive_split as drive_split,
     )
-    from benchmark.runs.reproducing import (
+    from benchmark.extensions.reproduce.reproducing import (
         expected_file as expected_file,
         published_numbers as published_numbers,
         reproduce as reproduce,
@@ -248,11 +251,11 @@ if TYPE_CHECKING:
         rescore_all_drives as rescore_all_drives,
         rescore_drives as rescore_drives,
     )
-    from benchmark.runs.submissions.checking import check_submission as check_submission
+    from benchmark.extensions.submissions.checking import check_submission as check_submission
     from benchmark.runs.shards import Shard as Shard
     from benchmark.scene import Scene as Scene
-    from benchmark.sharded import merge_shards as merge_shards, plan_shard as plan_shard
-    from benchmark.sheets.writing import SheetSettings as SheetSettings
+    from benchmark.runs.sharded import merge_shards as merge_shards, plan_shard as plan_shard
+    from benchmark.scene_pages.writing import SheetSettings as SheetSettings
 
     QualityDefinition = _QualityDefinition
     challenge_rules = _challenge_rules

@@ -20,7 +20,7 @@ from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.judged import stored_realism
 from benchmark.datasets.scene_facts import frozen_split_of, with_truth
 from benchmark.errors import InputError, did_you_mean
-from benchmark.judging.kept import judged_facts
+from benchmark.fairness.kept_judgements import judged_facts
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.pages import keep_pages_of
 from benchmark.machine.progress import Count, progress
@@ -209,7 +209,7 @@ def runs_of(
     planners: Sequence[tuple[Planner | PlannerFactory, EvalSettings]],
     out: Path,
 ) -> Iterator[tuple[Run, Planner, PlannerFactory | None, EvalSettings, tuple[str, ...]]]:
-    """What `evaluate_together` would run, for whoever does a part of it (`benchmark.sharded`); arguments as there.
+    """What `evaluate_together` would run, for whoever does a part of it (`benchmark.runs.sharded`); arguments as there.
 
     Yields:
         The run, its planner, what builds the planner elsewhere, if anything, its settings, and all its scenes.

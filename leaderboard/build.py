@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import quote
 
-from benchmark.drawing.plots import page_size
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, is_left_over, write_bytes, writing_to
 from benchmark.records.ablation import AblationReport
@@ -16,7 +15,10 @@ from benchmark.records.drives import DriveRecord
 from benchmark.records.quality import QualityRecord
 from benchmark.records.run import RunRecord
 from benchmark.records.scenes import NO_SHEETS, Sheets
+from benchmark.report.plots import page_size
 from benchmark.report.table import Table, escape_markdown
+from leaderboard.extensions.challenge.tables import CHALLENGES, challenge_tables
+from leaderboard.extensions.quality.tables import quality_tables
 from leaderboard.figures.attacks import attack_figures, nothing_drawn
 from leaderboard.figures.charts import NamedFigure, data_set_figures
 from leaderboard.figures.heat_map import heat_maps, lift_maps
@@ -28,7 +30,6 @@ from leaderboard.paper.runtime_chart import runtime_charts
 from leaderboard.selection import one_run_each
 from leaderboard.site.index_data import PlacedFigure, PlacedTable
 from leaderboard.site.site import INDEX_PATH, site_files
-from leaderboard.tables.challenges import CHALLENGES, challenge_tables
 from leaderboard.tables.contents import DataSetTables, data_set_tables, generation_tables
 from leaderboard.tables.cost import drive_cost_table
 from leaderboard.tables.drives import drive_tables
@@ -36,7 +37,6 @@ from leaderboard.tables.loops import DISAGREEMENTS, loop_tables
 from leaderboard.tables.pages import CLOSED_LOOP, TABLES_FOLDER, group_of, page_path, page_text, table_files
 from leaderboard.tables.pressure import pressure_tables
 from leaderboard.tables.published import published_tables
-from leaderboard.tables.quality import quality_tables
 from leaderboard.tables.slices import SLICES
 from leaderboard.tables.standing import standing_tables
 

@@ -18,7 +18,7 @@ LEADERBOARD_MAY_READ = (
     "benchmark.records",
     "benchmark.metrics",
     "benchmark.report",
-    "benchmark.drawing",
+    "benchmark.report",
     "benchmark.published",
     "benchmark.machine.storage",
     "benchmark.errors",
@@ -30,8 +30,9 @@ FLAT_MODULES = {"benchmark": 13, "generation": 3, "adapters": 7, "leaderboard": 
 
 
 def is_composition_root(path: Path) -> bool:
-    """The two places that put all packages together, inside functions."""
-    return any(ROOT / "benchmark" / name in path.parents for name in ("api", "cli"))
+    """What puts all packages together, inside functions: the face, the command line and that of each extension."""
+    of_extension = path.name == "cli.py" and path.parent.parent.name == "extensions"
+    return of_extension or any(ROOT / "benchmark" / name in path.parents for name in ("api", "cli"))
 
 
 def modules() -> dict[str, Path]:

@@ -26,11 +26,11 @@ from adapters.models import Model, published_model
 from adapters.networks.sparse.anchors import with_anchors
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
-from benchmark.foreign.files import open_file
-from benchmark.foreign.limits import CHECKPOINT, PICKLE
 from benchmark.machine.storage import file_sha256, only_writer
 from benchmark.report.words import counted
 from benchmark.runs.code_identity import outside_identity
+from benchmark.untrusted.files import open_file
+from benchmark.untrusted.limits import CHECKPOINT, PICKLE
 from benchmark.weights.catalogue import PublishedWeights
 from benchmark.weights.fetch import fetch_files
 from benchmark.weights.foreign import read_checkpoint

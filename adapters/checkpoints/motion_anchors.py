@@ -11,7 +11,7 @@ from torch import Tensor
 from adapters.models import MOTION_ANCHORS
 from benchmark.constants import FARTHEST_WAYPOINT_M
 from benchmark.errors import InputError
-from benchmark.foreign.pickles import read_pickle
+from benchmark.untrusted.pickles import read_pickle
 
 FILE: Final = "motion_anchor_infos_mode6.pkl"
 """Its published name."""

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.result_files.samples import RecordedSamples
-from benchmark.foreign.files import one_line
-from benchmark.foreign.refusals import Category, RefusedFile
 from benchmark.geometry import Floats
 from benchmark.records.run_schema import SampleOrder
+from benchmark.untrusted.files import one_line
+from benchmark.untrusted.refusals import Category, RefusedFile
 
 Rows = NDArray[np.int64]
 LONG_PLAN_STEPS: Final = 12

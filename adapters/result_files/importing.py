@@ -13,11 +13,11 @@ from adapters.result_files.plausibility import require_plausible
 from adapters.result_files.recognition import Recognised
 from adapters.result_files.samples import RecordedSamples
 from benchmark.errors import InputError
-from benchmark.foreign.refusals import RefusedFile
 from benchmark.geometry import Floats
 from benchmark.planning import Plan
-from benchmark.plausibility.measuring import FrameName, Plausibility
 from benchmark.records.run_schema import SampleOrder
+from benchmark.untrusted.plan_plausibility import FrameName, Plausibility
+from benchmark.untrusted.refusals import RefusedFile
 
 SHOWN: Final[tuple[SampleOrder, ...]] = ("assumed", "consistent", "proven", "tokens")
 """How well the order of a file is shown, worst first."""

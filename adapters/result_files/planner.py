@@ -14,14 +14,14 @@ from adapters.result_files.samples import samples_of_data
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, file_sha256
 from benchmark.planning import Observation, Plan, SceneInfo
-from benchmark.plausibility.measuring import FrameName
-from benchmark.plausibility.verdicts import caveat_as_is, checks_said
 from benchmark.records.caveats import Caveat
 from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run_schema import PlannerFacts, PlansFrom
 from benchmark.report.words import counted
 from benchmark.runs.code_identity import code_sha256
 from benchmark.runs.planner_facts import known_native
+from benchmark.untrusted.plan_plausibility import FrameName
+from benchmark.untrusted.plan_verdicts import caveat_as_is, checks_said
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet

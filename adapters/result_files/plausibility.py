@@ -1,4 +1,4 @@
-"""Whether plans of result files can be what their format says (`benchmark.plausibility`)."""
+"""Whether plans of result files can be what their format says (`benchmark.untrusted`)."""
 
 from pathlib import Path
 
@@ -7,11 +7,11 @@ import numpy as np
 from adapters.result_files.contract import Rows, refuse
 from adapters.result_files.samples import RecordedSamples
 from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
-from benchmark.foreign.refusals import RefusedFile
 from benchmark.geometry import Floats
-from benchmark.plausibility.compared import ComparedPlans
-from benchmark.plausibility.measuring import Plausibility, plausibility_of
-from benchmark.plausibility.verdicts import refusal_of
+from benchmark.untrusted.plan_plausibility import Plausibility, plausibility_of
+from benchmark.untrusted.plan_verdicts import refusal_of
+from benchmark.untrusted.plans_beside_recording import ComparedPlans
+from benchmark.untrusted.refusals import RefusedFile
 
 _TOO_FAR = "such plans are not judged: check which script wrote the file"
 

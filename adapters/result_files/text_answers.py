@@ -10,8 +10,8 @@ import numpy as np
 from adapters.result_files.contract import ROUNDED, FileFrame, FilePlans, ResultFormat, numbers_of, refuse, rows_of
 from adapters.result_files.samples import RecordedSamples
 from benchmark.constants import PLAN_STEPS
-from benchmark.foreign.files import one_line
 from benchmark.geometry import Floats
+from benchmark.untrusted.files import one_line
 
 SUFFIX: Final = "_trajectory"
 _NUMBER: Final = r"\s*([-+]?(?:\d{1,9}(?:\.\d{0,18})?|\.\d{1,18}))\s*"

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import typer
 
-import benchmark.closed_loop.wire.model
+import benchmark.extensions.http.model
 from bench.attacking.campaign import Result, listing, preload
 from bench.attacking.children import HANG_S, MEMORY_BYTES, Ended, run_command
 from bench.attacking.planners import ODD_PLANNERS
@@ -146,9 +146,9 @@ class Doors:
         self.valid = make_valid(self.folder)
         self.results = DOORS.format(seed=seed)
         # So long does a command wait for a server that went away; in a campaign nobody restarts any.
-        benchmark.closed_loop.wire.model.RETURN_S = 1.0  # type: ignore[misc]
+        benchmark.extensions.http.model.RETURN_S = 1.0  # type: ignore[misc]
         # And so long for its first answer, which is more than the time that a variant has.
-        benchmark.closed_loop.wire.model.ALIVE_S = 5.0  # type: ignore[attr-defined]
+        benchmark.extensions.http.model.ALIVE_S = 5.0  # type: ignore[attr-defined]
         tries = [*option_tries(), *planner_tries(), *server_tries()]
         self.tries = Random(seed).sample(tries, len(tries))
 

@@ -13,8 +13,8 @@ from bench.attacking.valid import SEARCH
 from tests.adapters.result_files.broken_files import HOSTILE, Broken
 from tests.benchmark.datasets.hostile_tables import HOSTILE_ROOTS
 from tests.benchmark.datasets.nuscenes_tables import VERSION
-from tests.benchmark.foreign import variants
-from tests.benchmark.foreign.hostile_recordings import RECORDINGS
+from tests.benchmark.untrusted import variants
+from tests.benchmark.untrusted.hostile_recordings import RECORDINGS
 
 Change = Callable[[Path, Path], None]
 """Given the copied input and the attacked file in it."""

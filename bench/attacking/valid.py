@@ -11,9 +11,9 @@ import numpy as np
 from adapters.models import MOTION_ANCHORS
 from bench.attacking.children import run_command
 from benchmark.errors import InputError
+from generation.extensions.golden_sets.built_in import BUILT_IN
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from generation.render.schematic import SchematicRenderer
-from generation.verification.built_in import BUILT_IN
 from tests.benchmark.datasets.nuscenes_tables import VERSION
 from tests.benchmark.datasets.test_scenarionet import recording
 from tests.hand_made import Car, scene_on_straight_road
@@ -95,7 +95,7 @@ def write_weights(folder: Path) -> None:
     """Checkpoints in both forms of PyTorch, a denoiser in all, the packaged weights of a planner, motion anchors."""
     import torch
 
-    from adapters import baselines
+    from adapters import planners as baselines
     from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser
 
     state = {MOTION_ANCHORS.replace("anchors", "other"): torch.arange(16.0), "b": torch.ones(3, 2, dtype=torch.half)}

@@ -21,8 +21,8 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256
 from benchmark.weights.tensors import read_tensors
 from generation.diffusion.checkpoint import load_denoiser
-from generation.diffusion.training.card import TITLES, held_out_sources, write_model_card
-from generation.diffusion.training.loop import HELD_OUT_SOURCES
+from generation.extensions.denoiser_training.card import TITLES, held_out_sources, write_model_card
+from generation.extensions.denoiser_training.loop import HELD_OUT_SOURCES
 
 NOTHING_HELD_OUT: Final = """\
 ## Against driving it never saw

@@ -19,8 +19,8 @@ from generation.diffusion.kinematics import STEP_S, Motion, motion
 from generation.diffusion.residual_network import present_features
 from generation.diffusion.schedule import add_noise, signal_and_noise
 from generation.diffusion.standardiser import ACTION_SCALE, actions_from_waypoints
-from generation.diffusion.training.loop import HELD_OUT_SOURCES
-from generation.diffusion.training.window_pool import WindowPool, load_track_data
+from generation.extensions.denoiser_training.loop import HELD_OUT_SOURCES
+from generation.extensions.denoiser_training.window_pool import WindowPool, load_track_data
 
 NEIGHBOURS_OF: Final = 1000
 REPLAYED: Final = 20_000

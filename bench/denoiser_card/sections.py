@@ -7,7 +7,7 @@ from bench.denoiser_card.feasibility import HORIZONS_S, LIMITED_M, WITHIN_M
 from bench.denoiser_card.sampling_steps import FULL_SAMPLES, FullProcess, StrideError
 from bench.denoiser_card.two_sample import FEATURES, PERMUTATIONS
 from generation.diffusion.prior import SOLVER_CALLS, SamplerSettings
-from generation.diffusion.training.card import table
+from generation.extensions.denoiser_training.card import table
 
 COMPARISON = """\
 ## Against driving it never saw

@@ -47,7 +47,7 @@ def _expected(file: Path, work: Path) -> None:
 
 
 def _networks(file: Path, work: Path) -> None:
-    from tests.benchmark.quality.small_networks import save_small_networks
+    from tests.benchmark.extensions.quality.small_networks import save_small_networks
 
     save_small_networks(file)
 

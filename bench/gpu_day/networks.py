@@ -6,8 +6,8 @@ from typing import Any, Final
 
 import torch
 
+from adapters.extensions.golden_sets.models import verify_model
 from adapters.models import resolve
-from adapters.verification.models import verify_model
 from bench.gpu_day.pieces import Piece, Setting, with_random_weights
 from bench.models import MEASURED_FRAMES, few_tracks, measured, model_measured, on_device
 from benchmark.machine.devices import single_precision

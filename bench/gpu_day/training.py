@@ -9,13 +9,13 @@ from typing import Any, Final
 
 import torch
 
+from adapters.extensions.training.mixture import gathered
+from adapters.extensions.training.trainer import fit
 from adapters.models import miniature, resolve
-from adapters.training.mixture import gathered
-from adapters.training.trainer import fit
 from bench.gpu_day.pieces import Piece, Setting
 from benchmark.machine.workspace import cache_root
 from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
-from generation.diffusion.training.loop import TrainingConfig, train_denoiser
+from generation.extensions.denoiser_training.loop import TrainingConfig, train_denoiser
 from generation.sources.mini import TownSettings, build_town
 
 FEW, MANY = 50, 350

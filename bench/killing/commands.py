@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from adapters.training.ego_status import HELD_OUT_SOURCES, TRAINING_SOURCES
+from adapters.extensions.training.ego_status import HELD_OUT_SOURCES, TRAINING_SOURCES
 from bench.attacking.children import run_command
 from benchmark.errors import InputError
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene

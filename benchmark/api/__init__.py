@@ -48,20 +48,23 @@ if TYPE_CHECKING:
     from adapters.result_files.recognition import recognise as recognise
     from adapters.result_files.samples import samples_of_data as samples_of_data
     from adapters.result_files.writing.formats import write_results as write_results
-    from adapters.training.ego_status import train_ego_status as train_ego_status
-    from adapters.training.planners import (
+    from adapters.extensions.training.ego_status import train_ego_status as train_ego_status
+    from adapters.extensions.training.planners import (
         PlannerTraining as PlannerTraining,
         judge_again as judge_again,
         train_planner as train_planner,
     )
-    from generation.build.ablation import ablate as ablate
-    from generation.build.settings import BuildSettings as BuildSettings
-    from generation.build.split import build_split as build_split
+    from generation.pipeline.ablation import ablate as ablate
+    from generation.pipeline.settings import BuildSettings as BuildSettings
+    from generation.pipeline.split import build_split as build_split
     from generation.diffusion.bank import write_bank as write_bank
-    from generation.diffusion.training.card import write_model_card as write_model_card
-    from generation.diffusion.training.loop import TrainingConfig as TrainingConfig, train_denoiser as train_denoiser
-    from generation.render.magicdrive.command import magicdrive_renderer as magicdrive_renderer
-    from generation.render.magicdrive.condition_pictures import write_condition_pictures as write_condition_pictures
+    from generation.extensions.denoiser_training.card import write_model_card as write_model_card
+    from generation.extensions.denoiser_training.loop import (
+        TrainingConfig as TrainingConfig,
+        train_denoiser as train_denoiser,
+    )
+    from generation.extensions.magicdrive.command import magicdrive_renderer as magicdrive_renderer
+    from generation.extensions.magicdrive.condition_pictures import write_condition_pictures as write_condition_pictures
     from generation.render.pictures import write_pictures as write_pictures
     from generation.search.hyperparameters import HyperParameters as HyperParameters
     from generation.search.presets import hyper_parameters as hyper_parameters, trajectory_model as trajectory_model
@@ -73,16 +76,16 @@ if TYPE_CHECKING:
     from generation.splits.packing import PackageContents as PackageContents, pack_split as pack_split
     from generation.splits.unpacking import read_split_package as read_split_package
     from leaderboard.figures.heat_map import write_heat_map as write_heat_map, write_lift_map as write_lift_map
-    from leaderboard.films.film import FilmSettings as FilmSettings
-    from leaderboard.films.filming import write_films as write_films
-    from leaderboard.publishing.checking import check_publishable as check_publishable
+    from leaderboard.extensions.films.film import FilmSettings as FilmSettings
+    from leaderboard.extensions.films.filming import write_films as write_films
+    from leaderboard.extensions.publishing.checking import check_publishable as check_publishable
     from leaderboard.tables.collision import run_tables as run_tables
     from leaderboard.tables.disagreement import disagreement_table as disagreement_table
     from leaderboard.tables.drives import drive_tables as drive_tables
     from leaderboard.tables.loops import loop_tables as loop_tables
-    from leaderboard.tables.quality import quality_tables as quality_tables
+    from leaderboard.extensions.quality.tables import quality_tables as quality_tables
     from leaderboard.tables.slices import slice_tables as slice_tables
-    from leaderboard.tables.reproduction import reproduction_table as reproduction_table
+    from leaderboard.extensions.reproduction.tables import reproduction_table as reproduction_table
     from leaderboard.tables.transfer import (
         agreement_table as agreement_table,
         transfer_matrices as transfer_matrices,

@@ -8,8 +8,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from benchmark.closed_loop.agents.adversary import AdversaryMaker
-    from benchmark.closed_loop.drives.sensors import Sensor
+    from benchmark.closed_loop.adversary import AdversaryMaker
+    from benchmark.closed_loop.sensors import Sensor
     from benchmark.machine.workers import Executor
     from benchmark.runs.driving import DriveSettings
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def looks_at_images(name: str) -> bool | None:
     """Whether a planner looks at images: built-in ones say so, HTTP carries some, of others nobody knows (``None``)."""
     from adapters.models import MODELS
-    from benchmark.closed_loop.wire.address import is_address
+    from benchmark.extensions.http.address import is_address
 
     if is_address(name):
         return True
@@ -84,10 +84,10 @@ def drive_settings(
     Raises:
         InputError: If there is no such engine, policy or sensor, or they do not go together.
     """
-    from benchmark.closed_loop.agents.adversary import ADVERSARY
+    from benchmark.closed_loop.adversary import ADVERSARY
     from benchmark.closed_loop.engines import rides_of
     from benchmark.closed_loop.world import ENGINE
-    from benchmark.drivers.driving import LADDER
+    from benchmark.interactions.driving import LADDER
     from benchmark.machine.workers import LocalProcesses
     from benchmark.runs.driving import DriveSettings
 
@@ -105,8 +105,8 @@ def drive_settings(
             raise InputError("--adversary-tracks are driven by an adversary; add --agents adversary")
         pursuit, runs = _given_tracks(adversary_tracks, split)
     elif agents == ADVERSARY and engine == ENGINE:
-        from generation.in_the_loop.making import InTheLoop
-        from generation.in_the_loop.settings import AdversarySettings
+        from generation.extensions.reactive_adversary.making import InTheLoop
+        from generation.extensions.reactive_adversary.settings import AdversarySettings
 
         pursuit = InTheLoop.of(
             AdversarySettings.of(
@@ -138,7 +138,7 @@ def drive_settings(
 
 def _given_tracks(directory: "Path", split: str) -> "tuple[AdversaryMaker, int]":
     """Adversaries on the tracks of a record of drives, and how many runs of each scene there are."""
-    from benchmark.closed_loop.agents.adversary import GivenTracks
+    from benchmark.closed_loop.adversary import GivenTracks
     from benchmark.records.drives import load_drives
     from benchmark.runs.drive_rows import track_of
 
@@ -157,8 +157,8 @@ def _given_tracks(directory: "Path", split: str) -> "tuple[AdversaryMaker, int]"
 
 def require_sensor(sensor: str) -> None:
     """Raise `InputError` for what names no sensor; nobody is asked whether a server answers."""
-    from benchmark.closed_loop.drives.sensors import NO_SENSOR
-    from benchmark.closed_loop.wire.address import Address, is_address
+    from benchmark.closed_loop.sensors import NO_SENSOR
+    from benchmark.extensions.http.address import Address, is_address
 
     known = (NO_SENSOR, "schematic")
     if is_address(sensor):
@@ -172,9 +172,9 @@ def require_sensor(sensor: str) -> None:
 
 
 def _sensor(name: str, split: str, *, tensors: bool) -> "Sensor":
-    from benchmark.closed_loop.drives.sensors import NO_SENSOR, NoSensor
-    from benchmark.closed_loop.wire.address import Address, is_address
-    from benchmark.closed_loop.wire.sensor import HttpSensor
+    from benchmark.closed_loop.sensors import NO_SENSOR, NoSensor
+    from benchmark.extensions.http.address import Address, is_address
+    from benchmark.extensions.http.sensor import HttpSensor
     from benchmark.machine.workspace import is_generated
     from generation.render.sensor import SchematicSensor
 

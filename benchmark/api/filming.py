@@ -10,11 +10,11 @@ from benchmark.api.opening import OUT, open_data, open_split, workspace
 from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
-    from benchmark.closed_loop.drives.sensors import Sensor
+    from benchmark.closed_loop.sensors import Sensor
     from benchmark.records.drive_schema import DriveRow
     from benchmark.records.drives import DriveRecord
-    from leaderboard.films.film import FilmSettings
-    from leaderboard.films.filming import Watch
+    from leaderboard.extensions.films.film import FilmSettings
+    from leaderboard.extensions.films.filming import Watch
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +70,10 @@ def write_drive_films(
     from benchmark.closed_loop.engines import rides_as
     from benchmark.runs.drive_sheets import driven_sheet
     from benchmark.runs.rescoring import replaced_categories
-    from leaderboard.films.drive_film import DRIVE_FPS
-    from leaderboard.films.encoding import require_webm
-    from leaderboard.films.film import FilmSettings
-    from leaderboard.films.filming import FilmFormat, write_drive_film
+    from leaderboard.extensions.films.drive_film import DRIVE_FPS
+    from leaderboard.extensions.films.encoding import require_webm
+    from leaderboard.extensions.films.film import FilmSettings
+    from leaderboard.extensions.films.filming import FilmFormat, write_drive_film
 
     if form not in {each.value for each in FilmFormat}:
         raise InputError(f"there are no films of {form!r}; there are {', '.join(each.value for each in FilmFormat)}")
@@ -109,7 +109,7 @@ def _chosen(asked: _Asked) -> "list[tuple[DriveRecord, str, list[DriveRow]]]":
     """Records, names of their planners and drives."""
     from benchmark.records.drives import find_drives
     from benchmark.records.planner_versions import labels
-    from leaderboard.films.filming import data_set_name
+    from leaderboard.extensions.films.filming import data_set_name
 
     root = workspace(asked.out).drive_root()
     again = f"make some with: challenger-bench drive --data {asked.data} --split {asked.split} --out {asked.out}"

@@ -116,8 +116,8 @@ def open_split(
         if split == "adv":
             return frozen_root(source, workers)
         from benchmark.machine.workers import LocalProcesses
-        from generation.build.settings import BuildSettings
-        from generation.build.split import build_split
+        from generation.pipeline.settings import BuildSettings
+        from generation.pipeline.split import build_split
 
         tell(f"rendering split {split} of the embedded data set (once, some minutes)")
         target, executor = workspace(out).split_root(source.name, split), LocalProcesses(worker_count(workers))

@@ -8,9 +8,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from benchmark.closed_loop.wire.server import PlannerServer
+    from benchmark.extensions.http.server import PlannerServer
     from benchmark.planning import Planner
-    from benchmark.supervision.limits import Supervision
+    from benchmark.sandbox.limits import Supervision
 
 
 def serve_planner(
@@ -45,8 +45,8 @@ def serve_planner(
         InputError: If the planner cannot be built or wants what is not on the wire, or the port is taken.
     """
     from adapters.registry import is_foreign, planner, planner_factory
-    from benchmark.closed_loop.wire.server import PlannerServer
-    from benchmark.closed_loop.wire.session import Session
+    from benchmark.extensions.http.server import PlannerServer
+    from benchmark.extensions.http.session import Session
     from benchmark.machine.pages import keep_pages_of
 
     runs = model_that_runs(name, checkpoint, data="")
@@ -71,9 +71,9 @@ def require_answers(models: "Sequence[str]", sensors: "Sequence[str]") -> None:
     Raises:
         InputError: If one is no address, or nobody answers.
     """
-    from benchmark.closed_loop.wire.address import Address
-    from benchmark.closed_loop.wire.model import http_planner
-    from benchmark.closed_loop.wire.sensor import HttpSensor
+    from benchmark.extensions.http.address import Address
+    from benchmark.extensions.http.model import http_planner
+    from benchmark.extensions.http.sensor import HttpSensor
 
     for each in models:
         http_planner(each).require_alive()

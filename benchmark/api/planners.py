@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from adapters.registry import NamedPlanner
-    from benchmark.supervision.limits import Supervision
-    from generation.build.surrogate import PlannerUnderTest
+    from benchmark.sandbox.limits import Supervision
+    from generation.pipeline.surrogate import PlannerUnderTest
 
 
 def load_planner(
@@ -112,7 +112,7 @@ def planner_under_test(
     Raises:
         InputError: If the planner is unknown or cannot be built.
     """
-    from generation.build.surrogate import PlannerUnderTest
+    from generation.pipeline.surrogate import PlannerUnderTest
 
     factory = load_planner(name, checkpoint, data=data, seed=seed, supervision=supervision)
     return PlannerUnderTest(factory, images=looks_at_images(name) is not False, workers=worker_count(workers))

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from benchmark.records.quality import QualityRecord
     from benchmark.records.run import RunRecord
     from benchmark.records.scenes import Sheets
-    from benchmark.sheets.writing import SheetSettings, WrittenSheets
+    from benchmark.scene_pages.writing import SheetSettings, WrittenSheets
 
 
 def write_sheets(dataset: "DataSet", split: str, root: Path, settings: "SheetSettings") -> "WrittenSheets":
@@ -33,10 +33,10 @@ def write_sheets(dataset: "DataSet", split: str, root: Path, settings: "SheetSet
         InputError: If the split or a scene is unknown, the data is broken, or rounds are asked for and none were kept.
     """
     from benchmark.machine.workspace import is_generated
-    from benchmark.sheets.writing import write_sheets as write
-    from generation.build.profile import kept_runtime
-    from generation.build.said_settings import said_settings
+    from benchmark.scene_pages.writing import write_sheets as write
     from generation.nuscenes_writer.plan import STATE_FOLDER
+    from generation.pipeline.profile import kept_runtime
+    from generation.pipeline.said_settings import said_settings
 
     hyper = said_settings(dataset.root, dataset.provenance()) if is_generated(split) else {}
     runtime = kept_runtime(dataset.root / STATE_FOLDER, workspace(root.parent).timings_of(dataset.root))

@@ -10,17 +10,17 @@ if TYPE_CHECKING:
     from benchmark.verification.checks import Check
 
 _VERIFIED: Final = {
-    "physics": "generation.verification.physics",
-    "scoring": "generation.verification.scoring",
-    "denoiser": "generation.verification.denoiser",
-    "protocols": "benchmark.protocols.verification",
-    "pdm": "benchmark.pdm.verification",
-    "results": "adapters.verification.result_files",
-    "drivers": "benchmark.drivers.verification",
-    "severity": "benchmark.severity.verification",
-    "realism": "benchmark.realism.verification",
-    "infos": "benchmark.datasets.infos.verification",
-    "neuroncap": "benchmark.closed_loop.neuroncap.verification",
+    "physics": "generation.extensions.golden_sets.physics",
+    "scoring": "generation.extensions.golden_sets.scoring",
+    "denoiser": "generation.extensions.golden_sets.denoiser",
+    "protocols": "benchmark.extensions.golden_sets.protocols",
+    "pdm": "benchmark.extensions.golden_sets.pdm",
+    "results": "adapters.extensions.golden_sets.result_files",
+    "drivers": "benchmark.extensions.golden_sets.drivers",
+    "severity": "benchmark.extensions.golden_sets.severity",
+    "realism": "benchmark.extensions.golden_sets.realism",
+    "infos": "benchmark.extensions.infos.verification",
+    "neuroncap": "benchmark.extensions.neuroncap.verification",
 }
 """What `verify` compares, and where its ``verify_NAME`` is: imported when it is asked for, since some need torch."""
 
@@ -54,7 +54,7 @@ def verify(what: str, golden: Path | None = None, model: str | None = None, *, n
 
 
 def _verify_model(model: str | None, golden: Path | None, *, noise: bool) -> "list[Check]":
-    from adapters.verification.models import verified_models, verify_model
+    from adapters.extensions.golden_sets.models import verified_models, verify_model
 
     known = (*verified_models(), "magicdrive")
     if model not in known:
@@ -66,6 +66,6 @@ def _verify_model(model: str | None, golden: Path | None, *, noise: bool) -> "li
         return verify_model(model, golden, noise=noise)
     if noise:
         raise InputError("--noise is for driving models; leave it out for magicdrive")
-    from generation.verification.magicdrive import verify_magicdrive
+    from generation.extensions.golden_sets.magicdrive import verify_magicdrive
 
     return verify_magicdrive(golden)

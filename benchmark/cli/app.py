@@ -6,25 +6,8 @@ from typing import Annotated, Final
 
 import typer
 
-from benchmark.cli import (
-    card,
-    challenge,
-    data,
-    demo,
-    drive,
-    evaluate,
-    generate,
-    models,
-    packages,
-    reproduce,
-    review,
-    serve,
-    shards,
-    show,
-    train,
-    verify,
-    weights,
-)
+from benchmark.cli import data, demo, drive, evaluate, generate, models, packages, shards, show, verify, weights
+from benchmark.cli.extensions import Groups, add_commands_of_others, add_own_commands
 from benchmark.cli.streams import replace_what_cannot_be_shown
 from benchmark.cli.whole_help import WholeSummaries
 from benchmark.constants import VERSION
@@ -40,21 +23,22 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-data.app.command("review")(review.data_review_command)
+_GROUPS: Final[Groups] = {"": app, "data": data.app, "leaderboard": show.leaderboard_app}
+# In the order in which help lists them.
+add_own_commands("review", _GROUPS)
 data.app.command("pack")(packages.data_pack_command)
 data.app.command("unpack")(packages.data_unpack_command)
-data.app.command("card")(card.data_card_command)
-show.leaderboard_app.command("card")(card.records_card_command)
+add_own_commands("cards", _GROUPS)
 app.add_typer(data.app, name="data")
-app.add_typer(train.app, name="train")
+add_own_commands("training", _GROUPS)
 app.add_typer(weights.app, name="weights")
 app.add_typer(show.leaderboard_app, name="leaderboard")
-app.add_typer(challenge.app, name="challenge")
+add_own_commands("challenge", _GROUPS)
 app.command("generate")(generate.generate_command)
 app.command("ablate")(generate.ablate_command)
 app.command("eval")(evaluate.eval_command)
 app.command("drive")(drive.drive_command)
-app.command("serve")(serve.serve_command)
+add_own_commands("http", _GROUPS)
 app.command("models")(models.models_command)
 app.command("merge")(shards.merge_command)
 app.command("rescore")(evaluate.rescore_command)
@@ -64,8 +48,9 @@ app.command("sheets")(show.sheets_command)
 app.command("film")(show.film_command)
 app.command("verify")(verify.verify_command)
 app.command("demo")(demo.demo_command)
-app.command("reproduce")(reproduce.reproduce_command)
+add_own_commands("reproduce", _GROUPS)
 app.command("doctor")(verify.doctor_command)
+add_commands_of_others(_GROUPS)
 
 _LONGEST_SENTENCE: Final = 1000
 _OF_A_PLACE: Final = frozenset((errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR))

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
     from benchmark.machine.workers import Executor
     from benchmark.runs.shards import Shard
-    from generation.build.settings import BuildSettings
+    from generation.pipeline.settings import BuildSettings
     from generation.splits.packaged import NamedSplit
 
 OF_THE_SEARCH: Final = (
@@ -149,7 +149,7 @@ def build_one(
             write_frozen(one.freeze, one.frozen.frozen)
         built = build_frozen(source, one.frozen, settings, as_split=one.split)
         return Built(built.summary(), built.as_json())
-    from generation.build.split import build_split
+    from generation.pipeline.split import build_split
 
     report = build_split(source, one.split, settings)
     runtime = report.runtime if profile else None
@@ -178,7 +178,7 @@ def build_shards(
         again: Options that lead another command to the same place.
         json_output: Whether a program reads.
     """
-    from generation.build.sharded import build_shard, draw_frozen_shard
+    from generation.pipeline.sharded import build_shard, draw_frozen_shard
 
     found = []
     for one, own in zip(wanted, settings, strict=True):

@@ -45,7 +45,7 @@ def data_info_command(
     json_output: JsonOption = False,
 ) -> None:
     """Say what a data set holds: splits, scenes, samples, annotations, fingerprint."""
-    from benchmark.cli.beforehand.data_sets import require_root
+    from benchmark.cli.preflight_data_sets import require_root
     from benchmark.datasets.contents import contents, contents_text
 
     api.worker_count(workers)
@@ -89,7 +89,7 @@ def data_stats_command(
     json_output: JsonOption = False,
 ) -> None:
     """Print the data-set table; what adversaries do where, who could avoid it, how severe and how real it is."""
-    from benchmark.cli.beforehand.data_sets import require_data, require_root, require_source
+    from benchmark.cli.preflight_data_sets import require_data, require_root, require_source
     from benchmark.datasets.statistics import statistics
     from benchmark.machine.workspace import EMBEDDED_NAMES
 
@@ -115,7 +115,7 @@ def data_stats_command(
         return
     typer.echo(found.plain())
     if judged is not None:
-        from benchmark.judging.tables import judgement_text
+        from benchmark.fairness.tables import judgement_text
 
         typer.echo("\n" + judgement_text(judged), nl=False)
 
@@ -132,7 +132,7 @@ def _judged(
 ) -> "SplitJudgement | None":
     """What is said of the scenes of a root; nothing where there is none to judge."""
     from benchmark.datasets.roots import open_data
-    from benchmark.judging.splits import adversarial_names, judge_split
+    from benchmark.fairness.splits import adversarial_names, judge_split
     from benchmark.machine.workers import LocalProcesses
 
     data = open_data(root, version=tables)
@@ -156,13 +156,13 @@ def data_show_command(
     workers: WorkersOption = 0,
 ) -> None:
     """Draw each scene: from above over time, and the camera that sees the adversary best."""
-    from benchmark.cli.beforehand.data_sets import require_root
-    from benchmark.cli.beforehand.places import require_place
+    from benchmark.cli.preflight_data_sets import require_root
+    from benchmark.cli.preflight_places import require_place
 
     api.worker_count(workers)
     require_root(root, tables, out, name_list(scenes))
     require_place(to, "--to")
-    from generation.render.magicdrive.condition_pictures import write_condition_pictures
+    from generation.extensions.magicdrive.condition_pictures import write_condition_pictures
     from generation.render.pictures import write_pictures
     from generation.render.schematic import SchematicRenderer
 
@@ -182,7 +182,7 @@ def data_check_command(
 ) -> None:
     """Look for faults in the tables and files of a data set."""
     from benchmark.datasets.categories import read_categories
-    from benchmark.datasets.integrity import check_tables
+    from benchmark.datasets.schema import check_tables
 
     named = None if categories is None else read_categories(categories)
     faults = check_tables(root, version=tables, categories=named)
@@ -212,7 +212,7 @@ def data_import_command(
     json_output: JsonOption = False,
 ) -> None:
     """Bring recordings of another form into nuScenes format."""
-    from benchmark.cli.beforehand.places import require_place
+    from benchmark.cli.preflight_places import require_place
     from generation.sources.importing import ImportSettings, import_scenarionet
 
     if form != "scenarionet":
@@ -252,7 +252,7 @@ def data_build_command(
     workers: WorkersOption = 0,
 ) -> None:
     """Build the embedded town, with any number of scenes; the same command resumes."""
-    from benchmark.cli.beforehand.places import require_folder, require_place
+    from benchmark.cli.preflight_places import require_folder, require_place
     from benchmark.machine.workspace import EMBEDDED, cache_root
     from generation.sources.mini import TownSettings, build_town
 

@@ -26,8 +26,8 @@ def demo_command(
     json_output: JsonOption = False,
 ) -> None:
     """Tell the whole story on the embedded data: generate, evaluate, transfer, tables, site."""
-    from benchmark.cli.beforehand.data_sets import town_bytes
-    from benchmark.cli.beforehand.places import require_place, require_room
+    from benchmark.cli.preflight_data_sets import town_bytes
+    from benchmark.cli.preflight_places import require_place, require_room
 
     if check and not full:
         raise InputError("--check belongs to demo --full, whose results it looks at")

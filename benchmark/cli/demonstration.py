@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from benchmark.datasets.roots import DataSet
     from benchmark.records.run import RunRecord
-    from generation.build.report import BuildReport
+    from generation.pipeline.report import BuildReport
 
 RESULTS = Path("docs/results")
 """Folder of the page of measured results and its numbers."""
@@ -40,9 +40,9 @@ def demo(
     from benchmark.machine.workers import LocalProcesses
     from benchmark.records.run import find_records
     from benchmark.records.scenes import find_sheets
-    from benchmark.sheets.writing import SheetSettings
-    from generation.build.settings import BuildSettings
-    from generation.build.split import build_split
+    from benchmark.scene_pages.writing import SheetSettings
+    from generation.pipeline.settings import BuildSettings
+    from generation.pipeline.split import build_split
     from generation.search.presets import hyper_parameters
     from generation.sources.mini import TownSettings, build_town
     from leaderboard.build import write_leaderboard
@@ -107,8 +107,8 @@ def full_demo(out: Path = api.OUT, to: Path = RESULTS, *, workers: int = 0) -> l
     from benchmark.datasets.roots import open_data as open_root
     from benchmark.machine.workers import LocalProcesses
     from benchmark.machine.workspace import EMBEDDED
-    from generation.build.ablation import ablate
-    from generation.build.settings import BuildSettings
+    from generation.pipeline.ablation import ablate
+    from generation.pipeline.settings import BuildSettings
     from generation.search.presets import hyper_parameters
     from leaderboard.results import write_results
 

@@ -184,10 +184,10 @@ def drive_command(
     dry_run: DryRunOption = False,
 ) -> None:
     """Drive planners in closed loop: the plan is driven and the world answers; the same command resumes."""
-    from benchmark.cli.beforehand.data_sets import require_data
-    from benchmark.cli.beforehand.names import require_categories, require_models, supervision_of
-    from benchmark.cli.beforehand.over_http import require_frame, require_servers
-    from benchmark.cli.beforehand.places import require_place
+    from benchmark.cli.preflight_data_sets import require_data
+    from benchmark.cli.preflight_names import require_categories, require_models, supervision_of
+    from benchmark.cli.preflight_over_http import require_frame, require_servers
+    from benchmark.cli.preflight_places import require_place
     from benchmark.machine.several_devices import require_one_device, workers_for
     from benchmark.runs.shards import Shard
 
@@ -370,7 +370,7 @@ def _looks_at_nothing(planner: "NamedPlanner") -> bool:
 
 def _settings_of(planner: "NamedPlanner", how: "DriveSettings") -> "DriveSettings":
     """How a planner is driven: those that look at nothing have no sensor, and company."""
-    from benchmark.closed_loop.drives.sensors import NoSensor
+    from benchmark.closed_loop.sensors import NoSensor
 
     return replace(how, sensor=NoSensor(), together=TOGETHER) if _looks_at_nothing(planner) else how
 

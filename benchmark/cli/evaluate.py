@@ -147,15 +147,15 @@ def eval_command(
     dry_run: DryRunOption = False,
 ) -> None:
     """Run planners on splits, write run records, and print the tables."""
-    from benchmark.cli.beforehand.data_sets import require_data, unchanged_name
-    from benchmark.cli.beforehand.names import (
+    from benchmark.cli.preflight_data_sets import require_data, unchanged_name
+    from benchmark.cli.preflight_names import (
         require_categories,
         require_models,
         require_published_runs,
         supervision_of,
     )
-    from benchmark.cli.beforehand.over_http import require_frame, require_servers
-    from benchmark.cli.beforehand.places import require_place, require_plans
+    from benchmark.cli.preflight_over_http import require_frame, require_servers
+    from benchmark.cli.preflight_places import require_place, require_plans
     from benchmark.evaluation import EvalSettings, evaluate_together, require_whole_split
     from benchmark.machine.several_devices import require_one_device, workers_for
     from benchmark.protocols import PROTOCOLS, STANDARD
@@ -321,7 +321,7 @@ def _plan_shard(
     again: str,
 ) -> None:
     """Plan one shard and say what is left to do."""
-    from benchmark.sharded import plan_shard
+    from benchmark.runs.sharded import plan_shard
 
     found = plan_shard(dataset, split, planners, root, shard)
     if json_output:
@@ -344,8 +344,8 @@ def rescore_command(
     json_output: JsonOption = False,
 ) -> None:
     """Judge stored plans anew, of run records under every protocol and of drives, without running a planner."""
-    from benchmark.cli.beforehand.data_sets import require_root
-    from benchmark.cli.beforehand.places import require_folder
+    from benchmark.cli.preflight_data_sets import require_root
+    from benchmark.cli.preflight_places import require_folder
     from benchmark.runs.rescoring import rescore_all
     from benchmark.runs.rescoring_drives import rescore_all_drives
 
@@ -403,12 +403,12 @@ def transfer_command(
     json_output: JsonOption = False,
 ) -> None:
     """Show who else fails the scenes that one planner fails: the surrogate-filtered matrix, from run records."""
-    from benchmark.cli.beforehand.places import require_output_file
-    from benchmark.drawing.plots import FORMATS
+    from benchmark.cli.preflight_places import require_output_file
     from benchmark.metrics.disagreement import EXACT
     from benchmark.protocols import protocol as known_protocol
     from benchmark.records.inventory import recorded, said_of
     from benchmark.records.run import NATIVE, find_records
+    from benchmark.report.plots import FORMATS
     from leaderboard.figures.heat_map import write_heat_map, write_lift_map
     from leaderboard.tables.transfer import agreement_table, lift_table, transfer_matrices, transfer_table
 
@@ -496,11 +496,11 @@ def quality_command(
     dry_run: DryRunOption = False,
 ) -> None:
     """Measure subject consistency and imaging quality of a split's videos; the same command goes on."""
-    from benchmark.cli.beforehand.data_sets import require_data
-    from benchmark.cli.beforehand.names import require_devices, require_quality_weights
-    from benchmark.cli.beforehand.places import require_folder, require_place
+    from benchmark.cli.preflight_data_sets import require_data
+    from benchmark.cli.preflight_names import require_devices, require_quality_weights
+    from benchmark.cli.preflight_places import require_folder, require_place
+    from benchmark.extensions.quality.definition import Definition, mask_source
     from benchmark.machine.several_devices import workers_for
-    from benchmark.quality.definition import Definition, mask_source
     from benchmark.runs.shards import Shard
 
     files: Literal["own", "lossless"] = "lossless" if lossless else "own"
@@ -517,8 +517,8 @@ def quality_command(
         return
     if not dry_run:
         require_quality_weights(definition, weights_folder)
-    from benchmark.quality.measure import QualitySettings, measure_quality, measure_shard, plan_of
-    from leaderboard.tables.quality import quality_tables
+    from benchmark.extensions.quality.measure import QualitySettings, measure_quality, measure_shard, plan_of
+    from leaderboard.extensions.quality.tables import quality_tables
 
     settings = QualitySettings(definition, weights_folder, device, name_list(scenes), limit, workers)
     between = frames is Frames.ALL and split == "val" and not dry_run
@@ -582,7 +582,7 @@ def _explain(
     json_output: bool,
 ) -> None:
     """Where protocols differ from exact on these runs: the table, and a picture of the clearest case of each cause."""
-    from benchmark.protocols.explain.pictures import explain
+    from benchmark.extensions.explain.pictures import explain
     from leaderboard.tables.disagreement import disagreement_table
 
     split = records[0].run.split

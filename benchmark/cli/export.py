@@ -23,8 +23,8 @@ from benchmark.report.words import counted
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from benchmark.datasets.exchange.exporting import ExportedScene
     from benchmark.datasets.roots import DataSet
+    from benchmark.extensions.exchange.exporting import ExportedScene
 
 app = typer.Typer(cls=WholeSummaries, help="Write a data set for the code of others.", no_args_is_help=True)
 
@@ -58,9 +58,9 @@ def export_infos_command(
     json_output: JsonOption = False,
 ) -> None:
     """Write the info files with which UniAD, VAD, SparseDrive or DiffusionDrive evaluate a split."""
-    from benchmark.cli.beforehand.data_sets import require_root
-    from benchmark.cli.beforehand.places import require_place
-    from benchmark.datasets.infos.exporting import InfoSettings, export_infos
+    from benchmark.cli.preflight_data_sets import require_root
+    from benchmark.cli.preflight_places import require_place
+    from benchmark.extensions.infos.exporting import InfoSettings, export_infos
     from benchmark.machine.workspace import EMBEDDED_NAMES
 
     api.worker_count(workers)
@@ -96,7 +96,7 @@ def export_scenarionet_command(
     json_output: JsonOption = False,
 ) -> None:
     """Write scenes as ScenarioNet files, which MetaDrive opens too; who is adversarial travels along."""
-    from benchmark.datasets.exchange.exporting import export_scenarionet
+    from benchmark.extensions.exchange.exporting import export_scenarionet
 
     dataset, names = _scenes_to_export(root, to, split, scenes, limit, out, tables, workers)
     _say_exported(export_scenarionet(dataset, names, to, workers=api.worker_count(workers)), to, json_output)
@@ -115,11 +115,11 @@ def export_openscenario_command(
     json_output: JsonOption = False,
 ) -> None:
     """Write scenes as OpenSCENARIO 1.2: a trajectory for every object, no road network."""
-    from benchmark.cli.beforehand.names import require_package
-    from benchmark.datasets.exchange.own_words import NEEDS_A_PACKAGE
+    from benchmark.cli.preflight_names import require_package
+    from benchmark.datasets.own_words import NEEDS_A_PACKAGE
 
     require_package("scenariogeneration", NEEDS_A_PACKAGE)
-    from benchmark.datasets.exchange.openscenario import export_openscenario
+    from benchmark.extensions.exchange.openscenario import export_openscenario
 
     dataset, names = _scenes_to_export(root, to, split, scenes, limit, out, tables, workers)
     _say_exported(export_openscenario(dataset, names, to, workers=api.worker_count(workers)), to, json_output)
@@ -136,8 +136,8 @@ def _scenes_to_export(
     workers: int,
 ) -> "tuple[DataSet, tuple[str, ...]]":
     """The data set and the scenes that are exported; what cannot be is refused before anything is built."""
-    from benchmark.cli.beforehand.data_sets import require_data, require_root
-    from benchmark.cli.beforehand.places import require_place
+    from benchmark.cli.preflight_data_sets import require_data, require_root
+    from benchmark.cli.preflight_places import require_place
 
     api.worker_count(workers)
     named = name_list(scenes)

@@ -69,7 +69,7 @@ from benchmark.cli.what_next import same_place, say_next
 from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
-    from benchmark.cli.beforehand.data_sets import Ahead
+    from benchmark.cli.preflight_data_sets import Ahead
     from benchmark.datasets.roots import DataSet
     from benchmark.machine.workers import Executor
     from generation.labels.manoeuvres import Manoeuvre
@@ -158,9 +158,9 @@ def generate_command(
     dry_run: DryRunOption = False,
 ) -> None:
     """Build a split, adv or val-r, from recorded scenes; the same command resumes."""
-    from benchmark.cli.beforehand.data_sets import require_room_to_draw, require_root, require_source
-    from benchmark.cli.beforehand.names import require_categories, supervision_of
-    from benchmark.cli.beforehand.places import require_place
+    from benchmark.cli.preflight_data_sets import require_room_to_draw, require_root, require_source
+    from benchmark.cli.preflight_names import require_categories, supervision_of
+    from benchmark.cli.preflight_places import require_place
     from benchmark.machine.several_devices import require_one_device, workers_for
     from benchmark.runs.shards import Shard
     from generation.search.departures import told
@@ -214,8 +214,8 @@ def generate_command(
         say_plan([*ahead.plan(then), *unlike], json_output=json_output)
         return
     _require_cluster(place, ahead)
-    from generation.build.settings import BuildSettings
-    from generation.build.split import source_scenes
+    from generation.pipeline.settings import BuildSettings
+    from generation.pipeline.split import source_scenes
 
     under_test = None
     if surrogate is not None:
@@ -227,7 +227,7 @@ def generate_command(
         drawing = api.schematic_renderer(pixels)
     rendering, photorealistic = None, None
     if renderer is RendererName.MAGICDRIVE:
-        from generation.render.magicdrive.command import magicdrive_renderer, rendering_executor
+        from generation.extensions.magicdrive.command import magicdrive_renderer, rendering_executor
 
         drawing = photorealistic = magicdrive_renderer(
             api.workspace(out).rendering_root(),
@@ -323,8 +323,8 @@ def _require_generated(split: str) -> None:
 
 def _require_tools(planner: str | None, checkpoint: Path | None, data: str, device: str, denoiser: Path | None) -> None:
     """Refuse a planner under test or a trajectory model that could not run."""
-    from benchmark.cli.beforehand.names import require_devices, require_models
-    from benchmark.cli.beforehand.places import require_file
+    from benchmark.cli.preflight_names import require_devices, require_models
+    from benchmark.cli.preflight_places import require_file
 
     if planner is not None:
         require_models([planner], checkpoint, data=data)
@@ -334,13 +334,13 @@ def _require_tools(planner: str | None, checkpoint: Path | None, data: str, devi
 
 def _require_magicdrive(device: str, weights_folder: Path | None, *, dry_run: bool) -> None:
     """Refuse the photorealistic renderer where its weights are absent; estimates need none."""
-    from benchmark.cli.beforehand.names import require_device, require_package
-    from benchmark.cli.beforehand.places import require_folder
+    from benchmark.cli.preflight_names import require_device, require_package
+    from benchmark.cli.preflight_places import require_folder
 
     require_device(device)
     require_folder(weights_folder, "--weights-folder")
     if not dry_run:
-        from generation.render.magicdrive.weights import NetworkFiles
+        from generation.extensions.magicdrive.weights import NetworkFiles
 
         NetworkFiles.find(weights_folder)
         for package in ("diffusers", "transformers"):
@@ -384,9 +384,9 @@ def ablate_command(
     dry_run: DryRunOption = False,
 ) -> None:
     """Run the paper's ablation: full search, without refinement (MTR), without scoring (TS), without both."""
-    from benchmark.cli.beforehand.data_sets import require_source
-    from benchmark.cli.beforehand.names import supervision_of
-    from benchmark.cli.beforehand.places import require_place
+    from benchmark.cli.preflight_data_sets import require_source
+    from benchmark.cli.preflight_names import supervision_of
+    from benchmark.cli.preflight_places import require_place
     from benchmark.machine.several_devices import require_one_device, workers_for
     from benchmark.machine.storage import file_name
     from generation.search.departures import told
@@ -408,8 +408,8 @@ def ablate_command(
         say_plan([*ahead.plan(then), *told(preset.value, hyper)], json_output=json_output)
         return
     _require_cluster(place, ahead)
-    from generation.build.ablation import ablate, ablation_estimate
-    from generation.build.settings import BuildSettings
+    from generation.pipeline.ablation import ablate, ablation_estimate
+    from generation.pipeline.settings import BuildSettings
 
     planner = api.planner_under_test(model, checkpoint, data=data, seed=seed, workers=workers, supervision=supervision)
     source = api.open_data(data, tables=tables, workers=workers, out=out)

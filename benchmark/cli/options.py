@@ -341,7 +341,7 @@ def executor_of(name: ExecutorName, address: str | None, workers: int) -> "Execu
         if address is not None:
             raise InputError("--address belongs to --executor ray; add it or leave the address out")
         return LocalProcesses(api.worker_count(workers))
-    from benchmark.cli.beforehand.names import require_package
+    from benchmark.cli.preflight_names import require_package
     from benchmark.machine.ray_cluster import NOT_INSTALLED, RayCluster
 
     require_package("ray", NOT_INSTALLED)

@@ -44,8 +44,8 @@ def data_pack_command(
     json_output: JsonOption = False,
 ) -> None:
     """Put a frozen split and what belongs to it into one file to publish; no recording is in it."""
-    from benchmark.cli.beforehand.data_sets import require_data, require_root
-    from benchmark.cli.beforehand.places import require_file, require_output_file
+    from benchmark.cli.preflight_data_sets import require_data, require_root
+    from benchmark.cli.preflight_places import require_file, require_output_file
     from benchmark.machine.workspace import EMBEDDED_NAMES
 
     processes = api.worker_count(workers)
@@ -103,8 +103,8 @@ def data_unpack_command(
     dry_run: DryRunOption = False,
 ) -> None:
     """Check a package, write its files, and build its split from the recordings with --data."""
-    from benchmark.cli.beforehand.data_sets import require_source
-    from benchmark.cli.beforehand.places import require_place
+    from benchmark.cli.preflight_data_sets import require_source
+    from benchmark.cli.preflight_places import require_place
 
     processes = api.worker_count(workers)
     require_place(to, "--to")
@@ -132,7 +132,7 @@ def data_unpack_command(
                 typer.echo(f"  {each.name}: generate --from {to / 'splits' / each.name}.json --data RECORDINGS")
         return
     from benchmark.machine.workers import LocalProcesses
-    from generation.build.settings import BuildSettings
+    from generation.pipeline.settings import BuildSettings
     from generation.splits.rebuilding import rebuild
 
     source = api.open_data(data, tables=tables, workers=workers, out=out)

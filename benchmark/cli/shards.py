@@ -58,9 +58,9 @@ def merge_command(
     json_output: JsonOption = False,
 ) -> None:
     """Judge runs that were planned in shards (`eval --shard`), and say what other shards are missing."""
-    from benchmark.cli.beforehand.data_sets import require_root
+    from benchmark.cli.preflight_data_sets import require_root
+    from benchmark.runs.sharded import merge_shards
     from benchmark.runs.shards import sharded_runs
-    from benchmark.sharded import merge_shards
     from leaderboard.tables.collision import run_tables
 
     space = api.workspace(out)

@@ -37,7 +37,7 @@ from benchmark.errors import InputError
 from benchmark.report.words import counted
 
 if TYPE_CHECKING:
-    from benchmark.drawing.lettering import Picture
+    from benchmark.report.lettering import Picture
 
 leaderboard_app = typer.Typer(
     cls=WholeSummaries,
@@ -65,9 +65,9 @@ def sheets_command(
     dry_run: DryRunOption = False,
 ) -> None:
     """Write scene sheets: what films, pictures and the site show of a split; the same command goes on."""
-    from benchmark.cli.beforehand.data_sets import require_data
-    from benchmark.cli.beforehand.places import require_place
-    from benchmark.sheets.writing import SheetSettings, plan_of
+    from benchmark.cli.preflight_data_sets import require_data
+    from benchmark.cli.preflight_places import require_place
+    from benchmark.scene_pages.writing import SheetSettings, plan_of
 
     settings = SheetSettings(pictures.value, cell_width, name_list(scenes), limit, api.worker_count(workers), rounds)
     if rounds and split in ("val", "val-r"):
@@ -126,7 +126,7 @@ def leaderboard_command(
     """Write tables (Markdown, LaTeX, CSV, JSON), figures and site from run records, scene sheets and studies."""
     if context.invoked_subcommand is not None:
         return
-    from benchmark.cli.beforehand.places import require_folder, require_place
+    from benchmark.cli.preflight_places import require_folder, require_place
 
     if publish_check is not None:
         if check:
@@ -163,7 +163,7 @@ def leaderboard_command(
 
 def _say_publishable(folder: Path, may_show: "Sequence[str]", *, json_output: bool) -> int:
     """Say what of a folder should not be published; the exit code."""
-    from leaderboard.publishing.checking import check_publishable
+    from leaderboard.extensions.publishing.checking import check_publishable
 
     root, found = check_publishable(folder, may_show=may_show)
     if json_output:
@@ -242,7 +242,7 @@ def submit_check_command(
     json_output: JsonOption = False,
 ) -> None:
     """Check a stranger's records of runs and drives: who planned, and every number, computed anew from the plans."""
-    from benchmark.cli.beforehand.data_sets import require_root
+    from benchmark.cli.preflight_data_sets import require_root
 
     api.worker_count(workers)
     if not folder.is_dir():
@@ -250,9 +250,9 @@ def submit_check_command(
     require_root(data, tables, out)
 
     from adapters.known_planners import own_planner_like
+    from benchmark.extensions.submissions.checking import check_submission, facts_of_record
+    from benchmark.extensions.submissions.findings import Level
     from benchmark.records.run import RunRecord
-    from benchmark.runs.submissions.checking import check_submission, facts_of_record
-    from benchmark.runs.submissions.findings import Level
 
     source = api.open_data(data, tables=tables, workers=workers, out=out)
     opener = partial(api.open_split, source, out=out, workers=workers)
@@ -301,14 +301,14 @@ def film_command(
     json_output: JsonOption = False,
 ) -> None:
     """Film scenes from their sheets, or drives: cameras, view from above, plans and verdicts (docs/films.md)."""
-    from benchmark.cli.beforehand.names import planners_shown
-    from benchmark.cli.beforehand.places import require_folder, require_place
+    from benchmark.cli.preflight_names import planners_shown
+    from benchmark.cli.preflight_places import require_folder, require_place
     from benchmark.constants import FRAME_HZ
     from benchmark.machine.progress import Count, progress
     from benchmark.protocols import protocol as known_protocol
-    from leaderboard.films.drive_film import DRIVE_FPS
-    from leaderboard.films.film import FilmLayout, FilmSettings
-    from leaderboard.films.filming import FilmFormat, planner_folder, write_films
+    from leaderboard.extensions.films.drive_film import DRIVE_FPS
+    from leaderboard.extensions.films.film import FilmLayout, FilmSettings
+    from leaderboard.extensions.films.filming import FilmFormat, planner_folder, write_films
 
     judge = protocol if protocol == "native" else known_protocol(protocol).name
     shown, space = FilmLayout(layout.value), api.workspace(out)

@@ -19,7 +19,7 @@ def verify_command(
     json_output: JsonOption = False,
 ) -> None:
     """Compare numerics with golden numbers; exit code 1 if any differ by more than they may."""
-    from benchmark.cli.beforehand.places import require_folder
+    from benchmark.cli.preflight_places import require_folder
     from benchmark.verification.checks import report
 
     require_folder(golden, "--golden")

@@ -50,8 +50,8 @@ def weights_import_command(
     json_output: JsonOption = False,
 ) -> None:
     """Check an official checkpoint without running anything in it, and keep its weights."""
-    from benchmark.cli.beforehand.names import require_normalisation, require_published
-    from benchmark.cli.beforehand.places import require_file
+    from benchmark.cli.preflight_names import require_normalisation, require_published
+    from benchmark.cli.preflight_places import require_file
     from benchmark.errors import InputError
 
     if not path.exists():
@@ -72,7 +72,7 @@ def weights_fetch_command(
     json_output: JsonOption = False,
 ) -> None:
     """Fetch an official file, or a folder of published weights, from the internet and import it."""
-    from benchmark.cli.beforehand.names import require_normalisation, require_published
+    from benchmark.cli.preflight_names import require_normalisation, require_published
 
     require_published(name, files=True)
     require_normalisation(normalisation)
@@ -92,9 +92,9 @@ def weights_anchors_command(
     json_output: JsonOption = False,
 ) -> None:
     """Compute anchors from a data set by k-means, for weights that come without them."""
-    from benchmark.cli.beforehand.data_sets import require_source
-    from benchmark.cli.beforehand.names import require_clustered
-    from benchmark.cli.beforehand.places import require_output_file
+    from benchmark.cli.preflight_data_sets import require_source
+    from benchmark.cli.preflight_names import require_clustered
+    from benchmark.cli.preflight_places import require_output_file
 
     api.worker_count(workers)
     require_clustered(model)

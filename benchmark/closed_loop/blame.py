@@ -7,8 +7,8 @@ import numpy as np
 
 from benchmark.closed_loop.following import Ego
 from benchmark.closed_loop.world import Contact
-from benchmark.encounters.contacts import KINDS, ContactKind, at_fault
 from benchmark.geometry import Bools, Floats
+from benchmark.interactions.contacts import KINDS, ContactKind, at_fault
 from benchmark.machine.last_made import LastMade
 from benchmark.pdm import definition as pdm
 from benchmark.pdm.layers import road_of, route_of

@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmark.closed_loop.agents.contract import AgentPolicy
-from benchmark.closed_loop.agents.replay import Replay
+from benchmark.closed_loop.contract import AgentPolicy
 from benchmark.closed_loop.following import Ego
+from benchmark.closed_loop.replay import Replay
 from benchmark.closed_loop.world import STEP_US, Contact, Course
 from benchmark.constants import EGO_WHEELBASE_M
-from benchmark.encounters.tracks import Tracks
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, to_local, wrap_angle
+from benchmark.interactions.tracks import Tracks
 from benchmark.scene import Scene
 
 _MOTION_S = 0.25

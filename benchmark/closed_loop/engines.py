@@ -2,13 +2,13 @@
 
 from typing import Final, get_args
 
-from benchmark.closed_loop.agents.adversary import ADVERSARY, AdversaryMaker, GivenTracks
-from benchmark.closed_loop.drives.default_engine import AGENTS, DefaultRides
-from benchmark.closed_loop.drives.riding import RideMaker
-from benchmark.closed_loop.neuroncap.riding import RECORDED, SCENARIOS, NeuroncapRides
-from benchmark.closed_loop.neuroncap.switches import Switches
+from benchmark.closed_loop.adversary import ADVERSARY, AdversaryMaker, GivenTracks
+from benchmark.closed_loop.default_engine import AGENTS, DefaultRides
+from benchmark.closed_loop.riding import RideMaker
 from benchmark.closed_loop.world import ENGINE
 from benchmark.errors import InputError, did_you_mean
+from benchmark.extensions.neuroncap.riding import RECORDED, SCENARIOS, NeuroncapRides
+from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.records.drive_schema import Measured, UntilName
 
 UNTIL: Final[tuple[UntilName, ...]] = get_args(UntilName)

@@ -1,8 +1,8 @@
 """The ladder of reference drivers in closed loop: each drives a course in which the others answer it.
 
-The drivers are those of `benchmark.drivers`: they follow the recorded path of the ego, and what they decide every 0.1 s
-is what they decide in open loop; only that everybody is now where the policy of the agents has them. Each has a world
-of its own. Contact is looked for every 0.05 s, as in the engine.
+The drivers are those of `benchmark.interactions`: they follow the recorded path of the ego, and what they decide every
+0.1 s is what they decide in open loop; only that everybody is now where the policy of the agents has them. Each has a
+world of its own. Contact is looked for every 0.05 s, as in the engine.
 """
 
 from collections.abc import Sequence
@@ -10,17 +10,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmark.closed_loop.agents.contract import Moment, Moved
+from benchmark.closed_loop.contract import Moment, Moved
 from benchmark.closed_loop.following import INSTANT_US, INSTANTS, SUBSTEP_US
 from benchmark.closed_loop.stepping import begin
 from benchmark.closed_loop.world import Contact as Touched
 from benchmark.closed_loop.world import Course, World
-from benchmark.drivers.driving import Advancing, Motion, Rung, Situation, given
-from benchmark.drivers.reaction import REACTING, Driver
-from benchmark.encounters.contacts import KINDS, at_fault
-from benchmark.encounters.relations import Relations
-from benchmark.encounters.tracks import Tracks
 from benchmark.geometry import Bools, Floats, boxes_overlap
+from benchmark.interactions.contacts import KINDS, at_fault
+from benchmark.interactions.driving import Advancing, Motion, Rung, Situation, given
+from benchmark.interactions.reaction import REACTING, Driver
+from benchmark.interactions.relations import Relations
+from benchmark.interactions.tracks import Tracks
 from benchmark.scene import Scene
 
 

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.closed_loop.agents.contract import Moment
+from benchmark.closed_loop.contract import Moment
 from benchmark.closed_loop.following import (
     INSTANT_US,
     INSTANTS,

@@ -6,13 +6,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.closed_loop.agents.contract import AgentPolicy, Moment
+from benchmark.closed_loop.contract import AgentPolicy, Moment
 from benchmark.closed_loop.following import SUBSTEP_US, SUBSTEPS, Ego
 from benchmark.closed_loop.plans_in_force import PlanInForce
 from benchmark.constants import EGO_BODY_WIDTH_M, EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M
-from benchmark.encounters.contacts import Pairs
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
+from benchmark.interactions.contacts import Pairs
 
 STEP_US: Final = SUBSTEPS * SUBSTEP_US
 ENGINE: Final = "default"
@@ -93,7 +93,7 @@ class Contact:
 
     @property
     def pair(self) -> Pairs:
-        """As `benchmark.encounters.contacts` judges it: kind, blame, impact speed, change of velocity."""
+        """As `benchmark.interactions.contacts` judges it: kind, blame, impact speed, change of velocity."""
         return Pairs(
             ego=self.ego[None],
             ego_speed=np.array([self.ego_speed]),

@@ -7,8 +7,8 @@ from typing import Final
 
 from benchmark.constants import CATEGORIES, NUMBERED_CATEGORIES
 from benchmark.errors import InputError, did_you_mean
-from benchmark.foreign.json_text import read_json
-from benchmark.foreign.limits import SETTINGS
+from benchmark.untrusted.json_text import read_json
+from benchmark.untrusted.limits import SETTINGS
 
 CategoryNames = tuple[tuple[str, str], ...]
 """Pairs of a data set's own name and nuScenes' name for it."""

@@ -14,8 +14,6 @@ from typing import Any
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.categories import CategoryNames, names_in
 from benchmark.datasets.devkit_rows import FURTHER_TABLES, devkit_with
-from benchmark.datasets.integrity.opened import check_opened, check_scene
-from benchmark.datasets.integrity.tables import CheckedTables
 from benchmark.datasets.kept_tables import read_or_kept
 from benchmark.datasets.scene_tables import (
     GROWING_TABLES,
@@ -26,6 +24,8 @@ from benchmark.datasets.scene_tables import (
     renamed_rows,
 )
 from benchmark.datasets.schema import FaultList, Refusal, check_table
+from benchmark.datasets.schema.opened import check_opened, check_scene
+from benchmark.datasets.schema.table_checks import CheckedTables
 from benchmark.datasets.tables import Row, Tables
 from benchmark.errors import InputError
 

@@ -1,7 +1,7 @@
 """``judgements.json`` beside the tables: what is said of each scene of a generated root.
 
 It is no part of the data set's fingerprint and can be made from the tracks again: a better definition makes no other
-data set. Roots without it are judged when somebody asks (`benchmark.judging.data_sets`).
+data set. Roots without it are judged when somebody asks (`benchmark.fairness.data_sets`).
 """
 
 from collections.abc import Mapping
@@ -11,11 +11,11 @@ from typing import Final, Literal
 from pydantic import Field
 
 from benchmark.datasets.tables import variant_folders
-from benchmark.foreign.limits import RECORD
 from benchmark.machine.storage import canonical_json, read_json
 from benchmark.records.judgement import DEFINITION, SceneJudgement, SplitRealism
 from benchmark.records.store import validated
 from benchmark.records.stored import Stored
+from benchmark.untrusted.limits import RECORD
 
 JUDGEMENTS_FILE: Final = "judgements.json"
 

@@ -9,10 +9,10 @@ from typing import Any, Final, Self
 
 from benchmark.datasets.kept_tables import digests_beside, kept_at
 from benchmark.errors import InputError
-from benchmark.foreign.files import open_file
-from benchmark.foreign.limits import TABLE
 from benchmark.machine.storage import only_writer, read_kept_json, write_json
 from benchmark.machine.user_cache import Stamp, is_settled, stamp_of
+from benchmark.untrusted.files import open_file
+from benchmark.untrusted.limits import TABLE
 
 WORTH_BYTES: Final = 1 << 22
 """Smaller files are hashed each time."""

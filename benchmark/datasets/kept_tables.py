@@ -19,10 +19,10 @@ from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.scene_tables import GROWING_TABLES, SceneTables, read_scene_tables, read_shared
 from benchmark.datasets.schema import FaultList, Refusal
 from benchmark.datasets.stored_rows import StoredRows, stamp_while_open
-from benchmark.foreign.limits import TABLE
 from benchmark.machine.kept_arrays import kept_place, read_arrays, said_of, write_arrays
 from benchmark.machine.storage import content_key, file_sha256, parse_json
 from benchmark.machine.user_cache import Stamp, is_settled, stamp_of
+from benchmark.untrusted.limits import TABLE
 
 WORTH_BYTES: Final = 1 << 24
 """Tables of less are parsed in less time than anybody notices."""

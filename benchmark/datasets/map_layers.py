@@ -15,10 +15,10 @@ from benchmark.datasets.schema.beside import ARC_LINE, MAP_LINKS, MAP_NODE, MAP_
 from benchmark.datasets.schema.rows import shown
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
-from benchmark.foreign.files import one_line
 from benchmark.geometry import Floats
 from benchmark.machine.storage import read_json
 from benchmark.road_map import Divider, DividerKind, Lane, RoadMap, as_multipolygon
+from benchmark.untrusted.files import one_line
 
 CENTERLINE_STEP_M: Final = 1.0
 _OLDEST_VERSION: Final = (1, 3)

@@ -7,7 +7,6 @@ from typing import Any, Final
 from benchmark.datasets.table_rows import table_rows
 from benchmark.datasets.tables import find_version, variant_folders
 from benchmark.errors import InputError, did_you_mean
-from benchmark.foreign.files import one_line
 from benchmark.machine.storage import only_writer, write_json
 from benchmark.records.review import (
     REJECTED,
@@ -21,6 +20,7 @@ from benchmark.records.review import (
     standing,
 )
 from benchmark.report.words import counted
+from benchmark.untrusted.files import one_line
 
 LEFT_OUT: Final = "left_out"
 """In ``challenger.json``: scenes that a build left out because they were rejected."""

@@ -19,21 +19,21 @@ from benchmark.constants import (
     FRAMES_PER_KEYFRAME,
     OFFICIAL_LOCATIONS,
 )
-from benchmark.datasets.exchange.own_words import Exchanged
-from benchmark.datasets.exchange.scene_of_own import OwnFile, adversaries_of, own_block, scene_of_own
+from benchmark.datasets.own_words import Exchanged
 from benchmark.datasets.scenarionet_map import map_of_features
 from benchmark.datasets.scenarionet_tracks import SourceTrack, objects_of_tracks, read_track
 from benchmark.datasets.scenarionet_values import name_of, real_numbers
+from benchmark.datasets.scene_of_own import OwnFile, adversaries_of, own_block, scene_of_own
 from benchmark.datasets.scene_words import described, place_and_light, traffic_and_road
 from benchmark.datasets.sensors import standard_lidar
 from benchmark.datasets.tables import scene_number
 from benchmark.errors import InputError
-from benchmark.foreign.files import one_line
-from benchmark.foreign.limits import RECORDED_OBJECTS, RECORDED_POSES, RECORDING_S
-from benchmark.foreign.pickles import read_pickle
 from benchmark.geometry import Floats, poses_between, quaternion_from_yaw
 from benchmark.machine.storage import content_seed, token
 from benchmark.scene import EgoTrack, Scene
+from benchmark.untrusted.files import one_line
+from benchmark.untrusted.limits import RECORDED_OBJECTS, RECORDED_POSES, RECORDING_S
+from benchmark.untrusted.pickles import read_pickle
 
 _FALLBACK_LOCATION: Final = OFFICIAL_LOCATIONS[0]
 _UNOFFICIAL_NUMBERS: Final = range(2000, 10000)
@@ -97,8 +97,8 @@ def find_scenarionet(folder: Path) -> tuple[Path, ...]:
 def read_scenarionet(path: Path) -> Scene:
     """Read one ScenarioNet file.
 
-    A file that `benchmark.datasets.exchange` wrote is the scene that it was made of, but for what was edited since
-    (`benchmark.datasets.exchange.scene_of_own`). Of any other file:
+    A file that `benchmark.extensions.exchange` wrote is the scene that it was made of, but for what was edited since
+    (`benchmark.datasets.scene_of_own`). Of any other file:
 
     Steps (usually 10 Hz) are resampled to 12 Hz; each sixth frame is a keyframe, and the scene ends with the last
     keyframe. The name is the scenario's if that is like ``scene-0061``, else ``scene-2000`` to ``scene-9999`` by hash

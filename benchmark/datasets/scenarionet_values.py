@@ -6,8 +6,8 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.errors import InputError
-from benchmark.foreign.files import one_line
 from benchmark.geometry import Floats
+from benchmark.untrusted.files import one_line
 
 FARTHEST_M: Final = 1e8
 """More than any projected map coordinate."""

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.categories import CategoryNames
-from benchmark.datasets.integrity.links import check_link, note_dead_link
-from benchmark.datasets.integrity.opened import check_opened, check_scene
-from benchmark.datasets.integrity.tables import CheckedTables
 from benchmark.datasets.schema import LINKS, FaultList, Refusal, check_rows, check_table
+from benchmark.datasets.schema.links import check_link, note_dead_link
+from benchmark.datasets.schema.opened import check_opened, check_scene
+from benchmark.datasets.schema.table_checks import CheckedTables
 from benchmark.datasets.stored_rows import PassOverRows, StoredRows
 from benchmark.datasets.tables import Row, Tables
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from benchmark.constants import CAMERA_NAMES, LIDAR_FROM_REAR_AXLE_M, LIDAR_NAME
 from benchmark.datasets.tables import Row
-from benchmark.foreign.pictures import read_picture
 from benchmark.geometry import quaternion_from_yaw, transform_matrix
 from benchmark.planning import CameraView
 from benchmark.scene import Camera, LidarMount
+from benchmark.untrusted.pictures import read_picture
 
 
 def standard_lidar() -> LidarMount:

@@ -8,8 +8,8 @@ from typing import Any
 from benchmark.datasets.devkit_import import devkit_module
 from benchmark.datasets.tables import splits_file
 from benchmark.errors import InputError, did_you_mean
-from benchmark.foreign.files import one_line
 from benchmark.machine.storage import read_json
+from benchmark.untrusted.files import one_line
 
 _SUFFIXED = re.compile(r"scene-\d{4}-.+")
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
-from benchmark.foreign.json_text import require_utf8
 from benchmark.machine.user_cache import Stamp, stamp_of
+from benchmark.untrusted.json_text import require_utf8
 
 _CHUNK_BYTES: Final = 1 << 20
 _LONGEST_ROW_CHARACTERS: Final = 1 << 24

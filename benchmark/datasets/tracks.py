@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.errors import InputError
-from benchmark.foreign.arrays import read_npz
-from benchmark.foreign.files import one_line
 from benchmark.geometry import Bools, Floats
+from benchmark.untrusted.arrays import read_npz
+from benchmark.untrusted.files import one_line
 
 REQUIRED: Final = ("ptr", "x", "y", "heading", "length", "cls", "hz", "source", "licence")
 

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.errors import InputError
-from benchmark.foreign.files import open_file
-from benchmark.foreign.limits import KEPT_ARRAYS
 from benchmark.machine.storage import canonical_json, content_key, only_writer, parse_json, write_parts
 from benchmark.machine.user_cache import cache_root
+from benchmark.untrusted.files import open_file
+from benchmark.untrusted.limits import KEPT_ARRAYS
 
 _MAGIC: Final = b"kept arrays 1\n\0\0"
 _LENGTH: Final = struct.Struct("<Q")

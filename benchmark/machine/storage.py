@@ -1,7 +1,7 @@
 """Files that are either whole or absent, and keys made of content.
 
 Everything the project writes goes through here: a file without a name, flushed to disk, then given its name. Whoever is
-killed in between leaves nothing behind. JSON is read by one door (`benchmark.foreign`), whoever wrote it.
+killed in between leaves nothing behind. JSON is read by one door (`benchmark.untrusted`), whoever wrote it.
 """
 
 import contextlib
@@ -16,9 +16,9 @@ from typing import Any, BinaryIO, Final
 from urllib.parse import quote
 
 from benchmark.errors import InputError
-from benchmark.foreign.json_text import parse_json as parse_json
-from benchmark.foreign.json_text import read_json as read_json
-from benchmark.foreign.json_text import read_json_lines as read_json_lines
+from benchmark.untrusted.json_text import parse_json as parse_json
+from benchmark.untrusted.json_text import read_json as read_json
+from benchmark.untrusted.json_text import read_json_lines as read_json_lines
 
 _PROC: Final = Path("/proc/self/fd")
 """Where files without a name are found, to be given one."""

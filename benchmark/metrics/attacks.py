@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from benchmark.fairness.attack import READINGS, Attack, Reading, any_known
 from benchmark.metrics.rates import Rate, ratios_over_scenes
 from benchmark.metrics.scores import source_of_scenes
 from benchmark.records.columns import BriefRow
 from benchmark.records.run import RunRecord
 from benchmark.records.seed_splits import is_adversarial
-from benchmark.severity.attack import READINGS, Attack, Reading, any_known
 
 __all__ = [
     "READINGS",

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.closed_loop.scores.scoring import VERSION
+from benchmark.closed_loop.scoring import VERSION
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.metrics.rates import Rate, ratios_over_scenes

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.encounters.contacts import AHEAD_RAD, BEHIND_RAD, FRONT, LATERAL, STOPPED_TRACK, contact_kinds
 from benchmark.geometry import Bools, Floats, boxes_overlap
+from benchmark.interactions.contacts import AHEAD_RAD, BEHIND_RAD, FRONT, LATERAL, STOPPED_TRACK, contact_kinds
 from benchmark.pdm.definition import HEADING, LENGTH_M, SIDE_SPEED, SPEED, STATES, WIDTH_M
 from benchmark.pdm.road import Whereabouts, footprints
 from benchmark.pdm.traffic import Traffic

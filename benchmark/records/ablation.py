@@ -1,6 +1,6 @@
 """Records of ablation studies: the search with and without multi-round refinement (MTR) and trajectory scoring (TS).
 
-`generation.build.ablation` makes them; tables are made from them alone.
+`generation.pipeline.ablation` makes them; tables are made from them alone.
 """
 
 import json

@@ -86,7 +86,7 @@ class Labels(_Stored):
         closest_approach: Closest approach.
         time_to_collision: ``None`` if it was never within 5 s.
         encroachment: Closest succession on the same piece of the ego's path, ``None`` if there was none.
-        place: Where the closest approach happened (`benchmark.surroundings.places.Place`).
+        place: Where the closest approach happened (`benchmark.metrics.places.Place`).
     """
 
     manoeuvre: str

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEPS
-from benchmark.foreign.limits import RECORD
 from benchmark.geometry import Floats
 from benchmark.machine.storage import canonical_json, parse_json
 from benchmark.protocols import Outcomes
 from benchmark.records.row_schema import SampleRow
+from benchmark.untrusted.limits import RECORD
 from benchmark.waypoints import waypoints_in_lidar
 
 Name = tuple[str, ...]

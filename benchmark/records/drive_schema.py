@@ -98,7 +98,7 @@ class FailureRow(Stored):
 
 
 class ContactRow(Stored):
-    """A contact (`benchmark.closed_loop.scores.contact.ScoredContact`)."""
+    """A contact (`benchmark.closed_loop.scored_contact.ScoredContact`)."""
 
     seconds: float
     agent: str
@@ -112,7 +112,7 @@ class ContactRow(Stored):
 
 
 class NuplanRow(Stored):
-    """nuPlan's terms (`benchmark.closed_loop.scores.nuplan.NuplanTerms`) and their score."""
+    """nuPlan's terms (`benchmark.closed_loop.nuplan.NuplanTerms`) and their score."""
 
     score: Share
     nc: Share
@@ -181,7 +181,7 @@ class TickRows(Stored):
 
 
 class AdversaryRow(Stored):
-    """Where an adversary went (`benchmark.closed_loop.agents.adversary.AdversaryTrack`).
+    """Where an adversary went (`benchmark.closed_loop.adversary.AdversaryTrack`).
 
     Attributes:
         agent: Its index in the scene.

@@ -13,7 +13,6 @@ from typing import Any, Final, Literal, TypeVar
 import numpy as np
 
 from benchmark.errors import InputError
-from benchmark.foreign.limits import RECORD
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key, read_json
 from benchmark.metrics.rates import ratios_over_scenes
@@ -23,6 +22,7 @@ from benchmark.records.planner_cost import PlannerCost
 from benchmark.records.run_schema import RateRow, SceneFacts
 from benchmark.records.store import FileNames, read_each, read_own, replace_files, validated
 from benchmark.records.stored import Stored
+from benchmark.untrusted.limits import RECORD
 
 DRIVE_FILE, ROWS_FILE, SUMMARY_FILE = "drive.json", "drives.jsonl", "summary.json"
 DRIVE_FILES: Final = FileNames(DRIVE_FILE, ROWS_FILE, SUMMARY_FILE)

@@ -84,7 +84,7 @@ class DriverRun(Stored):
 
 
 class Impact(Stored):
-    """A contact in numbers (`benchmark.severity.impact`).
+    """A contact in numbers (`benchmark.fairness.impact`).
 
     Attributes:
         time_s: When.
@@ -130,7 +130,7 @@ class EncounterSeverity(Stored):
 
 
 class TrackFaults(Stored):
-    """What is wrong with an adversary's track (`benchmark.realism.validity`); null where nobody could tell.
+    """What is wrong with an adversary's track (`benchmark.fairness.validity`); null where nobody could tell.
 
     Attributes:
         beyond_limits: It asks more than driver and car can do.
@@ -306,7 +306,7 @@ def unsolvable(judgements: Sequence[SceneJudgement]) -> bool:
 
 
 class FeatureRow(Stored):
-    """Realism of one feature (`benchmark.realism.judging.FeatureRealism`).
+    """Realism of one feature (`benchmark.fairness.realism.FeatureRealism`).
 
     Attributes:
         name: Of the feature.

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.errors import InputError
-from benchmark.foreign.files import open_file
-from benchmark.foreign.limits import RECORD
 from benchmark.machine.kept_arrays import kept_place, read_arrays, said_of, write_arrays
 from benchmark.machine.storage import content_key, file_sha256, parse_json
 from benchmark.records.column_arrays import Arrays, Name
 from benchmark.records.rows import Rows
+from benchmark.untrusted.files import open_file
+from benchmark.untrusted.limits import RECORD
 
 WORTH_BYTES: Final = 1 << 22
 """Rows of less are read in less time than anybody notices."""
@@ -95,7 +95,7 @@ def _checks() -> str:
 
     own = ("column_arrays", "driving", "judgement", "kept_columns", "row_schema", "rows", "run", "stored")
     others = (
-        *("constants", "geometry", "waypoints", "foreign/json_text", "foreign/limits", "pdm/totals"),
+        *("constants", "geometry", "waypoints", "untrusted/json_text", "untrusted/limits", "pdm/totals"),
         "protocols/contract",
     )
     here = Path(__file__).parent

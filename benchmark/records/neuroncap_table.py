@@ -5,8 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.closed_loop.neuroncap.aggregate import Metrics, aggregated
-from benchmark.closed_loop.neuroncap.switches import Switches
+from benchmark.extensions.neuroncap.aggregate import Metrics, aggregated
+from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.records.drive_schema import DriveRow, PublishedTable
 
 ENGINE: Final = "neuroncap@code"

@@ -13,11 +13,11 @@ import numpy as np
 from pydantic import Field
 
 from benchmark.errors import InputError
-from benchmark.foreign.limits import RECORD
 from benchmark.machine.storage import content_key, read_json, write_json, writing_to
 from benchmark.records.run_schema import LABELS, PlannerFacts
 from benchmark.records.store import validated
 from benchmark.records.stored import Stored
+from benchmark.untrusted.limits import RECORD
 
 COLD_SAMPLES: Final = 2
 """The first samples of a scene are not counted: weights are fetched, memory of the past is filled."""

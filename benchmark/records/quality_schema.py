@@ -156,7 +156,7 @@ class QualityFacts(Stored):
         scenes: Scenes that were scored, in order.
         scenes_in_split: How many the split has.
         scene_facts: Where each scene comes from.
-        definition: Every choice that changes a number (`benchmark.quality.definition`).
+        definition: Every choice that changes a number (`benchmark.extensions.quality.definition`).
         weights: By name.
         device: ``cpu`` or ``cuda``.
         environment: Packages, processor, commit.

@@ -13,13 +13,13 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from benchmark.errors import InputError
-from benchmark.foreign.json_text import read_json
-from benchmark.foreign.limits import VERDICTS
 from benchmark.machine.storage import content_key
 from benchmark.records.run_schema import ReviewFacts
 from benchmark.records.store import validated
 from benchmark.records.stored import Stored
 from benchmark.report.words import counted
+from benchmark.untrusted.json_text import read_json
+from benchmark.untrusted.limits import VERDICTS
 
 REVIEW_FILE: Final = "review.json"
 FORMAT: Final = "challenger-bench review"

@@ -130,7 +130,7 @@ class LongerRow(Stored):
 
 
 class PlanContactRow(Impact):
-    """The first contact of a plan in open loop (`benchmark.severity.plans`); its time is since the sample.
+    """The first contact of a plan in open loop (`benchmark.fairness.plan_severity`); its time is since the sample.
 
     Attributes:
         agent: Instance that is touched.

@@ -14,13 +14,13 @@ from typing import Any, Final, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.foreign.json_text import read_lines
-from benchmark.foreign.limits import RECORD
 from benchmark.machine.garbage import uncollected
 from benchmark.machine.storage import canonical_json
 from benchmark.records.column_arrays import CODES, Arrays, Name, arrays_of, coded, different_values
 from benchmark.records.columns import RowColumns
 from benchmark.records.row_schema import SampleRow
+from benchmark.untrusted.json_text import read_lines
+from benchmark.untrusted.limits import RECORD
 
 _LINES_AT_ONCE: Final = 64
 """Lines that are looked at together before they are parsed one by one."""

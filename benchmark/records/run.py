@@ -18,8 +18,6 @@ import numpy as np
 from pydantic import ValidationError
 
 from benchmark.errors import InputError
-from benchmark.foreign.json_text import is_plain, parse_line
-from benchmark.foreign.limits import RECORD
 from benchmark.geometry import Bools
 from benchmark.machine.storage import content_key, read_json, write_json
 from benchmark.metrics.rates import rates
@@ -44,6 +42,8 @@ from benchmark.records.store import (
     validated,
 )
 from benchmark.records.stored import Stored
+from benchmark.untrusted.json_text import is_plain, parse_line
+from benchmark.untrusted.limits import RECORD
 
 _Read = TypeVar("_Read", bound=Stored)
 

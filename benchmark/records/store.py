@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from benchmark.errors import InputError
-from benchmark.foreign.limits import RECORD
 from benchmark.machine.storage import (
     file_sha256,
     read_json,
@@ -25,6 +24,7 @@ from benchmark.machine.storage import (
     writing_to,
 )
 from benchmark.records.run_schema import SCHEMA
+from benchmark.untrusted.limits import RECORD
 
 RUN_FILE, ROWS_FILE, SUMMARY_FILE = "run.json", "samples.jsonl", "summary.json"
 

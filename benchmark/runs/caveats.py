@@ -3,8 +3,6 @@
 from collections.abc import Mapping, Sequence
 from itertools import chain
 
-from benchmark.plausibility.compared import ComparedPlans
-from benchmark.plausibility.verdicts import plan_caveats
 from benchmark.records.caveats import OF_THE_DOOR, Caveat, in_order
 from benchmark.records.drive_schema import DriveRow, Measured
 from benchmark.records.rows import Rows
@@ -12,6 +10,8 @@ from benchmark.records.run_schema import PlannerFacts, SceneFacts
 from benchmark.runs.input_caveats import data_caveats, drive_input_caveats, planner_caveats
 from benchmark.runs.time_caveat import time_caveats
 from benchmark.runs.truth_caveats import drive_truth, run_truth
+from benchmark.untrusted.plan_verdicts import plan_caveats
+from benchmark.untrusted.plans_beside_recording import ComparedPlans
 
 
 def run_caveats(

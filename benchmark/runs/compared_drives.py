@@ -7,9 +7,9 @@ import numpy as np
 from benchmark.closed_loop.courses import recorded_poses
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.geometry import to_global, to_local, wrap_angle
-from benchmark.plausibility.compared import ComparedPlans
 from benchmark.records.drive_schema import DriveRow
 from benchmark.scene import Scene
+from benchmark.untrusted.plans_beside_recording import ComparedPlans
 from benchmark.waypoints import waypoints_in_lidar
 
 NEAR_M: Final = 1.0

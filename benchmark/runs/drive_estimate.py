@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from benchmark.closed_loop.drives.driving import Stage, drive
+from benchmark.closed_loop.driving import Stage, drive
 from benchmark.machine.progress import clock_time
 from benchmark.machine.workers import LocalProcesses
 from benchmark.report.words import counted

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from benchmark.closed_loop.drives.driving import Stage
-from benchmark.closed_loop.drives.riding import RideMaker
-from benchmark.closed_loop.drives.sensors import Sensor
+from benchmark.closed_loop.driving import Stage
+from benchmark.closed_loop.riding import RideMaker
+from benchmark.closed_loop.sensors import Sensor
 from benchmark.machine.storage import content_key, file_name
 from benchmark.records.drive_schema import Measured
 from benchmark.records.run_schema import LABELS, PlannerFacts
@@ -17,7 +17,7 @@ FORMAT: Final = 1
 """Raised whenever the drives of an unchanged planner in an unchanged engine would change."""
 KEPT: Final = "drives"
 """Folder of kept drives in a record's directory."""
-_LOOP: Final = "benchmark.closed_loop.drives.driving:drive"
+_LOOP: Final = "benchmark.closed_loop.driving:drive"
 
 
 @dataclass(frozen=True, slots=True)

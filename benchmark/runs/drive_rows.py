@@ -6,9 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.closed_loop.agents.adversary import AdversaryTrack, Replanning
-from benchmark.closed_loop.drives.driving import Drive, Stage
-from benchmark.closed_loop.scores.scoring import DriveScores
+from benchmark.closed_loop.adversary import AdversaryTrack, Replanning
+from benchmark.closed_loop.driving import Drive, Stage
+from benchmark.closed_loop.scoring import DriveScores
 from benchmark.records.considered import ConsideredFrame
 from benchmark.records.drive_schema import DriveRow
 from benchmark.records.run_schema import TruthFacts

@@ -6,15 +6,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from benchmark.closed_loop.drives.driven_scene import driven_scene
-from benchmark.closed_loop.drives.driving import Drive
-from benchmark.closed_loop.drives.riding import SPEED, RideMaker
-from benchmark.closed_loop.drives.route import Route
-from benchmark.closed_loop.drives.sensors import NoSensor, Sensor
+from benchmark.closed_loop.driven_scene import driven_scene
+from benchmark.closed_loop.driving import Drive
+from benchmark.closed_loop.riding import SPEED, RideMaker
+from benchmark.closed_loop.route import Route
+from benchmark.closed_loop.sensors import NoSensor, Sensor
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M
-from benchmark.drawing.driven import DrivenContact, DrivenSheet, speeds_along
-from benchmark.drawing.overlays import shared_point
-from benchmark.drawing.placing import ego_pose, placed_waypoints
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import file_sha256, write_bytes
@@ -23,10 +20,13 @@ from benchmark.records.considered import read_considered
 from benchmark.records.drive_schema import DriveRow
 from benchmark.records.drives import DriveRecord
 from benchmark.records.scenes import Sheet, SheetCamera, StoredSheet, picture_name
+from benchmark.report.driven import DrivenContact, DrivenSheet, speeds_along
+from benchmark.report.overlays import shared_point
+from benchmark.report.placing import ego_pose, placed_waypoints
 from benchmark.runs.redriving import StoredPlans, seen_again
 from benchmark.scene import Scene
-from benchmark.sheets.making import sheet_to_draw
-from benchmark.sheets.pictures import adversary_edges, layout, mosaic
+from benchmark.scene_pages.making import sheet_to_draw
+from benchmark.scene_pages.pictures import adversary_edges, layout, mosaic
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet

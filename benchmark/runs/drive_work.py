@@ -12,18 +12,17 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from benchmark.closed_loop.agents.adversary import AdversaryTrack
-from benchmark.closed_loop.drives.asking import Reason
-from benchmark.closed_loop.drives.driving import Drive, Stage, drive, drive_together
-from benchmark.closed_loop.drives.riding import RecordedCan
-from benchmark.closed_loop.scores.scoring import VERSION, score_drive
+from benchmark.closed_loop.adversary import AdversaryTrack
+from benchmark.closed_loop.asking import Reason
+from benchmark.closed_loop.driving import Drive, Stage, drive, drive_together
+from benchmark.closed_loop.riding import RecordedCan
+from benchmark.closed_loop.scoring import VERSION, score_drive
 from benchmark.datasets.steps import require_two_hz
 from benchmark.errors import InputError
 from benchmark.machine.metering import Meter
 from benchmark.machine.pages import keep_pages_of
 from benchmark.machine.storage import content_key, content_seed, read_json, write_json
 from benchmark.planning import Planner, SupervisedPlanner
-from benchmark.plausibility.compared import ComparedPlans
 from benchmark.records.considered import read_considered, write_considered
 from benchmark.records.drive_schema import DriveRow
 from benchmark.records.planner_cost import SceneCost
@@ -35,6 +34,7 @@ from benchmark.runs.ladders import ladder_rows
 from benchmark.runs.plan_rows import cost_so_far, seed_everything
 from benchmark.runs.redriving import can_of, considered_again, driven_again
 from benchmark.scene import Scene
+from benchmark.untrusted.plans_beside_recording import ComparedPlans
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet

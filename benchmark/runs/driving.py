@@ -12,24 +12,23 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
-from benchmark.closed_loop.agents.adversary import ADVERSARY
-from benchmark.closed_loop.drives.asking import DEFAULT_TIMEOUT_S, LONGEST_TIMEOUT_S
-from benchmark.closed_loop.drives.default_engine import agents_facts, until_of
-from benchmark.closed_loop.drives.riding import RideMaker
-from benchmark.closed_loop.drives.sensors import NoSensor, RemoteSensor, Sensor
-from benchmark.closed_loop.scores.scoring import VERSION
+from benchmark.closed_loop.adversary import ADVERSARY
+from benchmark.closed_loop.asking import DEFAULT_TIMEOUT_S, LONGEST_TIMEOUT_S
+from benchmark.closed_loop.default_engine import agents_facts, until_of
+from benchmark.closed_loop.riding import RideMaker
+from benchmark.closed_loop.scoring import VERSION
+from benchmark.closed_loop.sensors import NoSensor, RemoteSensor, Sensor
 from benchmark.datasets.annotation_counts import require_annotated
 from benchmark.datasets.scene_facts import frozen_split_of, with_truth
-from benchmark.drivers.driving import LADDER
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
+from benchmark.interactions.driving import LADDER
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.pages import keep_pages_of
 from benchmark.machine.progress import Count
 from benchmark.machine.storage import content_key, file_name, only_writer, writing_to
 from benchmark.machine.workers import Executor, LocalProcesses
 from benchmark.planning import Planner, RemotePlanner, remembers_across_scenes
-from benchmark.plausibility.compared import ComparedPlans
 from benchmark.records.considered import FOLDER as CONSIDERED
 from benchmark.records.drive_schema import MOST_RUNS, Measured
 from benchmark.records.drives import DriveRecord, write_drives
@@ -50,6 +49,7 @@ from benchmark.runs.redriving import can_of
 from benchmark.runs.run_directory import run_directory
 from benchmark.runs.scene_work import reopening
 from benchmark.runs.shards import Shard, forget_shards, shard_folder
+from benchmark.untrusted.plans_beside_recording import ComparedPlans
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet

@@ -12,7 +12,9 @@ import numpy as np
 
 from benchmark.constants import LONGER_HORIZON_STEPS, PLAN_STEPS
 from benchmark.errors import InputError
+from benchmark.fairness.plan_severity import plan_severities
 from benchmark.geometry import Floats
+from benchmark.metrics.circumstances import Circumstances
 from benchmark.metrics.diagnosis import diagnose
 from benchmark.metrics.disagreement import EXACT, disagreements
 from benchmark.pdm.definition import PDM
@@ -23,8 +25,6 @@ from benchmark.protocols import CollisionProtocol, Outcomes, protocol
 from benchmark.protocols.exact import judged_longer
 from benchmark.records.row_schema import SampleRow
 from benchmark.scene import Scene
-from benchmark.severity.plans import plan_severities
-from benchmark.surroundings.circumstances import Circumstances
 from benchmark.truth import SampleTruth
 from benchmark.waypoints import waypoints_in_lidar
 

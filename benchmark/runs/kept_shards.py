@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Final
 
 from benchmark.errors import InputError
-from benchmark.foreign.limits import RECORD
 from benchmark.machine.storage import read_json, write_json
 from benchmark.records.store import validated
 from benchmark.records.stored import Stored
 from benchmark.runs.shards import SHARDS_FOLDER, Shard, shard_folder
+from benchmark.untrusted.limits import RECORD
 
 
 @dataclass(frozen=True, slots=True)

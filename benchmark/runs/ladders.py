@@ -5,10 +5,10 @@ An encounter is one scene, one run and one adversary; who plans against it does 
 
 from typing import TYPE_CHECKING, Any, Final
 
-from benchmark.closed_loop.drives.default_engine import DefaultRides
+from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.closed_loop.ladder import LadderOutcome, climbed
-from benchmark.drivers.reaction import Driver
 from benchmark.errors import InputError
+from benchmark.interactions.reaction import Driver
 from benchmark.machine.storage import content_key, file_name, read_json, write_json
 from benchmark.records.drive_schema import LadderRow
 from benchmark.runs.code_identity import code_sha256

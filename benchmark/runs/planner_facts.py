@@ -5,12 +5,12 @@ from operator import index
 from typing import Any, Final
 
 from benchmark.errors import InputError
-from benchmark.foreign.files import one_line
 from benchmark.machine.storage import canonical_json
 from benchmark.planning import Planner, PrivilegedPlanner, reads_message_after, remembers_across_scenes
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.code_identity import code_sha256, parts_of
+from benchmark.untrusted.files import one_line
 
 _LONGEST_SETTINGS: Final = 64 * 1024
 """Characters of them as JSON; they stand in every record."""

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 from benchmark.datasets.sample_truth import truth_of_scene
 from benchmark.datasets.truth_facts import truth_facts
+from benchmark.metrics.circumstances import Circumstances, circumstances_of
 from benchmark.pdm.recording import RecordedScene
 from benchmark.planning import Observation
 from benchmark.records.run_schema import TruthFacts
 from benchmark.scene import Scene
-from benchmark.surroundings.circumstances import Circumstances, circumstances_of
 from benchmark.truth import SampleTruth
 
 if TYPE_CHECKING:

@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from benchmark.closed_loop.agents.adversary import AdversaryTrack, GivenTracks
-from benchmark.closed_loop.drives.default_engine import DefaultRides
-from benchmark.closed_loop.drives.driving import Drive, Stage, drive
-from benchmark.closed_loop.drives.riding import RecordedCan, RideMaker
-from benchmark.closed_loop.drives.sensors import NoSensor, Sensor
-from benchmark.closed_loop.scores.scoring import score_drive
+from benchmark.closed_loop.adversary import AdversaryTrack, GivenTracks
+from benchmark.closed_loop.default_engine import DefaultRides
+from benchmark.closed_loop.driving import Drive, Stage, drive
+from benchmark.closed_loop.riding import RecordedCan, RideMaker
+from benchmark.closed_loop.scoring import score_drive
+from benchmark.closed_loop.sensors import NoSensor, Sensor
 from benchmark.errors import InputError
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.records.drive_schema import AdversaryRow, DriveRow

@@ -5,12 +5,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from benchmark.closed_loop.engines import rides_as
-from benchmark.closed_loop.scores.scoring import VERSION
+from benchmark.closed_loop.scoring import VERSION
 from benchmark.datasets.scene_facts import with_truth
 from benchmark.errors import InputError
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.storage import only_writer
-from benchmark.plausibility.compared import ComparedPlans
 from benchmark.records.drives import DRIVE_FILE, DRIVE_FILES, DriveRecord, load_drives, summarise, write_drives
 from benchmark.records.store import pending, settle
 from benchmark.runs.caveats import drive_caveats
@@ -19,6 +18,7 @@ from benchmark.runs.drive_rows import with_labels
 from benchmark.runs.reading import truths_of
 from benchmark.runs.redriving import driven_again
 from benchmark.runs.rescoring import Opened, Rescored, opened_as, require_same_data, scene_facts_now
+from benchmark.untrusted.plans_beside_recording import ComparedPlans
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any, Final, Self, TypeVar
 
 from benchmark.errors import InputError
-from benchmark.foreign.limits import RECORD
 from benchmark.machine.storage import read_json, write_json, writing_to
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.records.store import validated
 from benchmark.records.stored import Stored
+from benchmark.untrusted.limits import RECORD
 
 SHARDS_FOLDER: Final = "shards"
 

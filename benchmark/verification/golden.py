@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.errors import InputError
-from benchmark.foreign.arrays import read_npz
-from benchmark.foreign.files import one_line
-from benchmark.foreign.json_text import read_json
 from benchmark.geometry import Bools, Floats
+from benchmark.untrusted.arrays import read_npz
+from benchmark.untrusted.files import one_line
+from benchmark.untrusted.json_text import read_json
 
 
 def golden_directory(golden: Path, kind: str, *names: str) -> Path:

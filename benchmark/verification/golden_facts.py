@@ -8,8 +8,8 @@ from typing import Any, Self
 import numpy as np
 
 from benchmark.errors import InputError
-from benchmark.foreign.json_text import read_json
 from benchmark.geometry import Floats
+from benchmark.untrusted.json_text import read_json
 
 
 class GoldenFacts:

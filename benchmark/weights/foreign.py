@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.foreign.checkpoint_structure import ITEM_BYTES
-from benchmark.foreign.checkpoints import StoredTensor, read_stored
+from benchmark.untrusted.checkpoint_structure import ITEM_BYTES
+from benchmark.untrusted.checkpoints import StoredTensor, read_stored
 
 if TYPE_CHECKING:
     from torch import Tensor

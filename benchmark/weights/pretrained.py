@@ -8,10 +8,10 @@ from typing import Any
 import torch
 
 from benchmark.errors import InputError
-from benchmark.foreign.checkpoints import read_stored
-from benchmark.foreign.limits import LIBRARY_CHECKPOINT
-from benchmark.foreign.tensor_headers import require_sound_header
 from benchmark.report.words import counted
+from benchmark.untrusted.checkpoints import read_stored
+from benchmark.untrusted.limits import LIBRARY_CHECKPOINT
+from benchmark.untrusted.tensor_headers import require_sound_header
 
 
 @dataclass(frozen=True, slots=True)

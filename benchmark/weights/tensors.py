@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from benchmark.errors import InputError
-from benchmark.foreign.files import one_line
-from benchmark.foreign.json_text import parse_json
-from benchmark.foreign.tensor_headers import require_sound_header
 from benchmark.machine.storage import canonical_json, write_bytes
 from benchmark.runs.code_identity import outside_identity
+from benchmark.untrusted.files import one_line
+from benchmark.untrusted.json_text import parse_json
+from benchmark.untrusted.tensor_headers import require_sound_header
 
 FACTS: Final = "challenger-bench"
 """Name of the header's entry, if a kind of file has none of its own."""

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from benchmark.errors import InputError
-from benchmark.foreign.files import one_line
+from benchmark.untrusted.files import one_line
 from benchmark.weights.foreign import read_checkpoint
 from benchmark.weights.tensors import read_tensors, write_tensors
 from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser

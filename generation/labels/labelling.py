@@ -6,9 +6,9 @@ import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, box_gap, boxes_overlap, to_local
+from benchmark.metrics.places import place_of
 from benchmark.records.attempts import ClosestApproach, Labels, TimeToCollision
 from benchmark.scene import Scene
-from benchmark.surroundings.places import place_of
 from generation.labels.encounters import encounter
 from generation.labels.manoeuvres import encroachment, occurrences
 

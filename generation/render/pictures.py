@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from benchmark.constants import FRAME_HZ
 from benchmark.datasets.roots import DataSet
-from benchmark.drawing.birdseye import SceneFromAbove
-from benchmark.drawing.canvas import png
-from benchmark.drawing.captions import draw_captions, draw_time
-from benchmark.drawing.lettering import Picture, write_text
-from benchmark.drawing.palette import PAPER
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, write_bytes
+from benchmark.report.birdseye import SceneFromAbove
+from benchmark.report.canvas import png
+from benchmark.report.captions import draw_captions, draw_time
+from benchmark.report.lettering import Picture, write_text
+from benchmark.report.palette import PAPER
 from benchmark.scene import Scene
-from benchmark.sheets.making import sheet_to_draw
+from benchmark.scene_pages.making import sheet_to_draw
 from generation.labels.labelling import closest_approach
 from generation.render.contract import Renderer
 from generation.render.schematic.view import View

@@ -13,8 +13,8 @@ import shapely
 
 from benchmark.dynamics.bicycle import MotionModel
 from benchmark.errors import InputError
+from benchmark.fairness.scenes import TracksAtHand, judge_scene
 from benchmark.geometry import Floats, boxes_overlap
-from benchmark.judging.scenes import TracksAtHand, judge_scene
 from benchmark.machine.storage import content_key, content_seed
 from benchmark.records.attempts import Approach, Attempt
 from benchmark.records.scenes import TraceFrame

@@ -20,7 +20,7 @@ from benchmark.machine.workers import Executor
 from benchmark.records.attempts import Attempt
 from benchmark.records.scenes import SCHEMA, RefinementTrace, TraceFrame
 from benchmark.scene import Scene
-from benchmark.sheets.motion import origin_of
+from benchmark.scene_pages.motion import origin_of
 from generation.search.adversary import Searched, attempts_together
 from generation.search.definition import Earlier, Search, Unit
 from generation.search.eligibility import Eligibility, eligibility_of

@@ -10,7 +10,7 @@ from benchmark.dynamics.bicycle import MotionModel, VehicleState, simulate
 from benchmark.geometry import Floats
 from benchmark.records.scenes import TraceFrame, TraceRound
 from benchmark.scene import Scene
-from benchmark.sheets.motion import origin_of
+from benchmark.scene_pages.motion import origin_of
 from generation.search.hyperparameters import HyperParameters
 from generation.search.refinement import Refinement, scores_together
 

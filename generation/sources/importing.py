@@ -41,7 +41,7 @@ class ImportSettings:
 def import_scenarionet(source: Path, root: Path, settings: ImportSettings, *, workers: int) -> tuple[str, ...]:
     """Write ScenarioNet recordings as a nuScenes-format data set with one split.
 
-    Files that were exported here (`benchmark.datasets.exchange`) say who is adversarial and how scenes were made.
+    Files that were exported here (`benchmark.extensions.exchange`) say who is adversarial and how scenes were made.
 
     Args:
         source: A ScenarioNet pickle or a folder of them.

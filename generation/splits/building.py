@@ -14,13 +14,13 @@ from benchmark.records.review import REJECTED, Judged
 from benchmark.records.seed_splits import seed_of
 from benchmark.report.words import counted
 from benchmark.scene import Scene
-from generation.build.estimate import Estimate, rendering_estimate, workers_of
-from generation.build.settings import BuildSettings
-from generation.build.shard_notes import drawing_work, forget_notes, require_drawn
-from generation.build.writing import WritingJob, publish_judgements, publish_realism, publish_reports, write_scenes
 from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.nuscenes_writer.scenes import read_state
+from generation.pipeline.estimate import Estimate, rendering_estimate, workers_of
+from generation.pipeline.settings import BuildSettings
+from generation.pipeline.shard_notes import drawing_work, forget_notes, require_drawn
+from generation.pipeline.writing import WritingJob, publish_judgements, publish_realism, publish_reports, write_scenes
 from generation.search.adversary import ALGORITHM_VERSION
 from generation.search.ground_truth_checks import masked_line, masked_steps, masked_together
 from generation.splits.digests import facts_of_row, tables_digest, written_digest

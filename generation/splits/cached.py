@@ -28,7 +28,7 @@ def cached_root(source: DataSet, renderer: Renderer, workers: int, say: Callable
         InputError: If the recordings are not those of the split, another command builds there, or the disk refuses.
     """
     from benchmark.machine.workers import LocalProcesses
-    from generation.build.settings import BuildSettings
+    from generation.pipeline.settings import BuildSettings
     from generation.splits.building import build_frozen
 
     newest = newest_split(source.name)

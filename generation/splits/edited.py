@@ -6,14 +6,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.datasets.exchange.own_words import Exchanged
+from benchmark.datasets.own_words import Exchanged
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.scenarionet import find_scenarionet, read_exchanged
 from benchmark.errors import InputError
-from benchmark.foreign.files import one_line
 from benchmark.geometry import Bools, wrap_angle
 from benchmark.machine.storage import token
 from benchmark.scene import Scene
+from benchmark.untrusted.files import one_line
 from generation.nuscenes_writer import DataSetPlan, SourceInfo
 from generation.splits.digests import tables_digest
 from generation.splits.format import (

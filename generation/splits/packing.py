@@ -9,16 +9,12 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from benchmark.challenge.rules import RULES_FILE, Rules
 from benchmark.constants import VERSION
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.statistics import statistics
 from benchmark.errors import InputError
-from benchmark.foreign.files import one_line, read_file
-from benchmark.foreign.limits import SETTINGS
-from benchmark.foreign.packages import package_bytes
-from benchmark.foreign.toml_text import parse_toml
-from benchmark.judging.splits import adversarial_names, judge_split
+from benchmark.extensions.challenge.rules import RULES_FILE, Rules
+from benchmark.fairness.splits import adversarial_names, judge_split
 from benchmark.machine.storage import canonical_json, content_key, write_bytes
 from benchmark.machine.workers import Executor
 from benchmark.records.drives import DriveRecord
@@ -26,6 +22,10 @@ from benchmark.records.review import REVIEW_FILE, ReviewFile, read_review
 from benchmark.records.review import SCHEMA as REVIEW_SCHEMA
 from benchmark.records.store import validated
 from benchmark.records.stored import Stored
+from benchmark.untrusted.files import one_line, read_file
+from benchmark.untrusted.limits import SETTINGS
+from benchmark.untrusted.packages import package_bytes
+from benchmark.untrusted.toml_text import parse_toml
 from generation.splits.packaged import NamedSplit
 
 FORMAT: Final = "challenger-bench split package"
@@ -163,7 +163,7 @@ def pack_split(path: Path, contents: PackageContents, executor: Executor) -> Pac
 
 
 def checked_rules(data: bytes, where: str) -> bytes:
-    """A file of rules that can be read (`benchmark.challenge.rules`).
+    """A file of rules that can be read (`benchmark.extensions.challenge.rules`).
 
     Args:
         data: Its bytes.

@@ -2,7 +2,7 @@
 
 from benchmark.datasets.reviewed import record_verdicts
 from benchmark.datasets.roots import DataSet
-from generation.build.settings import BuildSettings
+from generation.pipeline.settings import BuildSettings
 from generation.splits.building import FrozenReport, build_frozen
 from generation.splits.packaged import NamedSplit
 from generation.splits.unpacking import Package

@@ -5,8 +5,8 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.errors import InputError
+from benchmark.fairness.scenes import TracksAtHand
 from benchmark.geometry import Floats, wrap_angle
-from benchmark.judging.scenes import TracksAtHand
 from benchmark.records.attempts import Approach, Attempt
 from benchmark.scene import Scene
 from generation.labels.labelling import closest_approach, describe, times_to_collision

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.errors import InputError
-from benchmark.foreign.files import one_line
-from benchmark.foreign.json_text import parse_json
-from benchmark.foreign.packages import read_package
 from benchmark.machine.storage import write_bytes
 from benchmark.records.review import ReviewFile
 from benchmark.records.store import validated
+from benchmark.untrusted.files import one_line
+from benchmark.untrusted.json_text import parse_json
+from benchmark.untrusted.packages import read_package
 from generation.splits.format import FORMAT as SPLIT_FORMAT
 from generation.splits.format import SCHEMA as SPLIT_SCHEMA
 from generation.splits.format import FrozenSplit

@@ -14,13 +14,13 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmark.drawing.lettering import drawable
-from benchmark.drawing.plots import Theme, for_pages, new_figure
 from benchmark.metrics.attacks import attack_rates, has_adversaries, says_severity
 from benchmark.metrics.judgements import split_ladders
 from benchmark.metrics.rates import Rate
 from benchmark.records.judgement import FeatureRow
 from benchmark.records.run import RunRecord
+from benchmark.report.lettering import drawable
+from benchmark.report.plots import Theme, for_pages, new_figure
 from benchmark.report.words import split_of
 from leaderboard.figures.charts import MARKERS, NamedFigure, plain_text, planner_name
 from leaderboard.tables.rows import in_table_order, split_place

@@ -13,12 +13,12 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from benchmark.constants import HORIZON_STEPS
-from benchmark.drawing.lettering import drawable
-from benchmark.drawing.plots import Sketch, Theme, for_pages, new_figure
 from benchmark.metrics.confusion import comparisons
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.effect import says_whom, touched_scenes
 from benchmark.records.run import NATIVE, RunRecord, protocol_of, scene_failures
+from benchmark.report.lettering import drawable
+from benchmark.report.plots import Sketch, Theme, for_pages, new_figure
 from benchmark.report.words import titled
 from leaderboard.tables.rows import in_table_order, judges, marked, splits_of
 

@@ -12,10 +12,10 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmark.drawing.lettering import drawable
-from benchmark.drawing.plots import Theme, for_pages, new_figure
 from benchmark.records.drives import DriveRecord, columns_of
 from benchmark.records.run_schema import RateRow
+from benchmark.report.lettering import drawable
+from benchmark.report.plots import Theme, for_pages, new_figure
 from leaderboard.figures.charts import NamedFigure, plain_text, planner_style
 from leaderboard.tables.pressure import Pressure, pressure_name, pressures
 from leaderboard.tables.rows import marked

@@ -15,8 +15,6 @@ from matplotlib.colors import Colormap, ListedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from benchmark.drawing.lettering import drawable
-from benchmark.drawing.plots import LIGHT, Sketch, Theme, for_pages, new_figure, picture
 from benchmark.errors import InputError
 from benchmark.records.scenes import (
     ROUNDS_FILE,
@@ -27,6 +25,8 @@ from benchmark.records.scenes import (
     TraceFrame,
     TraceRound,
 )
+from benchmark.report.lettering import drawable
+from benchmark.report.plots import LIGHT, Sketch, Theme, for_pages, new_figure, picture
 from leaderboard.figures.charts import NamedFigure
 from leaderboard.figures.refinement_map import MapView, draw_candidates, draw_road, draw_traffic, view_of
 

@@ -12,12 +12,12 @@ from matplotlib.patches import PathPatch, Polygon
 from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 
-from benchmark.drawing.ground import ground_of
-from benchmark.drawing.palette import ADVERSARY, EGO, GroundColours, Rgb
-from benchmark.drawing.placing import agent_box, ego_box
-from benchmark.drawing.plots import Theme
 from benchmark.geometry import Floats, box_corners, to_local
 from benchmark.records.scenes import Sheet, TraceFrame
+from benchmark.report.ground import ground_of
+from benchmark.report.palette import ADVERSARY, EGO, GroundColours, Rgb
+from benchmark.report.placing import agent_box, ego_box
+from benchmark.report.plots import Theme
 
 FRAMES_AHEAD: Final = 36
 """Of the ego's recorded way: 3 s, as candidates are drawn."""

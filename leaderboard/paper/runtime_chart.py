@@ -8,10 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from benchmark.drawing.lettering import drawable
-from benchmark.drawing.plots import Theme, for_pages, new_figure
 from benchmark.published import RUNTIME_S
 from benchmark.records.scenes import Sheets, SplitSheet
+from benchmark.report.lettering import drawable
+from benchmark.report.plots import Theme, for_pages, new_figure
 from benchmark.report.words import titled
 from leaderboard.figures.charts import NamedFigure
 from leaderboard.paper.appendix import COMPONENTS

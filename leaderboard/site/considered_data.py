@@ -10,9 +10,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.drawing.overlays import candidates_by_score
 from benchmark.records.considered import ConsideredFrame
 from benchmark.records.scenes import Sheet
+from benchmark.report.overlays import candidates_by_score
 from leaderboard.site.packing import DECIMETRE, packed_path
 
 _NOWHERE: Final = np.empty((0, 1, 2))

@@ -20,14 +20,14 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.constants import LIDAR_FROM_REAR_AXLE_M
-from benchmark.drawing.overlays import shared_point
-from benchmark.drawing.placing import agent_box, agent_box_at, ego_box, ego_pose, frame_seconds, placed_waypoints
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key
 from benchmark.records.considered import read_considered
 from benchmark.records.drive_schema import DriveRow
 from benchmark.records.drives import DriveRecord
 from benchmark.records.scenes import Sheet, SheetAgent, Sheets
+from benchmark.report.overlays import shared_point
+from benchmark.report.placing import agent_box, agent_box_at, ego_box, ego_pose, frame_seconds, placed_waypoints
 from leaderboard.site.considered_data import considered_data
 from leaderboard.site.packing import CENTIMETRE, MILLIRADIAN, packed, packed_path
 from leaderboard.site.scene_data import agent_data

@@ -27,7 +27,6 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M
-from benchmark.drawing.palette import ON_DARK
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.metrics.disagreement import EXACT
@@ -35,6 +34,7 @@ from benchmark.metrics.effect import attributes
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord
 from benchmark.records.scenes import Polygon, Sheet, SheetAgent, SheetMap, Sheets, StoredSheet, picture_name
+from benchmark.report.palette import ON_DARK
 from benchmark.waypoints import points_in_ego
 from leaderboard.site.packing import CENTIMETRE, MILLIRADIAN, packed, packed_path
 from leaderboard.site.scene_index import SceneName, scene_key

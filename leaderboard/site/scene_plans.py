@@ -6,12 +6,12 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.constants import PLAN_STEP_S
-from benchmark.drawing.placing import PlacedForecasts, placed_plan
 from benchmark.geometry import Floats, to_global
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.effect import attributes, knows_adversaries
 from benchmark.records.row_schema import OutcomeRow, PlanRow, SampleRow
 from benchmark.records.run import RunRecord
+from benchmark.report.placing import PlacedForecasts, placed_plan
 from leaderboard.site.packing import CENTIMETRE, DECIMETRE, MILLIRADIAN, packed, packed_path
 
 MODES_SHOWN: Final = 12

@@ -5,12 +5,12 @@ from typing import Final
 import cv2
 import numpy as np
 
-from benchmark.drawing.birdseye import SceneFromAbove
-from benchmark.drawing.palette import ON_LIGHT, GroundColours
-from benchmark.drawing.placing import agent_box, ego_box
 from benchmark.errors import InputError
 from benchmark.geometry import box_gap
 from benchmark.records.scenes import Sheet
+from benchmark.report.birdseye import SceneFromAbove
+from benchmark.report.palette import ON_LIGHT, GroundColours
+from benchmark.report.placing import agent_box, ego_box
 
 THUMBNAIL_PX: Final = 320
 THUMBNAIL_EXTENT_M: Final = 20.0

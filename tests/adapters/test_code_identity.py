@@ -89,7 +89,10 @@ def test_an_edit_of_the_network_counts_and_of_anything_else_does_not(copied: Pat
 
     before = identity()
     edited(copied / "adapters/networks/layers/resnet.py", '"""', '"""Again: ')
-    for path in [*copied.glob("adapters/training/*.py"), *copied.glob("adapters/training/*/*.py")]:
+    for path in [
+        *copied.glob("adapters/extensions/training/*.py"),
+        *copied.glob("adapters/extensions/training/*/*.py"),
+    ]:
         path.write_text(f"{path.read_text()}\n\nADDED = 1\n")
     edited(copied / "benchmark/constants.py", "PLAN_STEPS: Final = 6", "NEW_CONSTANT = 3\nPLAN_STEPS: Final = 6")
     assert identity() == before is not None
@@ -117,7 +120,7 @@ def test_all_that_runs_while_a_planner_plans_is_in_its_identity(town: NuScenesDa
     def note(frame: FrameType, event: str, _: Any) -> None:
         module = frame.f_globals.get("__name__", "")
         # Images are read by the data set, which the planner is given, and by the door for it.
-        given_by_data = "datasets" in module or module.startswith("benchmark.foreign.")
+        given_by_data = "datasets" in module or module.startswith("benchmark.untrusted.")
         ours = module.startswith(("adapters.", "benchmark.")) and not given_by_data
         if ours and event == "call" and frame.f_code.co_filename.endswith(".py"):
             ran.add(Dependency(module, frame.f_code.co_qualname.partition(".")[0]))

@@ -16,9 +16,9 @@ from adapters.checkpoints.cache import read_provenance, write_weights
 from adapters.checkpoints.importing import resolve_checkpoint
 from adapters.checkpoints.loading import planner_of
 from adapters.checkpoints.stand_in import stand_in
+from adapters.extensions.training.plan_figures import Images, shown
 from adapters.models import MODELS, baselines, miniature, miniatures, published_as, published_models, resolve
 from adapters.registry import planner, planner_factory
-from adapters.training.plan_figures import Images, shown
 from benchmark.api import load_planner
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError

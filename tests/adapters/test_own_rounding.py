@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
+from adapters.extensions.golden_sets import own_rounding
+from adapters.extensions.golden_sets.own_rounding import Run, other_threads, with_own_rounding
+from adapters.extensions.golden_sets.sparse import verify_sparse
 from adapters.models import MODELS
-from adapters.verification import own_rounding
-from adapters.verification.own_rounding import Run, other_threads, with_own_rounding
-from adapters.verification.sparse import verify_sparse
 from benchmark.verification.checks import AS_FAR, ROUNDING, Check, Comparison, report
 from tests.adapters.networks.sparse.miniature import MINIATURE, change, filled, write_set
 

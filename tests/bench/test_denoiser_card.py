@@ -30,8 +30,8 @@ from generation.diffusion.bank import write_bank
 from generation.diffusion.checkpoint import load_denoiser, save_denoiser
 from generation.diffusion.denoiser import PACKAGED, DenoiserConfig, TrajectoryDenoiser
 from generation.diffusion.kinematics import motion
-from generation.diffusion.training.card import write_model_card
-from tests.generation.diffusion.training.test_tracks import drive, write_tracks
+from generation.extensions.denoiser_training.card import write_model_card
+from tests.generation.extensions.denoiser_training.test_tracks import drive, write_tracks
 
 
 def rng(seed: int = 0) -> np.random.Generator:

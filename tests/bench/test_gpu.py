@@ -12,7 +12,7 @@ from bench.gpu import PIECES, main
 from bench.gpu_day import networks, pieces, training
 from bench.gpu_day.pieces import Setting, kept_outcome, kept_path, markdown, piece_named, run_piece
 from tests.bench.made_up_pieces import BREAKS, COUNT, LONG, ODD, WHOLE
-from tests.generation.diffusion.training.test_loop import tracks as made_up_tracks
+from tests.generation.extensions.denoiser_training.test_loop import tracks as made_up_tracks
 
 TRIAL = ("--device", "cpu", "--tiny", "--folder")
 tracks = made_up_tracks

@@ -9,8 +9,8 @@ import bench.attacked
 from bench.attacked import judged_plans
 from bench.threat import Setting, entropy_bits, table
 from benchmark.datasets.roots import DataSet
-from benchmark.encounters.tracks import Tracks
 from benchmark.errors import InputError
+from benchmark.interactions.tracks import Tracks
 from tests.hand_made import Car, scene_on_straight_road
 
 STRAIGHT = np.stack([np.zeros(6), 4.0 * np.arange(1, 7)], axis=-1)

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.extensions.golden_sets.protocols.golden_set import GoldenScene, read_golden_scene
 from benchmark.geometry import Floats, to_local
-from benchmark.protocols.verification.golden_set import GoldenScene, read_golden_scene
 from tests.benchmark import golden_protocols
 from tests.benchmark.protocols import slow_further_protocols as further
 from tests.benchmark.protocols import slow_protocols as slow

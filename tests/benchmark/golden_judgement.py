@@ -13,20 +13,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.drivers.driving import LADDER, Rung, Situation, drive
-from benchmark.drivers.outcomes import Outcome, Surroundings
-from benchmark.drivers.reaction import Driver
-from benchmark.drivers.verification import BUILT_IN as DRIVERS
-from benchmark.encounters.sight import first_visible
-from benchmark.encounters.tracks import Tracks
+from benchmark.extensions.golden_sets.drivers import BUILT_IN as DRIVERS
+from benchmark.extensions.golden_sets.realism import BUILT_IN as REALISM
+from benchmark.extensions.golden_sets.realism.motion import pooled_features
+from benchmark.extensions.golden_sets.severity import BUILT_IN as SEVERITY
+from benchmark.fairness.ctg import Mask, Normalisation, SceneTracks, Version, bin_edges, deviations, histograms
+from benchmark.fairness.divergence import Histograms, equal_bins, quantile_bins, w1
+from benchmark.fairness.features import FEATURES, Run, recorded_runs, runs_of
 from benchmark.geometry import Floats
-from benchmark.realism.ctg import Mask, Normalisation, SceneTracks, Version, bin_edges, deviations, histograms
-from benchmark.realism.divergence import Histograms, equal_bins, quantile_bins, w1
-from benchmark.realism.features import FEATURES, Run, recorded_runs, runs_of
-from benchmark.realism.verification import BUILT_IN as REALISM
-from benchmark.realism.verification.motion import pooled_features
-from benchmark.severity.verification import BUILT_IN as SEVERITY
-from tests.benchmark.encounters.made import boxes
+from benchmark.interactions.driving import LADDER, Rung, Situation, drive
+from benchmark.interactions.outcomes import Outcome, Surroundings
+from benchmark.interactions.reaction import Driver
+from benchmark.interactions.sight import first_visible
+from benchmark.interactions.tracks import Tracks
+from tests.benchmark.interactions.made import boxes
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "golden"
 ENCOUNTERS = ("cut_in", "arc_leader_brakes", "from_behind", "crossing_other_first")

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.closed_loop.neuroncap.loop import (
+from benchmark.constants import PLAN_STEPS
+from benchmark.extensions.neuroncap.loop import (
     Engine,
     Waiting,
     World,
@@ -23,15 +24,14 @@ from benchmark.closed_loop.neuroncap.loop import (
     goes_on,
     step,
 )
-from benchmark.closed_loop.neuroncap.poses import heading_of
-from benchmark.closed_loop.neuroncap.recording import Annotations, Recording, actors_of, at_frames, steering_at_frames
-from benchmark.closed_loop.neuroncap.scenarios import Scenario
-from benchmark.closed_loop.neuroncap.score import score_of
-from benchmark.closed_loop.neuroncap.staging import Cast, staged
-from benchmark.closed_loop.neuroncap.switches import CODE
-from benchmark.closed_loop.neuroncap.verification import BUILT_IN
-from benchmark.closed_loop.neuroncap.verification.checked_moments import CheckRow, checks_of
-from benchmark.constants import PLAN_STEPS
+from benchmark.extensions.neuroncap.poses import heading_of
+from benchmark.extensions.neuroncap.recording import Annotations, Recording, actors_of, at_frames, steering_at_frames
+from benchmark.extensions.neuroncap.scenarios import Scenario
+from benchmark.extensions.neuroncap.score import score_of
+from benchmark.extensions.neuroncap.staging import Cast, staged
+from benchmark.extensions.neuroncap.switches import CODE
+from benchmark.extensions.neuroncap.verification import BUILT_IN
+from benchmark.extensions.neuroncap.verification.checked_moments import CheckRow, checks_of
 from benchmark.geometry import Floats, quaternion_from_yaw, transform_matrix
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "golden" / "neuroncap"

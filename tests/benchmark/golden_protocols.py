@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.datasets.sample_truth import command_of
+from benchmark.extensions.golden_sets.protocols import BUILT_IN
+from benchmark.extensions.golden_sets.protocols.arrays import ProtocolArrays
+from benchmark.extensions.golden_sets.protocols.golden_set import truths_of
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.machine.storage import content_seed, file_sha256, write_json
-from benchmark.protocols.verification import BUILT_IN
-from benchmark.protocols.verification.arrays import ProtocolArrays
-from benchmark.protocols.verification.golden_set import truths_of
 from benchmark.truth import SampleTruth
 from tests.benchmark.protocols import slow_protocols as slow
 

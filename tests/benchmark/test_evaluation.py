@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import benchmark.evaluation
-from adapters.baselines.log_replay import LogReplay
 from adapters.plan_file import WAYPOINT_COLUMNS, plan_file_factory
+from adapters.planners.log_replay import LogReplay
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.geometry import Floats, quaternion_from_yaw, to_global

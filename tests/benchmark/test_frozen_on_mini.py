@@ -18,7 +18,7 @@ from benchmark.machine.workspace import is_finished
 from benchmark.protocols import STANDARD
 from benchmark.records.run import load_record
 from benchmark.runs.rescoring import rescore_all
-from generation.build.split import build_split
+from generation.pipeline.split import build_split
 from generation.search.hyperparameters import HyperParameters
 from generation.sources.mini import TownSettings
 from generation.splits.packaged import NamedSplit, frozen_split
@@ -53,7 +53,7 @@ def test_it_is_built_into_the_cache_without_a_search_and_the_record_says_so(
     small: NamedSplit, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("generation.search.chains.search_chains", no_search)
-    monkeypatch.setattr("generation.build.split.search_chains", no_search)
+    monkeypatch.setattr("generation.pipeline.split.search_chains", no_search)
     monkeypatch.setattr("generation.search.definition._loaded", no_search)
     source = api.open_data("mini", workers=1)
     data = api.open_split(source, "adv", tmp_path / "out", workers=1)

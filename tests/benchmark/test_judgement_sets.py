@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.drivers.verification import BUILT_IN as DRIVERS
-from benchmark.drivers.verification import verify_drivers
 from benchmark.errors import InputError
-from benchmark.realism.verification import BUILT_IN as REALISM
-from benchmark.realism.verification import verify_realism
-from benchmark.severity.verification import BUILT_IN as SEVERITY
-from benchmark.severity.verification import verify_severity
+from benchmark.extensions.golden_sets.drivers import BUILT_IN as DRIVERS
+from benchmark.extensions.golden_sets.drivers import verify_drivers
+from benchmark.extensions.golden_sets.realism import BUILT_IN as REALISM
+from benchmark.extensions.golden_sets.realism import verify_realism
+from benchmark.extensions.golden_sets.severity import BUILT_IN as SEVERITY
+from benchmark.extensions.golden_sets.severity import verify_severity
 from benchmark.verification.checks import Check
 from tests.benchmark.cli.cli_runs import challenger_bench
 from tests.benchmark.golden_judgement import SHARED, made_driver_scenes, made_realism

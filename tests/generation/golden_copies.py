@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.verification.checks import Check
-from generation.verification.built_in import BUILT_IN
-from generation.verification.denoiser import verify_denoiser
-from generation.verification.physics import verify_physics
-from generation.verification.scoring import verify_scoring
+from generation.extensions.golden_sets.built_in import BUILT_IN
+from generation.extensions.golden_sets.denoiser import verify_denoiser
+from generation.extensions.golden_sets.physics import verify_physics
+from generation.extensions.golden_sets.scoring import verify_scoring
 
 VERIFY: dict[str, Callable[[Path | None], list[Check]]] = {
     "physics": verify_physics,

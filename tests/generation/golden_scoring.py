@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed
-from generation.verification.built_in import BUILT_IN
+from generation.extensions.golden_sets.built_in import BUILT_IN
 from tests.generation.search.slow_reference_scoring import slow_reference
 
 Arrays = dict[str, NDArray[Any]]

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters.baselines.log_replay import LogReplay
+from adapters.planners.log_replay import LogReplay
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import Observation, Plan, PlanFrame

@@ -3,12 +3,12 @@
 import torch
 
 from adapters.camera_inputs import camera_images, can_bus_vector, lidar_to_image
+from adapters.extensions.golden_sets.example_inputs import example_images, example_projections
 from adapters.networks.layers.reporting import Reporting
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.selection import VADOutputs
 from adapters.planner import NativePlanner, forecasts_of, numbers
-from adapters.verification.example_inputs import example_images, example_projections
 from benchmark.planning import Command, Observation, Plan, PlanFrame
 
 

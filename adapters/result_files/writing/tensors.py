@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from benchmark.foreign.legacy_storages import FORMAT, MAGIC, STORAGES
 from benchmark.machine.storage import write_bytes
+from benchmark.untrusted.legacy_storages import FORMAT, MAGIC, STORAGES
 
 _PROTOCOL: Final = 2
 """What mmcv writes."""

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from benchmark.errors import InputError
-from benchmark.foreign.files import one_line
+from benchmark.untrusted.files import one_line
 
 Severity = Literal["error", "warning"]
 

@@ -4,9 +4,9 @@
   const player = window.ChallengerPlayer;
   const TAU = 2 * Math.PI;
 
-  /** One colour for adversaries, in the light and in the dark: benchmark/drawing/palette.py. */
+  /** One colour for adversaries, in the light and in the dark: benchmark/report/palette.py. */
   const ADVERSARY = "#d54a00";
-  /** Colours of benchmark/drawing/palette.py on paper, and their like on black. */
+  /** Colours of benchmark/report/palette.py on paper, and their like on black. */
   const THEMES = {
     light: {
       land: "#f3f2ed", road: "#cdcfd3", kerb: "#a4a6aa", walkways: "#e5dfd3", carparks: "#dadbe0", crossings: "#e9ebee",
@@ -22,7 +22,7 @@
     },
   };
 
-  /** Okabe and Ito's colours without those of ego and adversary, as in benchmark/drawing/palette.py. */
+  /** Okabe and Ito's colours without those of ego and adversary, as in benchmark/report/palette.py. */
   const COLOURS = {
     light: ["#0072b2", "#cc5c9e", "#b8a000", "#000000", "#56b4e9", "#8c6d31"],
     dark: ["#4aa3df", "#e58fc0", "#dec83c", "#ffffff", "#8fd3ff", "#c9a86a"],

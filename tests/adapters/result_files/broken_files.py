@@ -14,16 +14,16 @@ from unittest.mock import patch
 
 import numpy as np
 
+from adapters.extensions.golden_sets.result_files_made_here import made_up_samples
 from adapters.result_files.contract import FileFrame
 from adapters.result_files.samples import RecordedSamples
 from adapters.result_files.turning import turned
 from adapters.result_files.writing.dumped import DumpedPlans
 from adapters.result_files.writing.formats import WRITERS
 from adapters.result_files.writing.tensors import PickledTensor, write_pickle
-from adapters.verification.result_files_made_here import made_up_samples
-from benchmark.foreign.refusals import Category
 from benchmark.geometry import Floats
 from benchmark.planning import Plan, PlanFrame
+from benchmark.untrusted.refusals import Category
 
 Content = Any
 Change = Callable[[Content], Content]

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from adapters.extensions.golden_sets.result_files import verify_results
 from adapters.result_files.writing.tensors import write_pickle
-from adapters.verification.result_files import verify_results
 from benchmark.errors import InputError
 from tests.benchmark.cli.cli_runs import refusal
 

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from adapters.extensions.golden_sets.result_files_made_here import PRECISION_M
 from adapters.registry import planner_factory
 from adapters.result_files.planner import result_file_factory
 from adapters.result_files.recognition import recognise
 from adapters.result_files.samples import samples_of_data
 from adapters.result_files.writing.formats import WRITERS, write_results
-from adapters.verification.result_files_made_here import PRECISION_M
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.evaluation import evaluate
 from benchmark.records.run import RunRecord

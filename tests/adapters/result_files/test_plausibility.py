@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from adapters.result_files.plausibility import require_plausible
-from benchmark.foreign.refusals import RefusedFile
 from benchmark.geometry import Floats
-from benchmark.plausibility.measuring import FEWEST, TESTS
+from benchmark.untrusted.plan_plausibility import FEWEST, TESTS
+from benchmark.untrusted.refusals import RefusedFile
 from tests.adapters.result_files.broken_files import SAMPLES
 
 TIMES = 0.5 * np.arange(1, 7)

@@ -9,6 +9,13 @@ import numpy as np
 import pytest
 import torch
 
+from adapters.extensions.golden_sets.result_files_made_here import (
+    PRECISION_M,
+    SINGLE_M,
+    made_up_plans,
+    made_up_samples,
+    verify_made_here,
+)
 from adapters.registry import planner_factory
 from adapters.result_files.contract import FileFrame
 from adapters.result_files.frames import ego_waypoints, lidar_waypoints, plans_of
@@ -20,13 +27,6 @@ from adapters.result_files.turning import turned
 from adapters.result_files.writing.dumped import DumpedPlans
 from adapters.result_files.writing.formats import WRITERS, write_results
 from adapters.result_files.writing.tensors import PickledTensor
-from adapters.verification.result_files_made_here import (
-    PRECISION_M,
-    SINGLE_M,
-    made_up_plans,
-    made_up_samples,
-    verify_made_here,
-)
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import Plan, PlanFrame

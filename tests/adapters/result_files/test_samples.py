@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from adapters.extensions.golden_sets.result_files_made_here import made_up_samples
 from adapters.result_files.samples import RecordedSamples, samples_of_data
-from adapters.verification.result_files_made_here import made_up_samples
 from benchmark.geometry import rotation_matrix
 from benchmark.planning import Command
 from tests.benchmark.fake_data import FakeData, town_of_two

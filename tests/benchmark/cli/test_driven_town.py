@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adapters.training.frame_store import build_frames
+from adapters.extensions.training.frame_store import build_frames
 from benchmark.datasets.roots import open_data
 from benchmark.records.driven import driven_ego
 from benchmark.records.drives import DriveRecord, find_drives

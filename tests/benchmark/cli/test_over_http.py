@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 import benchmark
-from benchmark.closed_loop.wire.server import PlannerServer
+from benchmark.extensions.http.server import PlannerServer
 from tests.benchmark.cli.in_process import run_here
-from tests.benchmark.closed_loop.wire.made import Looking, scripted, serving
-from tests.benchmark.closed_loop.wire.test_sensor import Renderer, small_scene
+from tests.benchmark.extensions.http.made import Looking, scripted, serving
+from tests.benchmark.extensions.http.test_sensor import Renderer, small_scene
 from tests.generation.nuscenes_writer.written_roots import SIZE, write_root
 
 

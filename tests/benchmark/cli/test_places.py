@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from benchmark.cli.beforehand.places import require_output_file, require_place, require_room
+from benchmark.cli.preflight_places import require_output_file, require_place, require_room
 from benchmark.errors import InputError
 from tests.benchmark.cli.cli_runs import refusal
 

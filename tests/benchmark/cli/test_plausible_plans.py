@@ -18,8 +18,8 @@ from benchmark.records.run import load_record
 from generation.sources.mini import TownSettings, build_town
 from leaderboard.tables.collision import run_tables
 from tests.benchmark.cli.in_process import run_here
-from tests.benchmark.closed_loop.wire.made import scripted
-from tests.benchmark.plausibility.misread import MISREAD, to_ego
+from tests.benchmark.extensions.http.made import scripted
+from tests.benchmark.untrusted.misread import MISREAD, to_ego
 
 SCENES = 4
 
@@ -111,7 +111,7 @@ def test_result_files_have_the_same_options(root: Path, recorded: dict[str, Floa
 
 def test_a_running_planner_is_warned_about_once_and_its_record_is_marked(root: Path, tmp_path: Path) -> None:
     options = ("--data", root, "--split", "val", "--workers", "1", "--out", tmp_path / "out")
-    name = "tests.benchmark.plausibility.running:Sideways"
+    name = "tests.benchmark.untrusted.running:Sideways"
     done = run_here("eval", "--model", name, "--model", "stop", *options)
     assert done.code == 0 and done.err.count("warning:") == 1
     assert "warning: sideways: x and y look exchanged and turned" in done.err

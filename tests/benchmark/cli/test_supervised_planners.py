@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from benchmark import api
-from benchmark.closed_loop.wire.session import Refused, Session
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
-from benchmark.supervision.limits import Supervision
-from generation.build.surrogate import judged
+from benchmark.extensions.http.session import Refused, Session
+from benchmark.sandbox.limits import Supervision
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
+from generation.pipeline.surrogate import judged
 from tests.benchmark.cli.cli_runs import refusal
 from tests.benchmark.cli.in_process import Done, run_here
 from tests.benchmark.fake_data import town_of_two

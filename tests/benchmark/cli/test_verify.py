@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from generation.verification.built_in import BUILT_IN
+from generation.extensions.golden_sets.built_in import BUILT_IN
 from tests.benchmark.cli.cli_runs import challenger_bench
 
 

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmark.closed_loop.agents.idm import Idm
 from benchmark.closed_loop.courses import course_of, recorded_poses, replay_of
+from benchmark.closed_loop.idm import Idm
 from benchmark.closed_loop.stepping import begin, step
 from benchmark.closed_loop.world import STEP_US, Course, World
 from benchmark.constants import PLAN_STEPS

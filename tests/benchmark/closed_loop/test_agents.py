@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.agents.contract import Moment, Moved, check_policy
-from benchmark.closed_loop.agents.idm import Idm
-from benchmark.closed_loop.agents.replay import Replay
+from benchmark.closed_loop.contract import Moment, Moved, check_policy
 from benchmark.closed_loop.courses import course_of, replay_of
+from benchmark.closed_loop.idm import Idm
+from benchmark.closed_loop.replay import Replay
 from benchmark.closed_loop.stepping import begin, step
 from benchmark.closed_loop.world import World
 from generation.sources.town import town_scene

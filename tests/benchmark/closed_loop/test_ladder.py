@@ -5,9 +5,9 @@ import pytest
 
 from benchmark.closed_loop.courses import course_of
 from benchmark.closed_loop.ladder import climbed
-from benchmark.drivers.driving import LADDER, Rung, Situation, drive
-from benchmark.drivers.outcomes import Surroundings
-from benchmark.encounters.tracks import Tracks
+from benchmark.interactions.driving import LADDER, Rung, Situation, drive
+from benchmark.interactions.outcomes import Surroundings
+from benchmark.interactions.tracks import Tracks
 from tests.hand_made import Car, scene_on_straight_road
 
 SCENES = {

@@ -9,17 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.closed_loop.agents.replay import Replay
 from benchmark.closed_loop.courses import course_of, recorded_poses
 from benchmark.closed_loop.following import INSTANT_US, LIMITS, SUBSTEP_S, followed
 from benchmark.closed_loop.plans_in_force import coasting
+from benchmark.closed_loop.replay import Replay
 from benchmark.closed_loop.stepping import UndrivablePlanError, begin, goes_on, step, step_together
 from benchmark.closed_loop.world import STEP_US, Course, World, ego_boxes
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M, EGO_WHEELBASE_M
 from benchmark.dynamics.lane_path import lane_path
-from benchmark.encounters.contacts import KINDS, ContactKind
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, boxes_overlap, to_local
+from benchmark.interactions.contacts import KINDS, ContactKind
 from benchmark.planning import Command
 from benchmark.scene import Scene
 from generation.sources.town import town_scene

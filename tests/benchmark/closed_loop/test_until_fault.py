@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.closed_loop.drives.default_engine import DefaultRides
-from benchmark.closed_loop.drives.driving import Drive, drive
+from benchmark.closed_loop.default_engine import DefaultRides
+from benchmark.closed_loop.driving import Drive, drive
 from benchmark.closed_loop.engines import rides_as, rides_of
-from benchmark.closed_loop.scores.scoring import DriveScores, score_drive
+from benchmark.closed_loop.scoring import DriveScores, score_drive
 from benchmark.errors import InputError
 from benchmark.planning import Planner
 from benchmark.records.drive_schema import DriveRow, Measured
@@ -20,7 +20,7 @@ from benchmark.runs.drive_rows import row_of
 from benchmark.runs.driving import DriveSettings, drive_split
 from benchmark.runs.redriving import driven_again
 from benchmark.scene import Scene
-from tests.benchmark.closed_loop.drives.staged import Peeking, Watching, staged
+from tests.benchmark.closed_loop.staged import Peeking, Watching, staged
 from tests.benchmark.fake_data import FakeData
 from tests.hand_made import Car, scene_on_straight_road
 
@@ -136,7 +136,7 @@ def test_what_there_is_not_is_refused() -> None:
 
 
 def test_many_together_are_each_as_alone() -> None:
-    from benchmark.closed_loop.drives.driving import drive_together
+    from benchmark.closed_loop.driving import drive_together
 
     scenes = [replace(road(BEHIND), name=f"scene-{number}") for number in range(3)]
     makers = [Watching(speed=speed) for speed in (5.0, 6.0, 8.0)]

@@ -6,8 +6,8 @@ import pytest
 
 from benchmark.datasets.fingerprint import fingerprint_of
 from benchmark.errors import InputError
-from benchmark.foreign.limits import TABLE
-from tests.benchmark.foreign.variants import write_sparse
+from benchmark.untrusted.limits import TABLE
+from tests.benchmark.untrusted.variants import write_sparse
 
 
 def test_a_map_of_nowhere_that_is_longer_than_any_is_refused_before_it_is_read(tmp_path: Path) -> None:

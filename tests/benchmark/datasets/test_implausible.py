@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from adapters.registry import planner_factory
-from benchmark.datasets.integrity import check_tables
 from benchmark.datasets.roots import open_data
+from benchmark.datasets.schema import check_tables
 from benchmark.evaluation import EvalSettings, evaluate, evaluate_together
 from benchmark.geometry import quaternion_from_yaw
 from tests.benchmark.edited_roots import Row, copy_of, edit, small_town

@@ -12,9 +12,9 @@ from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, OFFICIAL_LOCATIONS
 from benchmark.datasets.sample_truth import truth_of_scene
 from benchmark.datasets.scenarionet import find_scenarionet, read_scenarionet
 from benchmark.errors import InputError
-from benchmark.foreign.pickles import read_pickle
 from benchmark.geometry import to_global
 from benchmark.road_map import DividerKind
+from benchmark.untrusted.pickles import read_pickle
 
 SHARED = Path(__file__).resolve().parents[4] / "shared"
 FILES = tuple(sorted((SHARED / "data" / "scenes").glob("sd_*.pkl")))

@@ -10,7 +10,7 @@ import pytest
 from benchmark.datasets.scenarionet import read_scenarionet
 from benchmark.datasets.scene_words import place_and_light, traffic_and_road
 from benchmark.scene import Look
-from generation.render.magicdrive.prompt import IMPORTED, prompt_of
+from generation.extensions.magicdrive.prompt import IMPORTED, prompt_of
 from tests.benchmark.datasets.test_scenarionet import FILES, needs_shared, recording, track, write
 from tests.hand_made import Car, scene_on_straight_road
 

@@ -9,15 +9,15 @@ from typing import Any
 
 import pytest
 
-from benchmark.closed_loop.drives.default_engine import DefaultRides
+from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.errors import InputError
 from benchmark.machine import ray_cluster
 from benchmark.machine.progress import Count
 from benchmark.machine.ray_cluster import Item, RayCluster, Result
 from benchmark.machine.workers import Executor, LocalProcesses
 from benchmark.runs.driving import DriveSettings, drive_split
-from generation.build.settings import BuildSettings
-from generation.build.split import build_split
+from generation.pipeline.settings import BuildSettings
+from generation.pipeline.split import build_split
 from generation.search.definition import PackagedPrior
 from generation.search.hyperparameters import HyperParameters
 from generation.sources.town import town_scene

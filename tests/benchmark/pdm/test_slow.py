@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from benchmark.extensions.golden_sets.pdm.golden_set import GoldenScene
 from benchmark.geometry import wrap_angle
 from benchmark.pdm.comfort import disagreement, extended_comfort
 from benchmark.pdm.definition import HEADING
 from benchmark.pdm.motion import tracked
 from benchmark.pdm.scoring import Judged, beside, judged
-from benchmark.pdm.verification.golden_set import GoldenScene
 from tests.benchmark.pdm.cases import Case, crossing, slow_objects
 from tests.benchmark.pdm.slow_motion import slow_motion
 from tests.benchmark.pdm.slow_pdm import (

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.pdm.verification import BUILT_IN, verify_pdm
+from benchmark.extensions.golden_sets.pdm import BUILT_IN, verify_pdm
 from tests.benchmark.golden_pdm import golden_arrays
 
 OFFICIAL = Path(__file__).resolve().parents[4] / "shared" / "golden" / "pdm"

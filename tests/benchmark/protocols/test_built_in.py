@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmark.extensions.golden_sets.protocols import BUILT_IN, verify_protocols
 from benchmark.machine.storage import read_json
-from benchmark.protocols.verification import BUILT_IN, verify_protocols
 from tests.benchmark import golden_protocols
 from tests.benchmark.golden_protocols import CASES, files_of, write
 from tests.benchmark.protocols.test_verification import failures, load

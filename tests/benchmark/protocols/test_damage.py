@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmark.errors import InputError
-from benchmark.protocols.verification import BUILT_IN, verify_protocols
+from benchmark.extensions.golden_sets.protocols import BUILT_IN, verify_protocols
 from tests.benchmark.protocols.test_verification import change, copied, load
 
 __all__ = ["copied"]

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from benchmark.extensions.golden_sets.protocols.official import drawn
 from benchmark.protocols import PROTOCOLS
 from benchmark.protocols.stacked import stack
 from benchmark.protocols.vad import COUNTED_23, COUNTED_32
-from benchmark.protocols.verification.official import drawn
 from tests.benchmark.protocols import slow_protocols as slow
 from tests.benchmark.protocols.protocol_cases import Traits, plan_of, sample_of, traits
 from tests.benchmark.protocols.slow_protocols import SlowVerdicts

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from benchmark import geometry
 from benchmark.errors import InputError
+from benchmark.extensions.golden_sets.protocols import BUILT_IN, verify_protocols
 from benchmark.geometry import Floats, box_corners
 from benchmark.machine.storage import write_json
 from benchmark.protocols import PROTOCOLS, Outcomes, raster, sparsedrive, uniad, vad
 from benchmark.protocols.stacked import StackedTruths
-from benchmark.protocols.verification import BUILT_IN, verify_protocols
 from benchmark.verification.checks import Check
 
 GOLDEN = Path(__file__).resolve().parents[4] / "shared" / "golden" / "protocols"

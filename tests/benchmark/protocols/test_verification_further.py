@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from benchmark.errors import InputError
+from benchmark.extensions.golden_sets.protocols import BUILT_IN, verify_protocols
 from benchmark.geometry import Bools, Floats
 from benchmark.protocols import bev_planner, fine_grid, omnidrive, safemvdrive, stp3
 from benchmark.protocols.stacked import StackedTruths
-from benchmark.protocols.verification import BUILT_IN, verify_protocols
 from tests.benchmark import golden_further
 from tests.benchmark.protocols.test_verification import change, failures, load
 

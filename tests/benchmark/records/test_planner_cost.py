@@ -25,8 +25,8 @@ from benchmark.records.planner_cost import (
 from benchmark.records.record_costs import with_cost
 from benchmark.records.run import RunRecord, load_record
 from benchmark.runs.planner_facts import facts_of
+from benchmark.runs.sharded import merge_shards, plan_shard
 from benchmark.runs.shards import Shard
-from benchmark.sharded import merge_shards, plan_shard
 from leaderboard.tables.contents import data_set_tables
 from leaderboard.tables.cost import cost_table
 from tests.benchmark.fake_data import town_of_two

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.drives.default_engine import DefaultRides
+from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.records.drive_schema import DriveRow
 from benchmark.runs.compared_drives import NEAR_M, NEAR_M_S, NEAR_RAD, compared_drive
 from benchmark.runs.driving import DriveSettings, drive_split
@@ -13,7 +13,7 @@ from benchmark.runs.rescoring_drives import rescore_drives
 from benchmark.scene import Scene
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Straight
-from tests.benchmark.plausibility.running import Sideways
+from tests.benchmark.untrusted.running import Sideways
 
 
 @pytest.fixture

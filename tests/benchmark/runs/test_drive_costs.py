@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from benchmark.closed_loop.drives.default_engine import DefaultRides
+from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Observation, Plan
 from benchmark.records.drives import DriveRecord, load_drives

@@ -10,15 +10,15 @@ import cv2
 import numpy as np
 import pytest
 
-from adapters.baselines.log_replay import LogReplay
-from benchmark.closed_loop.drives.default_engine import DefaultRides
-from benchmark.closed_loop.drives.sensors import Sensor
-from benchmark.drawing.driven import DrivenSheet, speeds_along
-from benchmark.drawing.palette import planner_style
+from adapters.planners.log_replay import LogReplay
+from benchmark.closed_loop.default_engine import DefaultRides
+from benchmark.closed_loop.sensors import Sensor
 from benchmark.errors import InputError
 from benchmark.geometry import box_gap
 from benchmark.planning import CameraView
 from benchmark.records.drives import DriveRecord
+from benchmark.report.driven import DrivenSheet, speeds_along
+from benchmark.report.palette import planner_style
 from benchmark.runs.drive_sheets import driven_sheet
 from benchmark.runs.driving import DriveSettings, drive_split
 from benchmark.scene import Camera, Scene

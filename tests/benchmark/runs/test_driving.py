@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adapters.baselines.stop import Stop
+from adapters.planners.stop import Stop
 from adapters.registry import planner_factory
-from benchmark.closed_loop.drives.default_engine import DefaultRides
-from benchmark.closed_loop.drives.driving import drive
+from benchmark.closed_loop.default_engine import DefaultRides
+from benchmark.closed_loop.driving import drive
 from benchmark.closed_loop.engines import ENGINES, rides_of
-from benchmark.closed_loop.neuroncap.riding import OFFICIAL, OWN, NeuroncapRides
-from benchmark.closed_loop.neuroncap.switches import Switches
-from benchmark.closed_loop.scores.scoring import VERSION
+from benchmark.closed_loop.scoring import VERSION
 from benchmark.errors import InputError
+from benchmark.extensions.neuroncap.riding import OFFICIAL, OWN, NeuroncapRides
+from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.machine.storage import write_json
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Observation, Plan
@@ -30,7 +30,7 @@ from benchmark.runs.redriving import driven_again
 from benchmark.runs.rescoring_drives import rescore_all_drives, rescore_drives
 from benchmark.scene import Scene
 from tests.benchmark.cli.cli_runs import bytes_below
-from tests.benchmark.closed_loop.drives.staged import Peeking, staged
+from tests.benchmark.closed_loop.staged import Peeking, staged
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Factory, Failing, Remembering, Straight
 from tests.hand_made import scene_on_straight_road

@@ -8,9 +8,10 @@ import pytest
 
 from adapters.registry import planner_factory
 from benchmark import api
-from benchmark.closed_loop.drives.default_engine import DefaultRides
+from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.closed_loop.engines import rides_as, rides_of
 from benchmark.errors import InputError
+from benchmark.extensions.submissions.recomputed import drives_anew
 from benchmark.machine.workers import LocalProcesses
 from benchmark.records.considered import read_considered
 from benchmark.records.drives import DriveRecord, load_drives
@@ -18,11 +19,10 @@ from benchmark.records.run_schema import RateRow
 from benchmark.runs import drive_work, ladders
 from benchmark.runs.driving import DriveSettings, drive_planners
 from benchmark.runs.redriving import considered_again, driven_again
-from benchmark.runs.submissions.recomputed import drives_anew
-from generation.in_the_loop.settings import Knows
+from generation.extensions.reactive_adversary.settings import Knows
 from tests.benchmark.cli.cli_runs import bytes_below, refusal
 from tests.benchmark.fake_data import FakeData, town_of_two
-from tests.generation.in_the_loop.loops import SETTINGS, rides
+from tests.generation.extensions.reactive_adversary.loops import SETTINGS, rides
 
 ADVERSARY = DriveSettings("default", rides(), agents="adversary", ladder=("recorded", "cc"), runs=2, together=4)
 PLANNERS = [planner_factory(name) for name in ("constant-velocity", "stop")]
@@ -119,7 +119,7 @@ def test_kept_ladders_are_not_climbed_again(
 
 
 def test_a_drive_is_repeated_without_any_search(records: list[DriveRecord], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("generation.in_the_loop.policy.run_together", None)
+    monkeypatch.setattr("generation.extensions.reactive_adversary.policy.run_together", None)
     data = town()
     maker = rides_as(records[0].facts.measured)
     for row in [row for record in records for row in record.rows]:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from adapters.registry import planner_factory
-from benchmark.closed_loop.drives.default_engine import DefaultRides
-from benchmark.closed_loop.drives.driving import drive, drive_together
-from benchmark.closed_loop.drives.riding import RideMaker
-from benchmark.closed_loop.neuroncap.riding import OWN, NeuroncapRides
-from benchmark.closed_loop.neuroncap.switches import Switches
+from benchmark.closed_loop.default_engine import DefaultRides
+from benchmark.closed_loop.driving import drive, drive_together
+from benchmark.closed_loop.riding import RideMaker
 from benchmark.errors import InputError
+from benchmark.extensions.neuroncap.riding import OWN, NeuroncapRides
+from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Observation, Plan, Planner
 from benchmark.records.drives import DriveRecord
@@ -21,7 +21,7 @@ from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.driving import DriveSettings, drive_planners, drive_split
 from benchmark.scene import Scene
 from tests.benchmark.cli.cli_runs import bytes_below
-from tests.benchmark.closed_loop.drives.staged import Watching, staged
+from tests.benchmark.closed_loop.staged import Watching, staged
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Factory, Failing, Straight
 from tests.hand_made import Car, scene_on_straight_road

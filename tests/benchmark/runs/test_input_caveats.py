@@ -8,7 +8,7 @@ import pytest
 
 from adapters.models import MODELS
 from adapters.registry import planner_factory
-from benchmark.closed_loop.drives.default_engine import DefaultRides
+from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.datasets.roots import open_data
 from benchmark.evaluation import EvalSettings, evaluate, evaluate_together
 from benchmark.records.caveats import Caveat

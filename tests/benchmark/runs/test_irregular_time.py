@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.datasets.integrity import check_tables
 from benchmark.datasets.nuscenes import NuScenesData
+from benchmark.datasets.schema import check_tables
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.metrics.confusion import comparisons
@@ -172,7 +172,7 @@ def test_gaps_are_named_by_the_check(tmp_path: Path) -> None:
 
 
 def test_what_counts_frames_refuses_other_rates(tmp_path: Path) -> None:
-    from benchmark.datasets.exchange.exporting import exchanged_of
+    from benchmark.extensions.exchange.exporting import exchanged_of
 
     root = TinyRoot.of(tmp_path, [with_key_frames(town(), np.arange(91))], cameras=()).write()
     with pytest.raises(InputError, match=r"key frames of scene-9901 are 0\.0833 s apart .* only eval and rescore"):

@@ -23,8 +23,8 @@ from benchmark.records.run import RunRecord, load_record, scene_failures
 from benchmark.runs.driving import drive_split
 from benchmark.runs.rescoring import rescore, rescore_all
 from benchmark.runs.rescoring_drives import rescore_drives
-from generation.build.settings import BuildSettings
-from generation.build.split import build_split
+from generation.pipeline.settings import BuildSettings
+from generation.pipeline.split import build_split
 from leaderboard.tables.collision import collision_table
 from tests.benchmark.edited_roots import (
     Row,

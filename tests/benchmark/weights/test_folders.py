@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from benchmark.errors import InputError
+from benchmark.extensions.quality.definition import needed_for
 from benchmark.machine.storage import file_sha256
-from benchmark.quality.definition import needed_for
 from benchmark.weights.catalogue import FOLDERS, PublishedFile, PublishedWeights
 from benchmark.weights.folders import (
     content_hash,

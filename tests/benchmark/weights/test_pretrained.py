@@ -6,7 +6,7 @@ import torch
 from torch.utils import _device
 
 from benchmark.weights.pretrained import Library
-from tests.benchmark.quality.small_networks import save_dino
+from tests.benchmark.extensions.quality.small_networks import save_dino
 
 
 def test_devices_of_new_tensors_are_what_they_were_before_a_network_was_loaded(tmp_path: Path) -> None:

@@ -20,8 +20,8 @@ from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
 from generation.diffusion.kinematics import motion
 from generation.diffusion.prior import SOLVER_CALLS, SamplerSettings, Samples, TrajectoryPrior, diversify
 from generation.diffusion.standardiser import actions_from_waypoints
+from generation.extensions.golden_sets.built_in import BUILT_IN
 from generation.search.proposals import Mutation, Request, Sampling
-from generation.verification.built_in import BUILT_IN
 
 GOLDEN = BUILT_IN / "denoiser"
 CRUISING = np.array([-4.0, 0.0, 0.0])

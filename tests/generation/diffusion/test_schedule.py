@@ -19,7 +19,7 @@ from generation.diffusion.schedule import (
     strided_timesteps,
 )
 from generation.diffusion.standardiser import actions_from_waypoints, waypoints_from_actions
-from generation.verification.built_in import BUILT_IN
+from generation.extensions.golden_sets.built_in import BUILT_IN
 
 GOLDEN = BUILT_IN / "denoiser"
 

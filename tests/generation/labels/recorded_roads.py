@@ -5,8 +5,8 @@ from pathlib import Path
 
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.scene import Scene
-from generation.build.settings import BuildSettings
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
+from generation.pipeline.settings import BuildSettings
 from generation.search.hyperparameters import HyperParameters
 from tests.generation.search.driving_prior import DrivingPrior
 from tests.hand_made import Car, scene_on_straight_road

@@ -9,9 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from shapely.geometry import MultiPolygon
 
-from benchmark.drawing.palette import ADVERSARY, EGO, Rgb
 from benchmark.errors import InputError
 from benchmark.geometry import box_gap
+from benchmark.report.palette import ADVERSARY, EGO, Rgb
 from benchmark.road_map import RoadMap
 from benchmark.scene import Scene
 from generation.render.pictures import PANELS, best_camera, moments, scene_strip, write_pictures

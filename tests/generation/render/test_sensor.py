@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.drives.driving import drive
+from benchmark.closed_loop.driving import drive
 from benchmark.scene import Scene
 from generation.render.schematic import SECOND, SchematicRenderer
 from generation.render.sensor import SchematicSensor
-from tests.benchmark.closed_loop.drives.staged import Watching, staged
+from tests.benchmark.closed_loop.staged import Watching, staged
 from tests.hand_made import Car, scene_on_straight_road
 
 

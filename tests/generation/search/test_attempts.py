@@ -9,7 +9,7 @@ import pytest
 from benchmark.errors import InputError
 from benchmark.machine.workers import LocalProcesses
 from benchmark.scene import Scene
-from generation.build.profile import runtime_table
+from generation.pipeline.profile import runtime_table
 from generation.search.attempts import attempts, eligibility, kept_attempt
 from generation.search.definition import Earlier, PackagedPrior, Search, Unit
 from generation.search.presets import SampleSource, trajectory_model

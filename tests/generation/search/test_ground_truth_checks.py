@@ -12,8 +12,8 @@ from benchmark.dynamics.bicycle import DriverLimits
 from benchmark.protocols import NATIVE_PROTOCOLS, masking_protocols
 from benchmark.records.attempts import read_attempts
 from benchmark.scene import Scene
-from generation.build.settings import BuildSettings
-from generation.build.split import build_split
+from generation.pipeline.settings import BuildSettings
+from generation.pipeline.split import build_split
 from generation.search.ground_truth_checks import masked_steps, raster_footprints, recorded_contacts
 from generation.search.hyperparameters import HyperParameters
 from generation.search.verify import Discard, verify

@@ -1,7 +1,7 @@
 from pathlib import Path
 
-from generation.build.said_settings import said_settings
-from generation.build.settings import BuildSettings
+from generation.pipeline.said_settings import said_settings
+from generation.pipeline.settings import BuildSettings
 from generation.search.hyperparameters import HyperParameters, Launch
 from generation.search.presets import PRESETS, hyper_parameters
 from generation.splits.packaged import frozen_split, newest_split

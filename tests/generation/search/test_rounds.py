@@ -14,8 +14,8 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json
 from benchmark.machine.workers import LocalProcesses
 from benchmark.records.scenes import RefinementTrace, StoredSheet, find_sheets, kept_rounds_path
-from benchmark.sheets.writing import SheetSettings, write_sheets
-from generation.build.split import build_split
+from benchmark.scene_pages.writing import SheetSettings, write_sheets
+from generation.pipeline.split import build_split
 from generation.search.attempts import _keep_work
 from generation.search.rounds import SHOWN_CANDIDATES, shown_candidates
 from tests.generation.labels.recorded_roads import CHEAP, HYPER, contents, recorded, write_source

@@ -5,8 +5,8 @@ import pytest
 
 from benchmark.dynamics.bicycle import DriverLimits
 from benchmark.dynamics.driver_limits import broken_limit
+from benchmark.fairness.scenes import TracksAtHand, judge_scene
 from benchmark.geometry import Floats, boxes_overlap
-from benchmark.judging.scenes import TracksAtHand, judge_scene
 from benchmark.scene import Scene
 from generation.labels.labelling import Side, closest_approach, side_of, times_to_collision
 from generation.search.hyperparameters import HyperParameters

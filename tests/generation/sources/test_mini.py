@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.datasets.integrity.check import check_tables
 from benchmark.datasets.roots import open_data
+from benchmark.datasets.schema.check import check_tables
 from benchmark.errors import InputError
 from generation.sources.mini import TownSettings, build_town
 

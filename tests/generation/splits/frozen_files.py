@@ -7,9 +7,9 @@ import numpy as np
 
 from benchmark.datasets.roots import DataSet
 from benchmark.scene import Scene
-from generation.build.settings import BuildSettings
-from generation.build.split import build_split
 from generation.nuscenes_writer import DataSetPlan, SourceInfo
+from generation.pipeline.settings import BuildSettings
+from generation.pipeline.split import build_split
 from generation.render.schematic import SchematicRenderer
 from generation.splits.digests import tables_digest
 from generation.splits.format import (

@@ -14,9 +14,9 @@ from benchmark.geometry import box_corners
 from benchmark.machine.workers import LocalProcesses
 from benchmark.machine.workspace import is_finished
 from benchmark.protocols import NATIVE_PROTOCOLS
-from generation.build.settings import BuildSettings
-from generation.build.split import build_split
 from generation.labels.labelling import agent_boxes
+from generation.pipeline.settings import BuildSettings
+from generation.pipeline.split import build_split
 from generation.search.adversary import ALGORITHM_VERSION
 from generation.splits.building import build_frozen
 from generation.splits.packaged import NamedSplit

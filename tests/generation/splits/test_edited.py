@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.datasets.exchange.exporting import export_scenarionet, scene_file
-from benchmark.datasets.exchange.own_words import OWN
+from benchmark.datasets.own_words import OWN
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
+from benchmark.extensions.exchange.exporting import export_scenarionet, scene_file
 from generation.splits.building import build_frozen
 from generation.splits.edited import edited_scene, edited_split
 from generation.splits.format import EDITED, read_frozen
 from tests.benchmark.cli.in_process import run_here
-from tests.benchmark.datasets.exchange.wild_scenes import moved
+from tests.benchmark.extensions.exchange.wild_scenes import moved
 from tests.generation.splits.frozen_files import BUILT, drifting_split, recordings
 from tests.hand_made import Car, scene_on_straight_road
 

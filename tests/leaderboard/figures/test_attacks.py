@@ -1,6 +1,6 @@
 """The figure of attack success against realism: which settings there are, where they stand, and when there is none."""
 
-from benchmark.drawing.plots import png_size
+from benchmark.report.plots import png_size
 from leaderboard.figures.attacks import (
     REALISM_AXIS,
     VALIDITY_AXIS,

@@ -8,9 +8,9 @@ import matplotlib as mpl
 import pytest
 from matplotlib.image import imread
 
-from benchmark.drawing.plots import DARK, LIGHT
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import SceneFacts
+from benchmark.report.plots import DARK, LIGHT
 from leaderboard.figures.charts import data_set_figures, disagreement_figure, manoeuvre_figure, rates_over_horizon
 from tests.benchmark.metrics.made_attacks import attacked
 from tests.benchmark.metrics.test_effect import told

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from benchmark.drawing.plots import DARK
 from benchmark.errors import InputError
 from benchmark.metrics.transfer import TransferMatrix, transfer
+from benchmark.report.plots import DARK
 from leaderboard.figures.heat_map import (
     AROUND_CHANCE,
     COLOURS,

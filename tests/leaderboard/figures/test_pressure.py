@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.drawing.plots import LIGHT
+from benchmark.report.plots import LIGHT
 from leaderboard.build import leaderboard_files
 from leaderboard.figures.pressure import PANELS, pressure_figure, pressure_figures
 from leaderboard.tables.pressure import pressure_tables, pressures

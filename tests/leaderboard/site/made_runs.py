@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from benchmark.constants import FRAMES_PER_KEYFRAME, LIDAR_FROM_REAR_AXLE_M, PLAN_STEP_S, PLAN_STEPS
+from benchmark.fairness.plan_severity import plan_severities
 from benchmark.geometry import Bools, Floats, wrap_angle
 from benchmark.machine.storage import content_key, content_seed
 from benchmark.metrics.disagreement import MISS
@@ -17,7 +18,6 @@ from benchmark.records.judgement import JudgementSummary
 from benchmark.records.row_schema import DiagnosisRow, DrivingRow, ForecastRow, OutcomeRow, PlanRow, SampleRow
 from benchmark.records.run import write_record
 from benchmark.records.run_schema import DataFacts, SceneFacts
-from benchmark.severity.plans import plan_severities
 from benchmark.truth import SampleTruth
 from tests.benchmark.metrics.made_attacks import judged
 from tests.leaderboard.site.made_scenes import MadeScene

@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.drawing.palette import ADVERSARY, PLANNERS_ON_DARK, PLANNERS_ON_LIGHT, hexadecimal
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, write_bytes
 from benchmark.metrics.attacks import counted_rows, has_adversaries, scene_attacks
@@ -22,6 +21,7 @@ from benchmark.records.judgement import DRIVER_NAMES
 from benchmark.records.run import RunRecord, find_records
 from benchmark.records.run_schema import SceneFacts
 from benchmark.records.scenes import NO_SHEETS, Sheets, StoredSheet, find_sheets
+from benchmark.report.palette import ADVERSARY, PLANNERS_ON_DARK, PLANNERS_ON_LIGHT, hexadecimal
 from benchmark.report.table import Table
 from leaderboard.build import stale_files, write_leaderboard
 from leaderboard.figures.charts import NamedFigure

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from adapters.baselines.idm import IntelligentDriver
+from adapters.planners.idm import IntelligentDriver
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.records.row_schema import CAUSES, DiagnosisRow
 from benchmark.records.run import RunRecord

@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
-from benchmark.quality.definition import Definition
+from benchmark.extensions.quality.definition import Definition
 from benchmark.records.quality import QualityRecord, write_quality
 from benchmark.records.quality_schema import SceneRows, SubjectRow, Sum, VideoRow
 from benchmark.records.run_schema import SceneFacts
 from leaderboard.build import leaderboard_files, stale_files, write_leaderboard
+from leaderboard.extensions.quality.tables import quality_tables
 from leaderboard.tables.published import published_quality_table
-from leaderboard.tables.quality import quality_tables
 
 
 def rows(scene: str, *, adversary: bool, level: float, size: tuple[int, int]) -> SceneRows:

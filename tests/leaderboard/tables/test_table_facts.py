@@ -16,10 +16,10 @@ from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import SceneFacts
 from benchmark.report.cells import UNDEFINED, Cell, number
 from benchmark.report.table import Table
+from leaderboard.extensions.quality.tables import quality_tables
 from leaderboard.tables.ablation import ablation_tables
 from leaderboard.tables.contents import data_set_tables, generation_tables
 from leaderboard.tables.published import published_tables
-from leaderboard.tables.quality import quality_tables
 from leaderboard.tables.standing import standing_tables
 from tests.benchmark.metrics.made_attacks import contact, judged, near, with_realism
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, LATE, hand_made

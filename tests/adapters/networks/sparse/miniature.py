@@ -9,13 +9,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from adapters.extensions.golden_sets.sparse_order import Order
+from adapters.extensions.golden_sets.sparse_quantities import frame_quantities, map_quantities
+from adapters.extensions.golden_sets.sparse_trace import traced
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.decoder import Remembered
 from adapters.networks.sparse.keyframe_pose import KeyframeMotion
 from adapters.networks.sparse.model import DiffusionDrive, Memory, SparseDrive, SparseInputs, SparseNetwork, pose_of
-from adapters.verification.sparse_order import Order
-from adapters.verification.sparse_quantities import frame_quantities, map_quantities
-from adapters.verification.sparse_trace import traced
 from benchmark.verification.golden import GoldenArrays
 from benchmark.verification.synthetic_weights import WeightsRecipe, seeded_normal
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from adapters.extensions.golden_sets.sparse import verify_sparse
 from adapters.models import MODELS
-from adapters.verification.sparse import verify_sparse
 from benchmark.verification.checks import report
 
 GOLDEN = Path(__file__).resolve().parents[5] / "shared" / "golden" / "parity" / "diffusiondrive"

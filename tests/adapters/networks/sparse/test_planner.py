@@ -14,6 +14,7 @@ import torch
 from adapters.camera_inputs import RGB_MEAN_STD, SPARSE_DRIVE_IMAGE
 from adapters.checkpoints.importing import import_checkpoint
 from adapters.checkpoints.matching import matched
+from adapters.extensions.golden_sets.models import verify_model
 from adapters.models import MODELS
 from adapters.networks.sparse.anchors import BOXES, FORECASTS, LINES, PLANS
 from adapters.networks.sparse.config import SparseConfig
@@ -21,7 +22,6 @@ from adapters.networks.sparse.model import SparseDrive, SparseInputs
 from adapters.networks.sparse.planner import SparsePlanner, example_frame
 from adapters.networks.sparse.selection import SparseOutputs
 from adapters.registry import planner, planner_factory
-from adapters.verification.models import verify_model
 from benchmark.constants import CAMERA_NAMES
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
+from adapters.extensions.golden_sets import sparse_order
+from adapters.extensions.golden_sets.sparse import MODULES, MOVED, OTHER_ROWS, verify_sparse
+from adapters.extensions.golden_sets.sparse_order import Order
 from adapters.models import MODELS
-from adapters.verification import sparse_order
-from adapters.verification.sparse import MODULES, MOVED, OTHER_ROWS, verify_sparse
-from adapters.verification.sparse_order import Order
 from benchmark.errors import InputError
 from benchmark.verification.checks import Check
 from benchmark.verification.golden import GoldenArrays

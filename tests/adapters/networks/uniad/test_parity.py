@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 
+from adapters.extensions.golden_sets.models import verify_model
+from adapters.extensions.golden_sets.uniad import compare_uniad, read_frames
+from adapters.extensions.golden_sets.uniad_quantities import frame_quantities
 from adapters.networks.uniad.collision_optimiser import move_plan
 from adapters.networks.uniad.model import UniAD, UniADInputs
-from adapters.verification.models import verify_model
-from adapters.verification.uniad import compare_uniad, read_frames
-from adapters.verification.uniad_quantities import frame_quantities
 from benchmark.errors import InputError
 from benchmark.verification.checks import Check, Comparison, report
 from benchmark.verification.filled_networks import NAMES, fill, same_names_and_shapes

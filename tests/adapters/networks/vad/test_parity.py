@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import torch
 
+from adapters.extensions.golden_sets.models import verify_model
+from adapters.extensions.golden_sets.parity_set import ParityManifest, ParitySet
+from adapters.extensions.golden_sets.quantities import OUTLIERS, Quantity, Tolerance, compare_frame
+from adapters.extensions.golden_sets.vad import EXACT
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD
-from adapters.verification.models import verify_model
-from adapters.verification.parity_set import ParityManifest, ParitySet
-from adapters.verification.quantities import OUTLIERS, Quantity, Tolerance, compare_frame
-from adapters.verification.vad import EXACT
 from benchmark.errors import InputError
 from benchmark.verification.checks import Check, Comparison, report
 from benchmark.verification.filled_networks import fill, same_names_and_shapes
@@ -195,6 +195,6 @@ def test_damaged_sets_are_refused(message: str, tmp_path: Path, monkeypatch: pyt
     golden = copy("vad_tiny", tmp_path, frames=1)
     DAMAGES[message](golden)
     # What is damaged here is found before weights matter.
-    monkeypatch.setattr("adapters.verification.parity_set.fill", lambda *_: None)
+    monkeypatch.setattr("adapters.extensions.golden_sets.parity_set.fill", lambda *_: None)
     with pytest.raises(InputError, match=message):
         verify_model("vad-tiny", golden)

@@ -1,0 +1,1 @@
+"""Extensions that need networks or planners: each a folder that can be taken away."""

@@ -1,0 +1,42 @@
+"""`challenger-bench verify model`: networks of ours against numbers of their official code, with synthetic weights."""
+
+from functools import partial
+from pathlib import Path
+from typing import cast
+
+from adapters.models import published_models, resolve
+from benchmark.errors import InputError
+from benchmark.verification.checks import Check
+
+
+def verified_models() -> dict[str, str]:
+    """What compares each model with its official code, family by family."""
+    known = {name: model.net.verify for name, model in published_models().items() if model.net.verify is not None}
+    return dict(sorted(known.items(), key=lambda item: item[1], reverse=True))
+
+
+def verify_model(name: str, golden: Path, device: str = "cpu", *, noise: bool = False) -> list[Check]:
+    """Fill a network by the names of its tensors, run the golden frames in order, and compare what is stored.
+
+    Args:
+        name: One of `verified_models`.
+        golden: A set's folder, or a model's folder whose sets are all compared.
+        device: What the network runs on; tolerances are those of single precision on a processor.
+        noise: Whether our own network runs twice more, to know how far its own rounding moves each quantity.
+
+    Returns:
+        One check for each quantity; the first alone if names or shapes differ, since weights cannot be filled then.
+
+    Raises:
+        InputError: If there is no such model, or the set cannot be used.
+    """
+    known = verified_models()
+    if name not in known:
+        raise InputError(f"no model {name!r} can be verified; choose one of {', '.join(known)}")
+    verify = partial(resolve(known[name]), published_models()[name], golden, device)
+    if not noise:
+        return cast("list[Check]", verify())
+    # It imports torch, which a refusal does not wait for.
+    from adapters.extensions.golden_sets.own_rounding import with_own_rounding
+
+    return with_own_rounding(verify)

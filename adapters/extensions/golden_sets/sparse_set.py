@@ -1,0 +1,208 @@
+"""Golden sets of the sparse networks: how their inputs are made, and what the official code made of them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Self, TypeVar
+
+import numpy as np
+import torch
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter
+from torch import Tensor
+
+from adapters.extensions.golden_sets.parity_set import described, keys_file, recorded_images
+from adapters.networks.sparse.config import SparseConfig, image_length_fits
+from adapters.networks.sparse.model import SparseInputs
+from benchmark.errors import InputError
+from benchmark.verification.golden import GoldenArrays, golden_directory
+from benchmark.verification.synthetic_weights import WeightsRecipe, read_recipe, read_shapes, seeded_normal
+
+COARSE = 16
+"""Pixels along a side of the squares of synthetic images."""
+RIGID = 1e-4
+"""By how much the rotation of a pose may fail to be one."""
+
+T = TypeVar("T")
+
+
+def _length(pixels: int) -> int:
+    if not image_length_fits(pixels):
+        raise ValueError(f"the networks have no images that are {pixels} pixels high or wide")
+    return pixels
+
+
+Length = Annotated[int, Field(le=4096), AfterValidator(_length)]
+
+
+class SetManifest(BaseModel):
+    """The manifest of a set.
+
+    Attributes:
+        model: Whose set it is.
+        salt: Of weights and images; a set without weights of its own has those of the set of that name beside it.
+        image_hw: Rows and columns of the images.
+        n_frames: Frames, in the order of time.
+        image_sha256: Of the float32 images: of ``frame0`` and so on, or of the only frame.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    model: str
+    salt: str
+    image_hw: tuple[Length, Length]
+    n_frames: Annotated[int, Field(ge=1, le=1000)] = 1
+    image_sha256: dict[str, str] | str = Field(default_factory=dict)
+
+
+class Statistic(BaseModel):
+    """What a set says about a whole tensor of which it stores a part, or nothing.
+
+    Attributes:
+        shape: Of the tensor.
+        mean: Of all numbers.
+        std: Of all numbers.
+        absmax: The largest size.
+        first: The first numbers.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    shape: list[int]
+    mean: float
+    std: float
+    absmax: float
+    first: list[float]
+
+
+class ModuleStatistic(Statistic):
+    """What one call of a module of the official code gave."""
+
+    module: str
+
+
+@dataclass(frozen=True, slots=True)
+class SparseSet:
+    """One golden set.
+
+    Attributes:
+        folder: Where it is.
+        manifest: How images are made.
+        recipe: How weights are made, kept values included.
+        shapes: Shapes of the network's tensors by name.
+        inputs: Calibration, poses, times, commands and noise.
+        outputs: For each frame, what the official code computed.
+        statistics: For each frame, statistics of whole tensors by name; empty where the set has none.
+        calls: For each frame, modules in the order of their calls; empty where the set has none.
+    """
+
+    folder: Path
+    manifest: SetManifest
+    recipe: WeightsRecipe
+    shapes: dict[str, tuple[int, ...]]
+    inputs: GoldenArrays
+    outputs: list[GoldenArrays]
+    statistics: list[dict[str, Statistic]]
+    calls: list[list[ModuleStatistic]]
+
+    @classmethod
+    def read(cls, folder: Path, model: str) -> Self:
+        """Read a set.
+
+        Args:
+            folder: With ``manifest.json``, ``inputs.npz``, ``outputs_frame0.npz`` and so on; ``keys.json`` is in it or
+                in the folder above.
+            model: Whose set it must be.
+
+        Returns:
+            The set.
+
+        Raises:
+            InputError: If anything in it is absent or damaged, or it is of another model.
+        """
+        golden_directory(folder, "dev", "manifest.json", "inputs.npz", "outputs_frame0.npz")
+        manifest = described(folder / "manifest.json", SetManifest.model_validate)
+        if manifest.model != model:
+            raise InputError(f"{folder} is a golden set of {manifest.model}, not of {model}; pass one of {model}")
+        shapes = read_shapes(keys_file(folder, "above"))
+        frames = [f"frame{frame}" for frame in range(manifest.n_frames)]
+        statistics = _by_frame(folder / "stats_full.json", TypeAdapter(dict[str, dict[str, Statistic]]))
+        calls = _by_frame(folder / "trace.json", TypeAdapter(dict[str, list[ModuleStatistic]]))
+        return cls(
+            folder,
+            manifest,
+            _recipe(folder, manifest.salt, shapes),
+            shapes,
+            GoldenArrays.read(folder / "inputs.npz"),
+            [GoldenArrays.read(folder / f"outputs_{frame}.npz") for frame in frames],
+            [statistics.get(frame, {}) for frame in frames],
+            [calls.get(frame, []) for frame in frames],
+        )
+
+    def frame(self, frame: int, config: SparseConfig) -> tuple[SparseInputs, Tensor | None]:
+        """Inputs of a frame.
+
+        Args:
+            frame: From 0.
+            config: Of the network that gets them.
+
+        Returns:
+            The inputs, and the noise of the plans where the set has some.
+
+        Raises:
+            InputError: If the set's arrays are damaged or its images cannot be made here.
+        """
+        name, inputs = f"frame{frame}", self.inputs
+        cameras, commands = config.cameras, config.commands
+        height, width = self.manifest.image_hw
+        sizes = inputs.floats(f"{name}_image_wh", 1, cameras, 2)
+        pose = inputs.floats(f"{name}_T_global", 4, 4)
+        command = inputs.floats(f"{name}_gt_ego_fut_cmd", 1, commands)[0]
+        turn = pose[:3, :3]
+        if (sizes != (width, height)).any():
+            raise InputError(f"{inputs.path} has images of other sizes than {self.folder / 'manifest.json'} says")
+        if not np.allclose(turn @ turn.T, np.eye(3), atol=RIGID) or not np.array_equal(pose[3], (0, 0, 0, 1)):
+            raise InputError(f"array {name}_T_global in {inputs.path} is no pose; fetch or make the file again")
+        if sorted(command) != [0.0] * (commands - 1) + [1.0]:
+            raise InputError(f"array {name}_gt_ego_fut_cmd in {inputs.path} is not one command of {commands}")
+        noise = f"{name}_diffusion_noise"
+        drawn = inputs.floats(noise, 1, config.modes, config.steps, 2)[0] if noise in inputs.names else None
+        found = SparseInputs(
+            images=self._images(frame, cameras),
+            projections=torch.from_numpy(inputs.floats(f"{name}_projection_mat", 1, cameras, 4, 4)[0]).float(),
+            timestamp_s=float(inputs.floats(f"{name}_timestamp", 1)[0]),
+            global_T_lidar=torch.from_numpy(pose),
+            command=int(command.argmax()),
+            scene_token=name,
+        )
+        return found, None if drawn is None else torch.from_numpy(drawn).float()
+
+    def _images(self, frame: int, cameras: int) -> Tensor:
+        """Noise of squares, and half as much of single pixels."""
+        height, width = self.manifest.image_hw
+        salt, shape = self.manifest.salt, (cameras, 3, height, width)
+        coarse = (cameras, 3, height // COARSE, width // COARSE)
+        squares = np.kron(seeded_normal(f"input:image:coarse:frame{frame}", coarse, salt), np.ones((COARSE, COARSE)))
+        images = (squares + 0.5 * seeded_normal(f"input:image:fine:frame{frame}", shape, salt)).astype(np.float32)
+        recorded = self.manifest.image_sha256
+        wanted = recorded if isinstance(recorded, str) else recorded.get(f"frame{frame}")
+        return recorded_images(images, wanted, frame, self.folder / "manifest.json")
+
+
+def _by_frame(path: Path, adapter: TypeAdapter[dict[str, T]]) -> dict[str, T]:
+    """What a file says about each frame; nothing where there is no file."""
+    return described(path, adapter.validate_python) if path.is_file() else {}
+
+
+def _recipe(folder: Path, salt: str, shapes: dict[str, tuple[int, ...]]) -> WeightsRecipe:
+    """How weights are made: as the set says, or as the set beside it that has the name of the salt."""
+    home = next((place for place in (folder, folder.parent / salt) if (place / "kept_buffers.npz").is_file()), None)
+    if home is None:
+        raise InputError(
+            f"the golden set {folder} has no kept_buffers.npz, and there is none in {folder.parent / salt}; a set "
+            "without weights of its own needs the one of its salt beside it"
+        )
+    recipe, kept = read_recipe(home / "manifest.json", WeightsRecipe), GoldenArrays.read(home / "kept_buffers.npz")
+    unknown = sorted(kept.names - shapes.keys())
+    if unknown:
+        raise InputError(f"{kept.path} holds {unknown[0]}, which keys.json does not list; fetch the set again")
+    values = {name: kept.floats(name, *shapes[name]).astype(np.float32) for name in sorted(kept.names)}
+    return recipe.model_copy(update={"kept_buffers": values})

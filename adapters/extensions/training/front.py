@@ -1,0 +1,239 @@
+"""How miniatures learn to see in the front camera where their lane is, before the rest of them learns anything."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from adapters.extensions.training.dense_targets import LANE_NUMBERS, lane_loss
+from adapters.extensions.training.frames import TrainingFrame
+from adapters.extensions.training.image_encoder import centre_loss, miniature_images
+from adapters.extensions.training.image_targets import front_heat
+from adapters.extensions.training.losses import aside_loss
+from adapters.extensions.training.phases import Phase
+from adapters.extensions.training.trainer import Recipe
+from adapters.networks.layers.front_reader import FRONT, FrontReader
+from benchmark.constants import DETECTION_CLASS_OF_CATEGORY, DETECTION_CLASSES, VEHICLE_CATEGORIES
+from benchmark.planning import Command
+
+GAP_UNIT_M: Final = 10.0
+FARTHEST_GAP_M: Final = 40.0
+"""Metres of a number's 1, and beyond which nothing ahead matters yet."""
+OWN_HALF_WIDTH_M: Final = 1.0
+STANDING_M: Final = 0.05
+"""Who moves less in half a second stands still."""
+STRIPS_M: Final = (-6.0, -3.0, -1.0, 1.0, 3.0, 6.0)
+"""Edges of the strips along the ego, to its right, in each of which the nearest walker matters."""
+WALKER_REACH_M: Final = 25.0
+"""Walkers farther ahead than this do not matter yet."""
+WEIGHTS: Final = {"lane": 1.0, "ahead": 3.0, "gap": 1.0, "walkers": 5.0}
+"""What each loss of what is read counts."""
+THINGS_WEIGHT: Final = 0.3
+"""What that of the maps of own eyes counts."""
+RARE_WALKER: Final = 4.0
+"""How many times more a strip with somebody in it counts: most have nobody."""
+_WALKER: Final = DETECTION_CLASSES.index("pedestrian")
+_VEHICLES: Final = tuple(
+    DETECTION_CLASSES.index(name)
+    for name in dict.fromkeys(DETECTION_CLASS_OF_CATEGORY.get(category) for category in VEHICLE_CATEGORIES)
+    if name is not None
+)
+THINGS: Final = ((_WALKER,), _VEHICLES)
+"""Classes of what the first channels of own eyes' maps stand for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Eyes:
+    """What makes the map of the front camera that a plan looks at.
+
+    Attributes:
+        see: From normalised images (B, 3, H, W) to maps (B, channels, h, w).
+        own: Whether they are the plan's own; then the first channels have to say where things are (`things_loss`).
+    """
+
+    see: Callable[[Tensor], Tensor]
+    own: bool = False
+
+
+class FrontObjective:
+    """`frames.Objective` for what the plan takes from the front camera: where lines are ahead.
+
+    A whole frame of the network costs fifty times one image, and four frames a step learn this too slowly.
+
+    Args:
+        network: The network.
+        reader: Its part whose plan sees the front camera.
+        eyes: What makes the maps that this part reads.
+    """
+
+    clip_frames = 32
+
+    def __init__(self, network: nn.Module, reader: FrontReader, eyes: Eyes) -> None:
+        self.network, self.reader, self._eyes = network, reader, eyes
+
+    def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
+        """The losses of frames that need not belong together, as bright or dark as they may be.
+
+        Args:
+            clip: The frames.
+
+        Returns:
+            The terms of `front_losses`, weighted means over the frames, and ``things`` where maps have to say them.
+        """
+        images = miniature_images(torch.stack([frame.images[FRONT] for frame in clip]))
+        brightness = torch.empty(len(images), 1, 1, 1, device=images.device).uniform_(-0.3, 0.3)
+        contrast = torch.empty(len(images), 1, 1, 1, device=images.device).uniform_(0.8, 1.2)
+        images = images * contrast + brightness
+        seen = self._eyes.see(images.contiguous(memory_format=torch.channels_last))
+        losses = mean_front_losses(self.reader(seen), clip)
+        return losses | {"things": THINGS_WEIGHT * things_loss(seen, clip)} if self._eyes.own else losses
+
+
+def of_all_cameras(network: nn.Module, kept: tuple[str, ...]) -> Eyes:
+    """Eyes of a network that sees all cameras with the same: its finest feature map.
+
+    Args:
+        network: One with an image network `img_backbone` and a feature pyramid `img_neck`; the former stays as it is.
+        kept: How the names of those parameters of the pyramid begin that stay as they are, too.
+
+    Returns:
+        The eyes.
+    """
+    backbone, neck = network.get_submodule("img_backbone"), network.get_submodule("img_neck")
+    for name, parameter in neck.named_parameters():
+        if name.startswith(kept):
+            parameter.requires_grad_(False)
+
+    def see(images: Tensor) -> Tensor:
+        with torch.no_grad():
+            stages = backbone(images)
+        found: Tensor = neck(stages)[0]
+        return found
+
+    return Eyes(see)
+
+
+def things_loss(seen: Tensor, frames: Sequence[TrainingFrame]) -> Tensor:
+    """Whether the first channels of maps are logits of where things are.
+
+    Args:
+        seen: (F, channels, h, w) maps of front cameras.
+        frames: The key frames, F of them.
+
+    Returns:
+        `centre_loss` of walkers and of vehicles, as many as in a mean frame.
+    """
+    heats = torch.from_numpy(np.stack([front_heat(frame) for frame in frames])).to(seen.device)
+    wanted = torch.stack([heats[:, list(kinds)].amax(1) for kinds in THINGS], 1)
+    return centre_loss(seen[:, : len(THINGS)], wanted)
+
+
+def mean_front_losses(said: Tensor, frames: Sequence[TrainingFrame]) -> dict[str, Tensor]:
+    """`front_losses` of several key frames.
+
+    Args:
+        said: (F, numbers).
+        frames: The key frames, F of them.
+
+    Returns:
+        The terms, weighted means over the frames.
+    """
+    each = [front_losses(numbers, frame) for numbers, frame in zip(said, frames, strict=True)]
+    return {name: weight * torch.stack([losses[name] for losses in each]).mean() for name, weight in WEIGHTS.items()}
+
+
+def front_losses(front: Tensor, frame: TrainingFrame) -> dict[str, Tensor]:
+    """What the first numbers that the plan takes from the front camera have to say.
+
+    Args:
+        front: (numbers,) where lines are to the left and right (`lane_loss`), then how far to the right one who drives
+            straight on will be at each step, then the room ahead in units of `GAP_UNIT_M`, then how near walkers are
+            in each strip.
+        frame: The key frame.
+
+    Returns:
+        ``lane``, ``ahead``, ``gap`` and ``walkers``: metres, squared metres, units of `GAP_UNIT_M` and squares of
+        `walkers_ahead`. The second is 0 where the command is to turn, the third where it is not known which way the ego
+        goes.
+    """
+    steps = len(frame.ego_future)
+    aside, said = front[LANE_NUMBERS : LANE_NUMBERS + steps], front[LANE_NUMBERS + steps]
+    walkers, near = front[LANE_NUMBERS + steps + 1 :][: len(STRIPS_M) - 1], walkers_ahead(frame)
+    counted = frame.ego_future_valid & (frame.command == Command.STRAIGHT)
+    gap_m = gap_ahead(frame)
+    return {
+        "gap": said * 0 if gap_m is None else (said - gap_m / GAP_UNIT_M).abs(),
+        "lane": lane_loss(front[:LANE_NUMBERS], frame),
+        "ahead": aside_loss(aside, frame.ego_future[:, 0], counted),
+        "walkers": ((walkers - near).square() * (1 + RARE_WALKER * (near > 0))).sum(),
+    }
+
+
+def walkers_ahead(frame: TrainingFrame) -> Tensor:
+    """How near the nearest walker ahead is, in each strip along the ego: what the plan has to brake for in time.
+
+    Args:
+        frame: The key frame.
+
+    Returns:
+        (strips,) 1 beside the lidar, 0 at `WALKER_REACH_M` and where there is none.
+    """
+    right, ahead = frame.boxes[frame.labels == _WALKER, :2].unbind(-1)
+    edges = frame.boxes.new_tensor(STRIPS_M)
+    inside = (right >= edges[:-1, None]) & (right < edges[1:, None]) & (ahead > 0)
+    near = (1 - ahead / WALKER_REACH_M).clamp(min=0) * inside
+    return torch.cat([near, near.new_zeros(len(near), 1)], 1).amax(1)
+
+
+def gap_ahead(frame: TrainingFrame) -> float | None:
+    """Room in front of the ego along the way that it takes, up to whatever is there now.
+
+    Args:
+        frame: The key frame.
+
+    Returns:
+        Metres from the lidar to the nearest box on the way, `FARTHEST_GAP_M` at most; ``None`` where none is known.
+    """
+    if not frame.ego_future_valid.all():
+        return None
+    way = torch.cat([torch.zeros(1, 2), frame.ego_future])
+    far = way[-1] - way[-2] if float((way[-1] - way[-2]).norm()) > STANDING_M else torch.tensor([0.0, 1.0])
+    way = torch.cat([way, way[-1:] + FARTHEST_GAP_M * far / far.norm()])
+    pieces = way.diff(dim=0)
+    lengths = pieces.norm(dim=-1)
+    moving = lengths > STANDING_M
+    starts, pieces, lengths = way[:-1][moving], pieces[moving], lengths[moving]
+    begun = lengths.cumsum(0) - lengths
+    to_boxes = frame.boxes[:, None, :2] - starts
+    along = ((to_boxes * pieces).sum(-1) / lengths).clamp(min=0).minimum(lengths)
+    beside = (to_boxes - along[..., None] * (pieces / lengths[:, None])).norm(dim=-1)
+    nearest = beside.argmin(1)
+    rows = torch.arange(len(frame.boxes))
+    station = (begun + along)[rows, nearest]
+    # A box of any heading is as wide as its width and as long as its length: near enough for what is driven behind.
+    on_way = (beside[rows, nearest] < OWN_HALF_WIDTH_M + frame.boxes[:, 4] / 2) & (station > STANDING_M)
+    gaps = (station - frame.boxes[:, 3] / 2)[on_way]
+    return min(FARTHEST_GAP_M, max(0.0, float(gaps.min()))) if len(gaps) else FARTHEST_GAP_M
+
+
+def front_phase(reader_of: Callable[[Any], FrontReader | None], eyes_of: Callable[[Any], Eyes]) -> Phase:
+    """The first part of the training of a miniature whose plan sees the front camera.
+
+    Args:
+        reader_of: From the network to the part that does.
+        eyes_of: From the network to what makes the maps that this part reads; may keep parameters from learning.
+
+    Returns:
+        The phase.
+    """
+
+    def objective(network: Any) -> FrontObjective:
+        reader = reader_of(network)
+        assert reader is not None, "a network whose plan sees the front camera"
+        return FrontObjective(network, reader, eyes_of(network))
+
+    recipe = Recipe(steps=2000, learning_rate=1e-3, warmup=50, average=0.99, scattered=True)
+    return Phase("front", objective, recipe)

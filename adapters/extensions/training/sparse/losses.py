@@ -1,0 +1,233 @@
+"""Losses of the sparse networks (Sun et al., 2024; Lin et al., 2023; Liao et al., 2025), over several key frames."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from adapters.extensions.training.losses import (
+    Matches,
+    aside_loss,
+    assigned,
+    box_loss,
+    class_cost,
+    direction_loss,
+    equivalent_lines,
+    focal_loss,
+    line_loss,
+    query_class_loss,
+    winners,
+)
+from adapters.extensions.training.plan_room import missing_room
+from adapters.extensions.training.sparse.targets import Targets
+from adapters.networks.sparse.decoder import Decoded, Stage
+from adapters.networks.sparse.queue import FORWARD_SPEED
+
+BOX_WEIGHTS: Final = (2.0, 2.0, 0.5, 0.5, 0.5, 0.5, 1.0, 1.0, 0.5, 0.5, 0.0)
+"""Of the numbers of a box."""
+CLASS: Final = 2.0
+BOX: Final = 0.25
+LINE: Final = 0.25
+"""Of metres, summed over x and y."""
+DIRECTION: Final = 0.1
+QUALITY: Final = 0.5
+CENTRE_M: Final = 4.0
+"""A centre that is missed by this much has the quality 1 / e."""
+FORECAST: Final = 0.3
+FORECAST_CLASS: Final = 0.5
+FORECAST_CHOSEN: Final = 0.15
+PLAN: Final = 0.5
+CHOSEN: Final = 1.0
+PLAN_CLASS: Final = 0.5
+ASIDE: Final = 3.0
+ROOM: Final = 3.0
+"""Of the squared offset to the side: half a metre is little beside the metres ahead, and leads off the road."""
+NEIGHBOURS: Final = 3
+"""Predictions around a box that learn where it is; one of them learns that it is the box."""
+NEIGHBOUR: Final = 0.5
+"""Weight of their boxes."""
+STATUS: Final = 0.1
+SPEED: Final = 0.3
+
+
+def matches_of_boxes(stage: Stage, targets: Targets) -> Matches:
+    """Which predictions of a stage stand for which boxes; arguments as in `stage_of_boxes`."""
+    boxes, logits = stage.anchors.flatten(0, 1), stage.logits.flatten(0, 1)
+    weights = boxes.new_tensor(BOX_WEIGHTS)
+    distance = torch.cdist(boxes.detach() * weights, targets.boxes * weights, p=1)
+    cost = CLASS * class_cost(logits, targets.box_labels) + BOX * distance
+    return assigned(cost, stage.anchors.shape[1], targets.box_counts)
+
+
+def stage_of_boxes(stage: Stage, targets: Targets) -> tuple[dict[str, Tensor], Matches]:
+    """Losses of one stage of the decoder of boxes, of F key frames in the order of the targets.
+
+    Args:
+        stage: Its predictions.
+        targets: What is wanted.
+
+    Returns:
+        Losses by name, and which rows of the flattened predictions were matched.
+    """
+    boxes, logits = stage.anchors.flatten(0, 1), stage.logits.flatten(0, 1)
+    assert stage.qualities is not None
+    weights = boxes.new_tensor(BOX_WEIGHTS)
+    matches = matches_of_boxes(stage, targets)
+    found, wanted = boxes[matches.queries], targets.boxes[matches.wanted]
+    missed = (found - wanted)[:, :3].detach().norm(dim=-1)
+    alike = ((found[:, 6:8] * wanted[:, 6:8]).sum(-1) > 0).float()
+    quality = torch.stack([(-missed / CENTRE_M).exp(), alike], -1)
+    quality_loss = F.binary_cross_entropy_with_logits(
+        stage.qualities.flatten(0, 1)[matches.queries], quality, reduction="sum"
+    ) / max(len(found), 1)
+    around = nearest_predictions(boxes, targets, stage.anchors.shape[1])
+    return {
+        "box class": CLASS * query_class_loss(logits, targets.box_labels, matches),
+        "box": BOX * box_loss(boxes, targets.boxes, matches, weights),
+        "box around": NEIGHBOUR * BOX * box_loss(boxes, targets.boxes, around, weights),
+        "box quality": QUALITY * quality_loss,
+    }, matches
+
+
+def nearest_predictions(boxes: Tensor, targets: Targets, queries: int) -> Matches:
+    """The predictions of the same key frame that are nearest to each annotated box.
+
+    Args:
+        boxes: (F * queries, 11) predictions.
+        targets: What is wanted.
+        queries: Predictions of a key frame.
+
+    Returns:
+        The pairs; several for each annotated box.
+    """
+    owner = torch.repeat_interleave(torch.tensor(targets.box_counts))
+    rows = (owner.to(boxes.device) * queries)[:, None] + torch.arange(queries, device=boxes.device)
+    apart = (boxes.detach()[rows, :2] - targets.boxes[:, None, :2]).norm(dim=-1)
+    near = apart.topk(min(NEIGHBOURS, queries), dim=1, largest=False).indices
+    wanted = torch.arange(len(rows), device=boxes.device)[:, None].expand_as(near)
+    return Matches(rows.gather(1, near).flatten(), wanted.flatten())
+
+
+def stage_of_lines(stage: Stage, targets: Targets) -> dict[str, Tensor]:
+    """Losses of one stage of the decoder of lines; arguments as in `stage_of_boxes`."""
+    logits = stage.logits.flatten(0, 1)
+    points = stage.anchors.flatten(0, 1).view(len(logits), -1, 2)
+    orders = equivalent_lines(targets.lines)
+    distance = torch.cdist(points.detach().flatten(1), orders.flatten(2).flatten(0, 1), p=1)
+    nearest, order = distance.view(len(points), *orders.shape[:2]).min(-1)
+    cost = CLASS * class_cost(logits, targets.line_labels) + LINE * nearest / points.shape[1]
+    matches = assigned(cost, stage.anchors.shape[1], targets.line_counts)
+    matched = orders[matches.wanted, order[matches.queries, matches.wanted]]
+    return {
+        "line class": CLASS * query_class_loss(logits, targets.line_labels, matches),
+        "line": LINE * line_loss(points, matched, matches),
+        "line direction": DIRECTION * direction_loss(points, matched, matches),
+    }
+
+
+def summed(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
+    """Means of losses of one name."""
+    return {name: torch.stack([part[name] for part in parts]).mean() for name in parts[0]}
+
+
+def decoder_losses(
+    agents: Sequence[Decoded], lines: Sequence[Decoded], targets: Targets
+) -> tuple[dict[str, Tensor], Matches]:
+    """Losses of both decoders.
+
+    Args:
+        agents: Of B key frames each, one after the other.
+        lines: Of the same.
+        targets: In the same order.
+
+    Returns:
+        Losses by name, means over the stages, and the matches of the last stage of boxes.
+    """
+    boxes = [stage_of_boxes(stage, targets) for stage in _joined(agents)]
+    found = summed([losses for losses, _ in boxes]) | summed(
+        [stage_of_lines(stage, targets) for stage in _joined(lines)]
+    )
+    return found, boxes[-1][1]
+
+
+def _joined(decoded: Sequence[Decoded]) -> list[Stage]:
+    stages = zip(*(each.stages for each in decoded), strict=True)
+    return [
+        Stage(
+            torch.cat([stage.anchors for stage in same]),
+            torch.cat([stage.logits for stage in same]),
+            torch.cat([stage.qualities for stage in same if stage.qualities is not None])
+            if same[0].qualities is not None
+            else None,
+        )
+        for same in stages
+    ]
+
+
+def forecast_losses(
+    logits: Tensor, offsets: Tensor, anchors: Tensor, wanted: Tensor, valid: Tensor
+) -> dict[str, Tensor]:
+    """Of the modes of an agent the one whose anchor is nearest learns the way, and all learn which one that was.
+
+    Args:
+        logits: (K, M).
+        offsets: (K, M, T, 2) metres from step to step.
+        anchors: (K, M, T, 2) positions of the anchors, from where the agent is.
+        wanted: (K, T, 2) positions, from where the agent is.
+        valid: (K, T) bool.
+
+    Returns:
+        Losses by name.
+    """
+    counted = valid.any(-1)
+    logits, paths, wanted, valid = logits[counted], offsets[counted].cumsum(2), wanted[counted], valid[counted]
+    best = winners(anchors[counted], wanted, valid)
+    error = ((paths - wanted[:, None]).abs().sum(-1) * valid[:, None]).sum(-1)
+    steps = max(int(valid.sum()), 1)
+    own = error[torch.arange(len(best), device=best.device), best].sum() / steps
+    nearest = F.one_hot(best, logits.shape[1]).to(logits.dtype)
+    return {
+        "forecast": FORECAST * own,
+        # As with plans, what is chosen wrongly should do little harm.
+        "forecast chosen": FORECAST_CHOSEN * (logits.softmax(-1) * error).sum() / steps,
+        "forecast class": FORECAST_CLASS * focal_loss(logits, nearest),
+    }
+
+
+def plan_losses(logits: Tensor, offsets: Tensor, anchors: Tensor, targets: Targets) -> dict[str, Tensor]:
+    """Of the plans for the given command the one whose anchor is nearest learns the way, and all learn which it was.
+
+    Args:
+        logits: (F, M).
+        offsets: (F, M, S, 2) metres from step to step.
+        anchors: (F, M, S, 2) positions of the anchors.
+        targets: What is wanted.
+
+    Returns:
+        Losses by name.
+    """
+    paths, valid = offsets.cumsum(2), targets.plans_valid
+    best = winners(anchors, targets.plans, valid)
+    error = ((paths - targets.plans[:, None]).abs().sum(-1) * valid[:, None]).sum(-1)
+    steps = max(int(valid.sum()), 1)
+    rows = torch.arange(len(best), device=best.device)
+    own = error[rows, best].sum() / steps
+    # What is chosen wrongly should do little harm: it learns too, the more the likelier it is chosen.
+    expected = (logits.softmax(-1) * error).sum() / steps
+    counted = valid.any(-1)
+    entropy = F.cross_entropy(logits, best, reduction="none")
+    return {
+        "plan": PLAN * own,
+        "plan aside": ASIDE * aside_loss(paths[rows, best, :, 0], targets.plans[..., 0], valid),
+        "plan chosen": CHOSEN * expected,
+        "plan room": ROOM * (logits.softmax(-1) * missing_room(paths, targets.around)).sum(-1).mean(),
+        "plan class": PLAN_CLASS * (entropy * counted).sum() / max(int(counted.sum()), 1),
+    }
+
+
+def status_loss(status: Tensor, targets: Targets) -> Tensor:
+    """L1 of what is recorded of the status of the ego, (F, 10); plans depend most on how fast it drives."""
+    error = (status - targets.status)[:, :-1].abs()
+    return STATUS * error.sum(-1).mean() + SPEED * error[:, FORWARD_SPEED].mean()

@@ -1,0 +1,109 @@
+"""What is annotated about several key frames, in the numbers of the sparse networks."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Self
+
+import torch
+from torch import Tensor
+
+from adapters.extensions.training.frames import LINE_POINTS, TrainingFrame
+from adapters.extensions.training.plan_room import Around
+from adapters.networks.sparse.boxes import BOX_CODE
+from adapters.networks.sparse.queue import STATUS
+
+LINE_CLASS_OF_LABEL: Final = (1, 0, 2)
+"""Place in `adapters.networks.sparse.selection.MAP_CLASSES` for each line label of training frames."""
+FARTHEST_M: Final = 40.0
+"""Boxes that are farther away are not looked for: at the size of the images they are a few pixels."""
+MOTION_IN_CAN_BUS: Final = slice(7, 16)
+"""Acceleration, rotation rate and velocity; the steering angle is not recorded."""
+
+
+@dataclass(frozen=True, slots=True)
+class Targets:
+    """Annotations of F key frames, those of a frame behind those of the frame before; lidar frame, metres.
+
+    Attributes:
+        boxes: (G, 11) undecoded.
+        box_labels: (G,) int64.
+        box_counts: Boxes of each key frame.
+        futures: (G, T, 2) positions at steps of 0.5 s, from where the box is.
+        futures_valid: (G, T) bool.
+        lines: (M, P, 2).
+        line_labels: (M,) int64.
+        line_counts: Map elements of each key frame.
+        plans: (F, S, 2) recorded positions of the ego.
+        plans_valid: (F, S) bool.
+        commands: (F,) int64.
+        status: (F, 10) of the ego; the steering angle is 0.
+        around: Everybody, at the S steps of a plan.
+    """
+
+    boxes: Tensor
+    box_labels: Tensor
+    box_counts: tuple[int, ...]
+    futures: Tensor
+    futures_valid: Tensor
+    lines: Tensor
+    line_labels: Tensor
+    line_counts: tuple[int, ...]
+    plans: Tensor
+    plans_valid: Tensor
+    commands: Tensor
+    status: Tensor
+    around: Around
+
+    @classmethod
+    def of(cls, frames: Sequence[TrainingFrame], points_per_line: int, device: torch.device) -> Self:
+        """Gather key frames.
+
+        Args:
+            frames: In the order of the predictions.
+            points_per_line: Points of a map element.
+            device: Where to put the numbers.
+
+        Returns:
+            Their annotations.
+        """
+        near = [frame.boxes[:, :2].norm(dim=-1) <= FARTHEST_M for frame in frames]
+        boxes = torch.cat([frame.boxes[kept] for frame, kept in zip(frames, near, strict=True)])
+        futures = torch.cat([frame.futures[kept] for frame, kept in zip(frames, near, strict=True)])
+        classes = torch.tensor(LINE_CLASS_OF_LABEL)
+        status = torch.zeros(len(frames), STATUS)
+        status[:, :9] = torch.stack([frame.can_bus[MOTION_IN_CAN_BUS] for frame in frames]).float()
+        return cls(
+            boxes=box_numbers(boxes).to(device),
+            box_labels=torch.cat([frame.labels[kept] for frame, kept in zip(frames, near, strict=True)]).to(device),
+            box_counts=tuple(int(kept.sum()) for kept in near),
+            futures=(futures[..., :2] - boxes[:, None, :2]).to(device),
+            futures_valid=torch.cat([frame.futures_valid[kept] for frame, kept in zip(frames, near, strict=True)]).to(
+                device
+            ),
+            lines=fewer_points(torch.cat([frame.lines for frame in frames]), points_per_line).to(device),
+            line_labels=classes[torch.cat([frame.line_labels for frame in frames])].to(device),
+            line_counts=tuple(len(frame.lines) for frame in frames),
+            plans=torch.stack([frame.ego_future for frame in frames]).to(device),
+            plans_valid=torch.stack([frame.ego_future_valid for frame in frames]).to(device),
+            commands=torch.tensor([frame.command for frame in frames], device=device),
+            status=status.to(device),
+            around=Around.of(frames, frames[0].ego_future.shape[0]).on(device),
+        )
+
+
+def box_numbers(boxes: Tensor) -> Tensor:
+    """(N, 9) boxes of training frames to (N, 11) undecoded ones; see `adapters.networks.sparse.boxes`."""
+    numbers = boxes.new_zeros(len(boxes), BOX_CODE)
+    numbers[:, :3] = boxes[:, :3]
+    numbers[:, 3:6] = boxes[:, 3:6].clamp(min=0.05).log()
+    numbers[:, 6], numbers[:, 7] = boxes[:, 6].sin(), boxes[:, 6].cos()
+    numbers[:, 8:10] = boxes[:, 7:9]
+    return numbers
+
+
+def fewer_points(lines: Tensor, points: int) -> Tensor:
+    """(M, 20, 2) evenly spaced points to (M, points, 2)."""
+    places = torch.linspace(0, LINE_POINTS - 1, points)
+    before = places.floor().long().clamp(max=LINE_POINTS - 2)
+    share = (places - before)[:, None]
+    return lines[:, before] * (1 - share) + lines[:, before + 1] * share

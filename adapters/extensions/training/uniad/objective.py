@@ -1,0 +1,327 @@
+"""How UniAD learns from clips: tracks follow the annotated agents, and every head has its loss."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+
+from adapters.extensions.training.dense_targets import dense_loss
+from adapters.extensions.training.frames import TrainingFrame
+from adapters.extensions.training.front import mean_front_losses
+from adapters.extensions.training.losses import Matches, aside_loss, plan_loss
+from adapters.extensions.training.plan_constraints import agent_constraint, boundary_constraint
+from adapters.extensions.training.plan_room import room_loss
+from adapters.extensions.training.turned_worlds import turned_can_bus, untold
+from adapters.extensions.training.uniad.losses import (
+    detection_losses,
+    forecast_losses,
+    map_losses,
+    matched_agents,
+    matched_elements,
+    occupancy_loss,
+)
+from adapters.extensions.training.uniad.targets import (
+    Agents,
+    Road,
+    box_targets,
+    ego_box,
+    network_inputs,
+    occupancy_targets,
+)
+from adapters.networks.layers.ego_motion import EgoMotion
+from adapters.networks.layers.front_reader import FRONT
+from adapters.networks.uniad.bev import Detections
+from adapters.networks.uniad.frames import UniADInputs
+from adapters.networks.uniad.model import Memory, UniAD
+from adapters.networks.uniad.motion import Forecasts
+from adapters.networks.uniad.planning import UniADPlan
+from adapters.networks.uniad.tracking import NO_TRACK, Boxes, Instances, Pose, decoded
+
+Stage = Literal["perception", "all"]
+"""``perception``: tracks and map. ``all``: forecasts, occupancy and plan too."""
+PLAN_WEIGHT, ASIDE_WEIGHT, CONSTRAINT_WEIGHT, ROOM_WEIGHT = 1.5, 6.0, 0.4, 3.0
+DENSE_WEIGHT = 6.0
+LOST = 0.1
+"""Share of tracks that are dropped between frames, so that their agents are found anew."""
+FALSE_FROM = 0.25
+"""Whoever stands for nobody and is more certain than this is handed on as a track, as it would be when the network runs
+(the published training draws some of them, ``fp_ratio``)."""
+MOST_FALSE = 12
+"""Of them, the most certain."""
+FROZEN = ("img_backbone.conv1", "img_backbone.bn1", "img_backbone.layer1", "img_backbone.layer2")
+"""What stays as the pre-training left it: half of a frame's cost would be its gradients."""
+SEES = (
+    "img_backbone",
+    "img_neck",
+    "pts_bbox_head.bev_embedding",
+    "pts_bbox_head.positional_encoding",
+    "pts_bbox_head.transformer.encoder",
+    "pts_bbox_head.transformer.can_bus_mlp",
+    "pts_bbox_head.transformer.level_embeds",
+    "pts_bbox_head.transformer.cams_embeds",
+)
+"""What the bird's-eye view is made with."""
+MOST_FORECAST = 8
+"""Agents of a frame whose forecasts are learned."""
+OCCUPANCY_SHARE = 0.6
+"""Of clips, in which the occupancy is learned; it is the dearest head."""
+MOST_OCCUPYING = 8
+"""Vehicles of a frame whose occupancy is learned."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What is seen in a key frame.
+
+    Attributes:
+        bev: (cells, C) bird's-eye view.
+        finest_front: (1, C, h, w) finest feature map of the front camera.
+        can_bus: (18,) float32, how the ego moves, as far as it is told.
+    """
+
+    bev: Tensor
+    finest_front: Tensor
+    can_bus: Tensor
+
+
+class UniADObjective:
+    """An objective as `frames.Objective` describes; drawn numbers are of PyTorch's generator.
+
+    Attributes:
+        network: What learns. It stays as in inference, without dropout and with normalisation as stored, but for the
+            occupancy, whose normalisation learns what it normalises.
+        clip_frames: Frames of a clip.
+        learned_frames: The last frames of a clip, through which gradients pass; earlier ones only leave a past.
+        unaware: Share of clips in which the network is not told how the ego moves, so that it looks.
+        stage: What is learned.
+        view_learns: Whether the bird's-eye view learns; only then has it to say what stands where.
+
+    Args:
+        sees_already: Whether what makes the bird's-eye view stays as it is.
+    """
+
+    def __init__(
+        self,
+        network: UniAD,
+        stage: Stage = "all",
+        clip_frames: int = 2,
+        learned_frames: int | None = None,
+        unaware: float = 1 / 3,
+        *,
+        sees_already: bool = False,
+    ) -> None:
+        self.unaware, self.view_learns = unaware, not sees_already
+        self.network, self.stage, self.clip_frames = network, stage, clip_frames
+        self.learned_frames = clip_frames if learned_frames is None else learned_frames
+        for name, parameter in network.named_parameters():
+            if name.startswith(SEES):
+                parameter.requires_grad_(not sees_already and not name.startswith(FROZEN))
+
+    def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
+        """Losses of a clip; the map and all that follows from it are learned from its last frame.
+
+        Args:
+            clip: Consecutive key frames of one scene.
+
+        Returns:
+            Weighted scalars by name.
+
+        Raises:
+            InputError: If predictions are not finite.
+        """
+        turn, aware = torch.rand(2).tolist()
+        return self.clip_losses(clip, 2 * math.pi * turn, aware >= self.unaware)
+
+    def clip_losses(self, clip: Sequence[TrainingFrame], turn_rad: float, aware: bool) -> dict[str, Tensor]:
+        """As `losses`, with what is drawn there.
+
+        Args:
+            clip: Consecutive key frames of one scene.
+            turn_rad: By how much the world is turned under the ego: no image shows where north is.
+            aware: Whether the network is told how the ego moves. Its past view is aligned all the same.
+
+        Returns:
+            Weighted scalars by name.
+
+        Raises:
+            InputError: If predictions are not finite.
+        """
+        network = self.network
+        if network.training:
+            network.eval()
+        inputs = [network_inputs(frame) for frame in clip]
+        inputs = [replace(each, can_bus=turned_can_bus(each.can_bus, turn_rad)) for each in inputs]
+        views = self._views(inputs, aware)
+        past: Memory | None = None
+        found: list[dict[str, Tensor]] = []
+        for number, (frame, given) in enumerate(zip(clip, inputs, strict=True)):
+            learned = number >= self._first_learned(len(clip))
+            with torch.set_grad_enabled(learned):
+                past, losses = self._frame(frame, given, next(views), past, last=number == len(clip) - 1)
+            if learned:
+                found.append(losses)
+        return {name: torch.stack([each[name] for each in found if name in each]).mean() for name in found[-1]}
+
+    def _first_learned(self, frames: int) -> int:
+        """The first frame of a clip with gradients."""
+        return max(frames - self.learned_frames, 0)
+
+    def _views(self, inputs: Sequence[UniADInputs], aware: bool) -> Iterator[View]:
+        """What is seen in the frames of a clip, one after the other; the images of those with gradients together."""
+        network, config = self.network, self.network.config
+        learned = self._first_learned(len(inputs))
+        previous: Tensor | None = None
+        maps: list[Tensor] = []
+        for number, given in enumerate(inputs):
+            if number in (0, learned):
+                seen = inputs[number : learned if number < learned else len(inputs)]
+                images = torch.cat([each.images for each in seen])
+                maps = network.img_neck(network.img_backbone(images.contiguous(memory_format=torch.channels_last)))
+            place = number - (learned if number >= learned else 0)
+            own = [level[place * config.cameras : (place + 1) * config.cameras] for level in maps]
+            before = inputs[number - 1].can_bus if number else None
+            motion = EgoMotion.between(before, given.can_bus, config.grid, config.rotation_centre)
+            motion = motion.to(given.images.device)
+            if not aware:
+                motion = untold(motion)
+            previous = network.pts_bbox_head.encode(own, given.images, given.lidar2img.float(), motion, previous)
+            yield View(previous, own[0][FRONT : FRONT + 1], motion.can_bus)
+
+    def _frame(
+        self, frame: TrainingFrame, inputs: UniADInputs, view: View, past: Memory | None, *, last: bool
+    ) -> tuple[Memory, dict[str, Tensor]]:
+        network, config, bev = self.network, self.network.config, view.bev
+        pose = Pose.of(inputs.l2g_r_mat, inputs.l2g_t, inputs.timestamp, bev.device)
+        entering, _ = network.entering_queries(past, pose)
+        detections = network.pts_bbox_head.detect(bev, entering.queries, entering.reference_logits)
+        agents = Agents.of(frame, config)
+        matches = matched_agents(detections, agents, entering.track_ids[config.queries + 1 :], config.queries)
+        ego_codes = box_targets(ego_box(frame), config)
+        losses = detection_losses(detections, agents, matches, ego_codes, config.queries)
+        if self.view_learns:
+            losses["dense"] = dense_loss(bev, frame, config.grid, DENSE_WEIGHT)
+        instances = _followed(entering, detections, agents, matches)
+        memory = Memory(frame.scene, bev, self._handed_on(instances, matches), pose)
+        if last:
+            losses |= self._road_and_plan(frame, view, instances, agents, matches)
+        return memory, losses
+
+    def _handed_on(self, instances: Instances, matches: Matches) -> Instances:
+        """Queries of the next frame: fresh ones, tracks of most of the agents, and tracks of nobody."""
+        network = self.network
+        kept = matches.queries[torch.rand(len(matches.queries)) >= LOST]
+        kept = torch.cat([kept, self._false_tracks(instances, matches)])
+        return network.fresh_queries().then(network.query_interact(network.memory_bank(instances).kept(kept)))
+
+    def _false_tracks(self, instances: Instances, matches: Matches) -> Tensor:
+        """Fresh queries and tracks that stand for nobody and would be tracks all the same, which are to be given up."""
+        scores = instances.scores.detach().index_fill(0, matches.queries, 0.0)
+        scores[self.network.config.queries] = 0.0
+        count = min(int((scores >= FALSE_FROM).sum()), MOST_FALSE)
+        return scores.topk(count).indices
+
+    def _road_and_plan(
+        self,
+        frame: TrainingFrame,
+        view: View,
+        instances: Instances,
+        agents: Agents,
+        matches: Matches,
+    ) -> dict[str, Tensor]:
+        network, config, bev = self.network, self.network.config, view.bev
+        elements = network.seg_head(bev)
+        road = Road.of(frame, config)
+        lines = matched_elements(elements, road)
+        head = network.seg_head
+        contents, positions = head.stuff_query.weight.chunk(2, -1)
+        masks = elements.cells.new_zeros(0, len(elements.cells))
+        if len(lines.queries):
+            masks = head.things_mask_head(elements.queries[lines.queries], None, elements.cells)
+        losses = map_losses(elements, road, lines, masks, head.stuff_mask_head(contents, positions, elements.cells))
+        if self.stage == "perception":
+            return losses
+        near = agents.boxes[matches.wanted, :2].norm(dim=-1).argsort()[:MOST_FORECAST]
+        wanted = matches.wanted[near]
+        tracks = decoded(instances.kept(matches.queries[near]))
+        ego = decoded(instances.kept(slice(config.queries, config.queries + 1)))
+        forecasts = network.motion_head(tracks.then(ego), elements, bev)
+        losses |= forecast_losses(forecasts, *_futures(frame, agents, wanted))
+        plan = network.planning_head(
+            bev,
+            network.pts_bbox_head.positional_encoding(),
+            forecasts.queries[-1, -1],
+            ego.states[0],
+            frame.command,
+            view.finest_front,
+            view.can_bus,
+        )
+        losses |= plan_losses(plan, frame)
+        return losses | self._occupancy(bev, tracks, agents, wanted, forecasts)
+
+    def _occupancy(
+        self, bev: Tensor, tracks: Boxes, agents: Agents, wanted: Tensor, forecasts: Forecasts
+    ) -> dict[str, Tensor]:
+        network, config = self.network, self.network.config
+        vehicles = network.vehicle_classes[agents.labels[wanted]].nonzero()[:MOST_OCCUPYING, 0]
+        if len(vehicles) == 0 or float(torch.rand(())) >= OCCUPANCY_SHARE:
+            return {"occupancy": bev.sum() * 0}
+        for module in network.occ_head.modules():
+            if isinstance(module, nn.BatchNorm2d):
+                module.train()
+        occupancy = network.occ_head(
+            bev,
+            forecasts.queries[-1, :-1][vehicles],
+            tracks.states[vehicles],
+            forecasts.positions[:-1][vehicles],
+            tracks.scores[vehicles],
+        )
+        return {"occupancy": occupancy_loss(occupancy, *occupancy_targets(agents, wanted[vehicles], config))}
+
+
+def _followed(entering: Instances, detections: Detections, agents: Agents, matches: Matches) -> Instances:
+    """Instances after the decoder; who stands for an agent has its number as a track."""
+    ids = torch.full_like(entering.track_ids, NO_TRACK)
+    ids[matches.queries] = agents.instances[matches.wanted]
+    logits = detections.class_logits[-1]
+    return replace(
+        entering,
+        reference_logits=detections.reference_logits,
+        track_ids=ids,
+        class_logits=logits,
+        box_codes=detections.box_codes[-1],
+        states=detections.states[-1],
+        scores=logits.sigmoid().amax(-1),
+    )
+
+
+def plan_losses(plan: UniADPlan, frame: TrainingFrame) -> dict[str, Tensor]:
+    """Of a plan and of what it read in the front camera.
+
+    Args:
+        plan: Before it is moved away from occupied cells.
+        frame: The key frame.
+
+    Returns:
+        Weighted scalars by name.
+    """
+    points, wanted, valid = plan.positions_m, frame.ego_future, frame.ego_future_valid
+    losses = {
+        "plan": PLAN_WEIGHT * plan_loss(points, wanted, valid),
+        "plan aside": ASIDE_WEIGHT * aside_loss(points[:, 0], wanted[:, 0], valid),
+        "plan agents": CONSTRAINT_WEIGHT * agent_constraint(points, frame),
+        "plan boundary": CONSTRAINT_WEIGHT * boundary_constraint(points, frame),
+        "plan room": ROOM_WEIGHT * room_loss(points, frame),
+    }
+    return losses if plan.front is None else losses | mean_front_losses(plan.front, [frame])
+
+
+def _futures(frame: TrainingFrame, agents: Agents, wanted: Tensor) -> tuple[Tensor, Tensor]:
+    """(A + 1, steps, 2) and (A + 1, steps): where agents and then the ego go, and whether that is known."""
+    offsets = agents.futures[wanted][..., :2] - agents.boxes[wanted][:, None, :2]
+    rest = offsets.shape[1] - len(frame.ego_future)
+    own = torch.cat([frame.ego_future, frame.ego_future.new_zeros(rest, 2)])[None]
+    known = torch.cat([frame.ego_future_valid, frame.ego_future_valid.new_zeros(rest)])[None]
+    return torch.cat([offsets, own]), torch.cat([agents.futures_valid[wanted], known])

@@ -1,0 +1,343 @@
+"""How VAD learns (section 3.5 of its paper): boxes, forecasts, map and plan of consecutive key frames."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from adapters.extensions.training.dense_targets import CHANNELS, OFFSETS, dense_loss, offset_loss
+from adapters.extensions.training.frames import TrainingFrame
+from adapters.extensions.training.front import WEIGHTS as FRONT_WEIGHTS
+from adapters.extensions.training.front import front_losses
+from adapters.extensions.training.image_encoder import miniature_images
+from adapters.extensions.training.losses import (
+    Matches,
+    aside_loss,
+    box_loss,
+    direction_loss,
+    line_loss,
+    match_boxes,
+    match_lines,
+    normalised_boxes,
+    plan_loss,
+    query_class_loss,
+    trajectory_losses,
+)
+from adapters.extensions.training.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
+from adapters.extensions.training.plan_room import room_loss
+from adapters.extensions.training.turned_worlds import turned_can_bus, untold
+from adapters.networks.layers.ego_motion import EgoMotion
+from adapters.networks.vad.model import VAD, VADInputs
+from adapters.networks.vad.predictions import VADPredictions
+
+COARSE: Final = "lateral_convs.1."
+"""Of the feature pyramid: what the finer map has in common with the coarse one stays while only that is learned."""
+CLIP_FRAMES: Final = 3
+LEARNED_FRAMES: Final = 2
+"""The last frames of a clip, which have losses; earlier ones only leave their view."""
+ENCODER_KEPT: Final = ("conv1", "bn1", "layer1")
+"""Parts of the image network that stay as they are."""
+WITHOUT_SPEED: Final = 1 / 3
+"""Share of clips that are not told how the ego moves: the plan has to come from what is seen."""
+WITHOUT_PAST: Final = 0.4
+"""Share of clips whose first learned frame is as at the start of a scene; it saves a sixth of the time, too."""
+PACE_STEP: Final = 1
+"""The planned step whose distance the tokens have to know: 1 s."""
+OFFSETS_FROM: Final = CHANNELS + 1
+"""The first channel of the view that says where lines are; it follows the one of the pace."""
+PACE_M: Final = 7.0
+PACE_SPREAD_M: Final = 4.0
+"""Mean and spread of that distance in the embedded town, about."""
+WEIGHTS: Final = {
+    "class": 2.0,
+    "box": 0.25,
+    "forecast": 0.2,
+    "mode": 0.2,
+    "line_class": 2.0,
+    "line": 0.25,
+    "line_direction": 0.05,
+    "dense": 1.0,
+    "offsets": 1.0,
+    "lane": 2.0,
+    "ahead": 6.0,
+    "gap": 2.0,
+    "walkers": 5.0,
+    "pace": 1.0,
+    "plan": 0.5,
+    "plan_steps": 1.0,
+    # Half a metre aside counts for little among the metres ahead, and leads off the road.
+    "plan_aside": 6.0,
+    "plan_agents": 0.2,
+    "plan_boundary": 0.2,
+    "plan_direction": 0.2,
+    "plan_room": 2.0,
+}
+"""What each loss counts; metres where it has a unit."""
+
+
+@dataclass(frozen=True, slots=True)
+class Disguise:
+    """What hides from a clip that the plan could be read off the ego's own motion.
+
+    Attributes:
+        turn_rad: The world is turned by so much; no image shows where north is.
+        speed_known: Whether the network is told how the ego moves. Its past view is aligned all the same.
+        past_known: Whether the first learned frame remembers.
+    """
+
+    turn_rad: float
+    speed_known: bool
+    past_known: bool
+
+    @classmethod
+    def drawn(cls) -> "Disguise":
+        """From the random numbers of the process, which the trainer seeds for each step."""
+        turn, speed, past = torch.rand(3).tolist()
+        return cls(2 * math.pi * turn, speed >= WITHOUT_SPEED, past >= WITHOUT_PAST)
+
+
+class VADObjective:
+    """`frames.Objective` for VAD; all but the last stages of the image network stay as they are.
+
+    Args:
+        network: Any sizes.
+    """
+
+    clip_frames = CLIP_FRAMES
+
+    def __init__(self, network: VAD) -> None:
+        self.network = network
+        network.img_neck.requires_grad_(True)
+        for name in ENCODER_KEPT:
+            network.img_backbone.get_submodule(name).requires_grad_(False)
+
+    def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
+        """Losses of a clip of consecutive key frames; weighted scalars by name, means over the learned frames."""
+        disguise = Disguise.drawn()
+        first_learned = max(len(clip) - LEARNED_FRAMES, 0)
+        previous: tuple[Tensor, Tensor] | None = None
+        found: list[dict[str, Tensor]] = []
+        for number in range(first_learned if not disguise.past_known else 0, len(clip)):
+            learned = number >= first_learned
+            with torch.set_grad_enabled(learned):
+                inputs = inputs_of(clip[number])
+                inputs = replace(inputs, can_bus=turned_can_bus(inputs.can_bus, disguise.turn_rad))
+                predictions = predictions_of(self.network, inputs, previous, disguise.speed_known)
+                if learned:
+                    found.append(frame_losses(self.network, predictions, clip[number]))
+            # As published, nothing flows back in time.
+            previous = inputs.can_bus, predictions.bev.detach()
+        return {name: WEIGHTS[name] * torch.stack([each[name] for each in found]).mean() for name in WEIGHTS}
+
+
+@dataclass(frozen=True, slots=True)
+class Matched:
+    """Annotated agents of a key frame and the queries that stand for them.
+
+    Attributes:
+        inside: (N,) which of the annotated ones are in the perception range.
+        wanted: (G, 10) their boxes as `adapters.extensions.training.losses.normalised_boxes`, in the network's
+            convention.
+        layers: After each layer of the decoder.
+    """
+
+    inside: Tensor
+    wanted: Tensor
+    layers: Sequence[Matches]
+
+
+def inputs_of(frame: TrainingFrame) -> VADInputs:
+    """A frame as `adapters.networks.vad.planner.VADPlanner` makes it of an observation.
+
+    Args:
+        frame: The key frame.
+
+    Returns:
+        Inputs on the processor.
+    """
+    images = miniature_images(frame.images)
+    return VADInputs(
+        # Convolutions on processors take two thirds of the time in this order of memory.
+        images=images.contiguous(memory_format=torch.channels_last),
+        lidar2img=frame.lidar2img,
+        can_bus=frame.can_bus,
+        command=frame.command,
+        scene_token=frame.scene,
+    )
+
+
+def frame_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
+    """Losses of one key frame, not weighted.
+
+    Args:
+        network: That predicted.
+        predictions: Of the frame.
+        frame: The same frame.
+
+    Returns:
+        Scalars by the names of `WEIGHTS`.
+    """
+    return {
+        **_agent_losses(network, predictions, frame),
+        **_map_losses(network, predictions, frame),
+        "dense": dense_loss(predictions.bev, frame, network.config.grid, CHANNELS),
+        "offsets": offset_loss(predictions.bev[:, OFFSETS_FROM : OFFSETS_FROM + OFFSETS], frame, network.config.grid),
+        "pace": _pace_loss(predictions, frame),
+        **plan_losses(predictions.plan_offsets, predictions.front, frame),
+    }
+
+
+def predictions_of(
+    network: VAD, inputs: VADInputs, previous: tuple[Tensor, Tensor] | None, speed_known: bool
+) -> VADPredictions:
+    """The predictions alone of `looked`, with the same arguments."""
+    return looked(network, inputs, previous, speed_known)[0]
+
+
+def looked(
+    network: VAD, inputs: VADInputs, previous: tuple[Tensor, Tensor] | None, speed_known: bool
+) -> tuple[VADPredictions, Tensor, EgoMotion]:
+    """As `VAD.predict`, with a past that the caller holds.
+
+    Args:
+        network: The network; what it remembers is not looked at.
+        inputs: One key frame.
+        previous: (18,) CAN bus vector and (cells, C) view of the frame before, ``None`` at the start of a scene.
+        speed_known: As in `Disguise`.
+
+    Returns:
+        Everything that the network computed; what the plan looks at of the front camera; and the motion as told.
+    """
+    can_bus, view = previous or (None, None)
+    config = network.config
+    motion = EgoMotion.between(can_bus, inputs.can_bus, config.grid, config.rotation_centre)
+    if not speed_known:
+        motion = untold(motion)
+    maps = network.img_neck(network.img_backbone(inputs.images))
+    projections = inputs.lidar2img.float()
+    motion = motion.to(inputs.images.device)
+    finest_front = network.finest_front(maps[0], inputs.images)
+    found: VADPredictions = network.pts_bbox_head(maps, inputs.images, projections, motion, view, finest_front)
+    return found, finest_front, motion
+
+
+def matched_agents(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> Matched:
+    """Which queries stand for which annotated agents after each layer."""
+    low, high = (torch.tensor(network.config.perception_range_m[each : each + 2]) for each in (0, 3))
+    inside = ((frame.boxes[:, :2] > low) & (frame.boxes[:, :2] < high)).all(-1)
+    boxes, labels = frame.boxes[inside], frame.labels[inside]
+    # The network's yaw is that of mmdet3d before version 1.0.
+    wanted = normalised_boxes(torch.cat([boxes[:, :6], -boxes[:, 6:7] - math.pi / 2, boxes[:, 7:]], 1))
+    weights = network.pts_bbox_head.code_weights
+    layers = zip(predictions.class_logits, predictions.box_codes, strict=True)
+    return Matched(inside, wanted, [match_boxes(logits, found, labels, wanted, weights) for logits, found in layers])
+
+
+def _agent_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
+    """Boxes after every layer, forecasts of the queries that the last layer found boxes for."""
+    matched = matched_agents(network, predictions, frame)
+    labels, weights = frame.labels[matched.inside], network.pts_bbox_head.code_weights
+    classes, codes = [], []
+    for logits, found, matches in zip(predictions.class_logits, predictions.box_codes, matched.layers, strict=True):
+        classes.append(query_class_loss(logits, labels, matches))
+        codes.append(box_loss(found, matched.wanted, matches, weights))
+    return {
+        "class": torch.stack(classes).sum(),
+        "box": torch.stack(codes).sum(),
+        **forecast_losses(network, predictions.mode_offsets, predictions.mode_logits, matched, frame),
+    }
+
+
+def forecast_losses(
+    network: VAD, mode_offsets: Tensor, mode_logits: Tensor, matched: Matched, frame: TrainingFrame
+) -> dict[str, Tensor]:
+    """Of the forecasts of one key frame, not weighted.
+
+    Args:
+        network: Whose forecasts.
+        mode_offsets: (A, modes, steps, 2) metres from step to step.
+        mode_logits: (A, modes).
+        matched: Which queries stand for agents.
+        frame: The key frame.
+
+    Returns:
+        Scalars by name.
+    """
+    steps, matches = network.config.steps, matched.layers[-1]
+    boxes = frame.boxes[matched.inside]
+    future = frame.futures[matched.inside][matches.wanted, :steps, :2] - boxes[matches.wanted, None, :2]
+    forecast, mode = trajectory_losses(
+        mode_offsets[matches.queries].cumsum(2),
+        mode_logits[matches.queries],
+        future,
+        frame.futures_valid[matched.inside][matches.wanted, :steps],
+    )
+    return {"forecast": forecast, "mode": mode}
+
+
+def _map_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
+    config = network.config
+    low, high = (torch.tensor(config.perception_range_m[each : each + 2]) for each in (0, 3))
+    wanted = _with_points(frame.lines, config.points_per_line)
+    classes, lines, directions = [], [], []
+    for logits, shares in zip(predictions.map_class_logits, predictions.map_points, strict=True):
+        points = low + shares * (high - low)
+        matches, matched = match_lines(logits, points, frame.line_labels, wanted)
+        classes.append(query_class_loss(logits, frame.line_labels, matches))
+        lines.append(line_loss(points, matched, matches))
+        directions.append(direction_loss(points, matched, matches))
+    return {
+        "line_class": torch.stack(classes).sum(),
+        "line": torch.stack(lines).sum(),
+        "line_direction": torch.stack(directions).sum(),
+    }
+
+
+def _with_points(lines: Tensor, points: int) -> Tensor:
+    """(M, P, 2) lines with another number of evenly spaced points."""
+    if not len(lines):
+        return lines.new_zeros((0, points, 2))
+    return F.interpolate(lines.transpose(1, 2), points, mode="linear", align_corners=True).transpose(1, 2)
+
+
+def _pace_loss(predictions: VADPredictions, frame: TrainingFrame) -> Tensor:
+    """How well every cell, agent and map element knows how far the ego drives, in its channel after the dense ones.
+
+    The plan reads agents and map elements alone; what they do not know of the ego is lost to it.
+    """
+    if not frame.ego_future_valid[PACE_STEP]:
+        return predictions.bev.sum() * 0
+    wanted = (frame.ego_future[PACE_STEP, 1] - PACE_M) / PACE_SPREAD_M
+    read = (predictions.bev, predictions.agent_states[-1], predictions.map_states[-1])
+    return torch.stack([(tokens[:, CHANNELS] - wanted).abs().mean() for tokens in read]).sum()
+
+
+def plan_losses(plan_offsets: Tensor, front: Tensor | None, frame: TrainingFrame) -> dict[str, Tensor]:
+    """Of the plan of one key frame and what it took from the front camera, not weighted.
+
+    Args:
+        plan_offsets: (commands, steps, 2) metres from step to step.
+        front: (1, numbers), ``None`` where it does not look there.
+        frame: The key frame.
+
+    Returns:
+        Scalars by name.
+    """
+    offsets = plan_offsets[frame.command]
+    plan = offsets.cumsum(0)
+    recorded = torch.diff(frame.ego_future, dim=0, prepend=torch.zeros_like(frame.ego_future[:1]))
+    nothing = dict.fromkeys(FRONT_WEIGHTS, plan.sum() * 0)
+    return {
+        **(nothing if front is None else front_losses(front[0], frame)),
+        "plan": plan_loss(plan, frame.ego_future, frame.ego_future_valid),
+        "plan_steps": plan_loss(offsets, recorded, frame.ego_future_valid),
+        "plan_aside": aside_loss(plan[:, 0], frame.ego_future[:, 0], frame.ego_future_valid),
+        "plan_agents": agent_constraint(plan, frame),
+        "plan_boundary": boundary_constraint(plan, frame),
+        "plan_direction": direction_constraint(plan, frame),
+        "plan_room": room_loss(plan, frame),
+    }

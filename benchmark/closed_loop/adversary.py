@@ -1,0 +1,259 @@
+"""An adversary among the agents: where it leaves its recording, where it went, and one that goes there once more.
+
+Who plans while the drive lasts is made elsewhere (`generation.extensions.reactive_adversary`) and handed in as an
+`AdversaryMaker`. What it drove is kept with the drive, so that the drive can be repeated, scored and filmed without any
+search, and so that another planner can be driven against the same track.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, Protocol, Self, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.closed_loop.contract import AgentPolicy, Moment, Moved
+from benchmark.closed_loop.following import INSTANT_US, INSTANTS
+from benchmark.errors import InputError
+from benchmark.geometry import Floats, wrap_angle
+from benchmark.scene import Scene
+
+ADVERSARY: Final = "adversary"
+"""What ``--agents`` calls it."""
+_MEMORY_US: Final = 200_000
+"""Velocities are of the last 0.2 s, as those of recorded tracks."""
+_GENTLE_M_S2: Final = 2.5
+"""How a track that is driven beyond its end stops."""
+DECIMALS: Final = 6
+"""Of poses that an adversary drives: what is driven is what is stored."""
+
+
+@dataclass(frozen=True, slots=True)
+class Replanning:
+    """One planning frame of an adversary.
+
+    Attributes:
+        frame: Of the scene.
+        score: Of what was chosen, lower is better; ``None`` where nothing was.
+        braked: Whether no candidate was allowed and it braked on its own path.
+        considered: A `benchmark.records.considered.ConsideredFrame` as JSON, where it was asked for.
+    """
+
+    frame: int
+    score: float | None
+    braked: bool
+    considered: Mapping[str, Any] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class AdversaryTrack:
+    """Where an adversary went.
+
+    Attributes:
+        agent: Its index in the scene.
+        start: Frame at which it left its recording.
+        poses: (F, 3) of its box centre at the frames from there on.
+        replanned: Its planning frames.
+    """
+
+    agent: int
+    start: int
+    poses: Floats
+    replanned: tuple[Replanning, ...] = ()
+
+
+@runtime_checkable
+class DrivesAdversary(Protocol):
+    """A policy with an adversary in it."""
+
+    def adversary(self, memory: Any) -> AdversaryTrack:
+        """Where it has been planned to go so far."""
+
+
+class AdversaryMaker(Protocol):
+    """Puts an adversary among the others. Picklable.
+
+    Attributes:
+        others: Policy of the others, by its name.
+        facts: All that the adversary depends on: part of what is measured.
+    """
+
+    @property
+    def others(self) -> str:
+        """As above."""
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """As above."""
+
+    def possible(self, scene: Scene) -> bool:
+        """Whether anybody in a scene can become an adversary."""
+
+    def policy(
+        self, scene: Scene, run: int, start_us: int, others: Callable[[int], AgentPolicy[Any]]
+    ) -> AgentPolicy[Any]:
+        """The policy of a scene.
+
+        Args:
+            scene: The scene.
+            run: Which vehicle, and its seed.
+            start_us: When the drive starts.
+            others: Gives the policy of everybody but the adversary, whose index it takes.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Handover:
+    """Where an adversary leaves its recording.
+
+    Attributes:
+        agent: Its index.
+        start: Frame at which it does.
+        times_us: (T,) of the scene's frames.
+        recorded: (T, 3) recorded poses of its box centre.
+        first: The first frame of its recorded presence up to ``start``.
+    """
+
+    agent: int
+    start: int
+    times_us: NDArray[np.int64]
+    recorded: Floats
+    first: int
+
+    @classmethod
+    def of(cls, scene: Scene, agent: int, start: int) -> Self:
+        """The hand-over of a vehicle at a frame."""
+        agents = scene.agents
+        absent = np.flatnonzero(~agents.valid[agent, : start + 1])
+        first = int(absent[-1]) + 1 if len(absent) else 0
+        poses = np.column_stack([agents.position[agent, :, :2], agents.yaw[agent]])
+        return cls(agent, start, scene.timestamps_us, poses, min(first, start))
+
+    def moved(self, others: Moved, track: Floats, time_us: int) -> Moved:
+        """The 0.1 s after a time, the adversary among the others.
+
+        Args:
+            others: What everybody else does in it.
+            track: (F, 3) poses from the hand-over on, as far as the 0.1 s or to the scene's last frame.
+            time_us: When it begins.
+
+        Returns:
+            The same but for the adversary. Until its hand-over it is one of the others, and as everybody it is gone
+            once the scene's frames end.
+        """
+        times = time_us + INSTANT_US * np.arange(1, INSTANTS + 1)
+        driven = times >= self.times_us[self.start]
+        if not driven.any():
+            return others
+        boxes, present, velocity = others.boxes.copy(), others.present.copy(), others.velocity.copy()
+        poses = self.poses(track, times)
+        boxes[np.flatnonzero(driven)[:, None], self.agent, [[0, 1, 4]]] = poses[driven]
+        present[driven, self.agent] = times[driven] <= self.times_us[-1]
+        earlier = max(int(times[-1]) - _MEMORY_US, int(self.times_us[self.first]))
+        span = (int(times[-1]) - earlier) / 1e6
+        if span > 0.0:
+            before = self.poses(track, np.array([earlier]))[0]
+            velocity[self.agent] = (poses[-1, :2] - before[:2]) / span
+        return Moved(boxes, present, velocity)
+
+    def poses(self, track: Floats, times_us: NDArray[np.int64]) -> Floats:
+        """(K, 3) poses at (K,) times: linear between frames, headings by the shortest turn."""
+        known = np.concatenate([self.recorded[self.first : self.start], track])
+        frames = self.times_us[self.first : self.first + len(known)]
+        # What is meant for after the scene's end is not driven.
+        known = known[: len(frames)]
+        seconds, asked = (frames - frames[0]) / 1e6, (times_us - frames[0]) / 1e6
+        yaw = np.unwrap(known[:, 2])
+        found = np.column_stack([np.interp(asked, seconds, column) for column in (known[:, 0], known[:, 1], yaw)])
+        found[:, 2] = wrap_angle(found[:, 2])
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class GivenAdversary:
+    """An adversary that drives a given track, whatever the ego does.
+
+    Attributes:
+        others: Policy of everybody else.
+        handover: Where it leaves its recording.
+        track: What it drives; beyond its end it brakes to a stop on its heading.
+        name: Of the policy.
+        draws: It draws nothing.
+    """
+
+    others: AgentPolicy[Any]
+    handover: Handover
+    track: AdversaryTrack
+    name: str = ADVERSARY
+    draws: bool = False
+    _whole: Floats = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        left = len(self.handover.times_us) - self.track.start - len(self.track.poses)
+        object.__setattr__(self, "_whole", _braked(self.track.poses, self.handover.times_us, self.track.start, left))
+
+    def init(self, time_us: int, key: int) -> tuple[Any, Moved]:
+        """Everybody where the others have them."""
+        return self.others.init(time_us, key)
+
+    def act(self, memory: Any, moment: Moment, key: int) -> tuple[Any, Moved]:
+        """The next 0.1 s."""
+        memory, moved = self.others.act(memory, moment, key)
+        return memory, self.handover.moved(moved, self._whole, moment.time_us)
+
+    def adversary(self, memory: Any) -> AdversaryTrack:
+        """What it was given."""
+        return self.track
+
+
+def _braked(poses: Floats, times_us: NDArray[np.int64], start: int, frames: int) -> Floats:
+    """(F + frames, 3) a track and its stop."""
+    if frames <= 0 or not len(poses):
+        return poses
+    last = start + len(poses) - 1
+    before = poses[-2] if len(poses) > 1 else poses[-1]
+    span = (times_us[last] - times_us[last - 1]) / 1e6 if last else 1.0
+    speed = float(np.hypot(*(poses[-1, :2] - before[:2]))) / span
+    seconds = np.minimum((times_us[last + 1 : last + 1 + frames] - times_us[last]) / 1e6, speed / _GENTLE_M_S2)
+    way = speed * seconds - 0.5 * _GENTLE_M_S2 * seconds**2
+    on = np.repeat(poses[-1:], frames, axis=0)
+    on[:, :2] += way[:, None] * [np.cos(poses[-1, 2]), np.sin(poses[-1, 2])]
+    return np.concatenate([poses, on])
+
+
+@dataclass(frozen=True, slots=True)
+class GivenTracks:
+    """Makes adversaries that drive given tracks: those of drives that were driven already.
+
+    Attributes:
+        tracks: By scene and run.
+        others: Policy of the others.
+        facts: Where the tracks come from.
+    """
+
+    tracks: Mapping[tuple[str, int], AdversaryTrack]
+    others: str
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    def possible(self, scene: Scene) -> bool:
+        """Whether there is a track of the scene."""
+        return any(name == scene.name for name, _ in self.tracks)
+
+    def policy(
+        self, scene: Scene, run: int, start_us: int, others: Callable[[int], AgentPolicy[Any]]
+    ) -> AgentPolicy[Any]:
+        """The policy of a scene; raises `InputError` where there is no track of it, or one that does not fit it."""
+        track = self.tracks.get((scene.name, run))
+        if track is None:
+            raise InputError(f"there is no track of an adversary in {scene.name}, run {run}; drive it first")
+        room = len(scene.timestamps_us) - track.start
+        if not 0 <= track.agent < len(scene.agents) or not 0 < len(track.poses) <= room:
+            raise InputError(
+                f"the track of the adversary in {scene.name}, run {run}, does not fit the scene; drive again"
+            )
+        return GivenAdversary(others(track.agent), Handover.of(scene, track.agent, track.start), track)
+
+
+def rounded(poses: Floats) -> Floats:
+    """Poses as they are driven and stored."""
+    return np.asarray(np.round(poses, DECIMALS) + 0.0)

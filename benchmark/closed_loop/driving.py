@@ -1,0 +1,267 @@
+"""The main path of a drive: see, ask, drive half a second, see again, until something ends it.
+
+Several drives can be under way side by side, which is faster where their engine steps many worlds together.
+"""
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, cast
+
+from benchmark.closed_loop.adversary import AdversaryTrack
+from benchmark.closed_loop.asking import Failure, Reason, asked, told
+from benchmark.closed_loop.driven_scene import driven_scene
+from benchmark.closed_loop.observing import Observer
+from benchmark.closed_loop.riding import (
+    Motion,
+    NeuroncapScore,
+    RecordedCan,
+    Ride,
+    RideMaker,
+    Touch,
+    UndrivablePlanError,
+)
+from benchmark.closed_loop.route import Route, RouteFollower
+from benchmark.closed_loop.sensors import Look, NoLook, Sensor
+from benchmark.errors import InputError
+from benchmark.machine.metering import Meter
+from benchmark.planning import CameraView, Command, Plan, Planner, PrivilegedPlanner, SceneInfo
+from benchmark.scene import Camera, Scene
+
+End = Literal["contact", "end", "failed"]
+"""What ends a drive: a contact, the end of the scene, or the planner's failure."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """What came of one scene and one run.
+
+    Attributes:
+        motion: Everything that happened.
+        primed: Planning instants at which the ego was the recorded one.
+        plans: One for each planning instant that was planned from; those of primed instants were not driven.
+        commands: Of the same instants.
+        stations: Of the same instants: metres along the route.
+        end: What ended it.
+        touch: The contact that ended it.
+        failure: Why the planner failed.
+        neuroncap: The engine's own score; ``None`` of engines without one, and of a failed drive.
+        adversary: Where an adversary went, if there was one that answers or was given its track.
+        passed: Contacts before that did not end it; they are not the ego's fault.
+    """
+
+    motion: Motion
+    primed: int
+    plans: tuple[Plan, ...]
+    commands: tuple[Command, ...]
+    stations: tuple[float, ...]
+    end: End
+    touch: Touch | None
+    failure: Failure | None
+    neuroncap: NeuroncapScore | None
+    adversary: AdversaryTrack | None = None
+    passed: tuple[Touch, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """One scene with one run, ready to be driven.
+
+    Attributes:
+        scene: The scene.
+        can: Measured motion at its keyframes.
+        run: Index of the run.
+        maker: The engine.
+        sensor: What cameras see.
+        timeout_s: How long a plan may take.
+        family: Which scenario of the scene, where it has any.
+        most_plans: Ends the drive after so many plans, to see how long it takes.
+        meter: Times the planner.
+    """
+
+    scene: Scene
+    can: RecordedCan
+    run: int
+    maker: RideMaker
+    sensor: Sensor
+    timeout_s: float
+    family: str = ""
+    most_plans: int | None = None
+    meter: Meter | None = None
+
+
+def drive(stage: Stage, planner: Planner) -> Drive:
+    """Drive one scene.
+
+    Args:
+        stage: What is driven.
+        planner: Who plans.
+
+    Returns:
+        The drive.
+
+    Raises:
+        InputError: If the scene cannot be driven, whoever plans.
+        BrokenImageError: If a picture cannot be had.
+    """
+    return next(found for _, found in drive_together([stage], [planner]))
+
+
+def drive_together(stages: Sequence[Stage], planners: Sequence[Planner]) -> Iterator[tuple[int, Drive]]:
+    """Drive several scenes side by side; none changes a byte of another.
+
+    Args:
+        stages: What is driven, with one engine.
+        planners: Who plans in each: an object for each drive, since a planner has a memory. One that draws numbers from
+            a generator of the process would be given others than alone.
+
+    Yields:
+        Places among the stages, and their drives, as they end.
+
+    Raises:
+        InputError: If a scene cannot be driven, whoever plans; after the drives of the others.
+        BrokenImageError: If a picture cannot be had; likewise.
+    """
+    errors: dict[int, InputError] = {}
+    seats: dict[int, _Seat] = {}
+    for place, (stage, planner) in enumerate(zip(stages, planners, strict=True)):
+        with _keeping(errors, place):
+            seats[place] = _Seat.of(stage, planner)
+    while seats:
+        plans: dict[int, Plan] = {}
+        for place, seat in [*seats.items()]:
+            with _keeping(errors, place):
+                plan = seat.planned()
+                if plan is None:
+                    yield place, seat.ended()
+                else:
+                    plans[place] = plan
+        seats = {place: seats[place] for place in plans}
+        if seats:
+            _drive_on(list(seats.values()), list(plans.values()))
+    if errors:
+        raise errors[min(errors)]
+
+
+@contextlib.contextmanager
+def _keeping(errors: dict[int, InputError], place: int) -> Iterator[None]:
+    """Put what is nobody's failure aside until the others have arrived."""
+    try:
+        yield
+    except InputError as error:
+        errors[place] = error
+
+
+def _drive_on(seats: "Sequence[_Seat]", plans: Sequence[Plan]) -> None:
+    """Half a second of every seat."""
+    later = seats[0].stage.maker.after_together([seat.ride for seat in seats], plans)
+    for seat, ride in zip(seats, later, strict=True):
+        if isinstance(ride, UndrivablePlanError):
+            seat.failure = Failure(Reason.UNUSABLE, str(ride))
+        else:
+            seat.ride = ride
+
+
+@dataclass(slots=True)
+class _Seat:
+    """A drive under way.
+
+    Attributes:
+        stage: What is driven.
+        planner: Who plans.
+        ride: The world now.
+        eyes: What stands between both.
+        failure: Why the planner failed.
+        plans: So far, one for each planning instant.
+        commands: Likewise.
+        stations: Likewise.
+    """
+
+    stage: Stage
+    planner: Planner
+    ride: Ride
+    eyes: "_Eyes"
+    failure: Failure | None
+    plans: list[Plan] = field(default_factory=list)
+    commands: list[Command] = field(default_factory=list)
+    stations: list[float] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, stage: Stage, planner: Planner) -> "_Seat":
+        """The seat of a planner that has been told where it drives."""
+        if stage.meter is not None:
+            # A drive that begins again begins without what it took before.
+            stage.meter.latency_s.clear()
+        scene, ride = stage.scene, stage.maker.begin(stage.scene, stage.run, stage.can, stage.family)
+        route, look = Route.of(scene), stage.sensor.look(scene)
+        observer = Observer.of(scene, stage.can, ride.start, ride.primed)
+        eyes = _Eyes(scene, route, look, observer, stage.timeout_s, stage.meter)
+        failure = told(planner, lambda: _introduce(planner, scene, look.cameras, route), stage.timeout_s)
+        return cls(stage, planner, ride, eyes, failure)
+
+    def planned(self) -> Plan | None:
+        """The plan of this instant; ``None`` where the drive has ended or the planner fails."""
+        if self.failure is not None or not self.ride.goes_on or len(self.plans) == self.stage.most_plans:
+            return None
+        ride, route = self.ride, self.eyes.route
+        place = route.place(ride.motion.ego[-1], self.stations[-1] if self.stations else None)
+        self.stations.append(place.station)
+        seconds, own = route.seconds_of(int(ride.motion.times_us[-1])), ride.command
+        self.commands.append(route.command(place.station, seconds) if own is None else own)
+        plan = self.eyes.planned(self.planner, ride, self.commands[-1])
+        if isinstance(plan, Failure):
+            self.failure = plan
+            return None
+        self.plans.append(plan)
+        return plan
+
+    def ended(self) -> Drive:
+        """What came of it."""
+        failed = self.failure is not None
+        ride = self.ride if failed else self.ride.finished()
+        touch = None if failed else ride.touch
+        return Drive(
+            motion=ride.motion,
+            primed=ride.primed,
+            plans=tuple(self.plans),
+            commands=tuple(self.commands),
+            stations=tuple(self.stations),
+            end="failed" if failed else "end" if touch is None else "contact",
+            touch=touch,
+            failure=self.failure,
+            neuroncap=None if failed else ride.neuroncap_score(),
+            adversary=ride.adversary,
+            passed=() if failed else ride.passed,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Eyes:
+    """What stands between a world and a planner in one drive."""
+
+    scene: Scene
+    route: Route
+    look: Look
+    observer: Observer
+    timeout_s: float
+    meter: Meter | None
+
+    def planned(self, planner: Planner, ride: Ride, command: Command) -> Plan | Failure:
+        """The plan of this instant; the privileged see the world as driven, and its future is revealed to nobody."""
+        views: dict[str, CameraView] = {}
+        reveals = isinstance(planner, PrivilegedPlanner) and not isinstance(planner, RouteFollower)
+        if reveals or not isinstance(self.look, NoLook):
+            driven = driven_scene(self.scene, self.route, ride.motion)
+            if reveals:
+                failure = told(planner, lambda: cast(PrivilegedPlanner, planner).reveal(driven), self.timeout_s)
+                if failure is not None:
+                    return failure
+            views = self.look.views(driven)
+        seen = self.observer.observation(ride.motion, views, command, ride.can)
+        return asked(planner, seen, self.timeout_s, self.meter)
+
+
+def _introduce(planner: Planner, scene: Scene, cameras: tuple[Camera, ...], route: Route) -> None:
+    planner.reset(SceneInfo(scene.name, scene.road_map.location, cameras))
+    if isinstance(planner, RouteFollower):
+        planner.follow(route)

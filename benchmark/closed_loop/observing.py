@@ -1,0 +1,142 @@
+"""What a planner sees of a driven world: an `Observation` at each planning instant, made field by field.
+
+Nothing of the recording's future is in it but the command, which is the route's. Where the ego is still primed, motion
+is what the recorded car measured; from then on it is what was simulated, in the form in which a data set has it.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from benchmark.closed_loop.riding import (
+    ACCELERATION,
+    GRAVITY,
+    SPEED,
+    STEERING,
+    YAW,
+    YAW_RATE,
+    Motion,
+    RecordedCan,
+    X,
+    Y,
+)
+from benchmark.closed_loop.route import Route
+from benchmark.geometry import Floats, quaternion_from_yaw
+from benchmark.machine.storage import token
+from benchmark.planning import CameraView, Command, EgoState, Observation
+from benchmark.scene import EgoTrack, LidarMount, Scene
+
+PAST_TICKS: Final = 5
+"""Ego poses that a planner is given: now and two seconds back."""
+STEERING_RATIO: Final = 14.9
+"""Turns of the steering wheel per turn of the road wheels (Renault Zoe)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Observer:
+    """Makes the observations of one drive. Of the recording it holds what was before the car drives, and the route.
+
+    Attributes:
+        scene: Scene name.
+        lidar: Where LIDAR_TOP sits.
+        start: Keyframe of the first planning instant.
+        known: The recorded ego at the keyframes up to the last one at which the ego is the recorded one.
+        can: What it measured there.
+        route: The recorded path.
+    """
+
+    scene: str
+    lidar: LidarMount
+    start: int
+    known: EgoTrack
+    can: RecordedCan
+    route: Route
+
+    @classmethod
+    def of(cls, recorded: Scene, can: RecordedCan, start: int, primed: int) -> "Observer":
+        """The observer of a drive.
+
+        Args:
+            recorded: The scene.
+            can: Measured motion at all keyframes.
+            start: Keyframe of the first planning instant.
+            primed: Planning instants at which the ego is the recorded one.
+        """
+        frames = recorded.keyframes[: start + primed]
+        known = EgoTrack(recorded.ego.position[frames], recorded.ego.rotation[frames])
+        return cls(recorded.name, recorded.lidar, start, known, can.at(slice(start + primed)), Route.of(recorded))
+
+    def observation(
+        self, motion: Motion, views: dict[str, CameraView], command: Command, can: Floats | None = None
+    ) -> Observation:
+        """What the planner sees now.
+
+        Args:
+            motion: Since the first planning instant.
+            views: Images.
+            command: Where the route goes.
+            can: (9,) the engine's own row of the CAN bus, if it has one.
+
+        Returns:
+            The observation; its index is the number of the keyframe in the world as driven, its token names no sample
+            of the recording.
+        """
+        poses = np.concatenate([self.known.pose[: self.start], motion.ego[motion.ticks, :3]])
+        index = len(poses) - 1
+        past = index - PAST_TICKS + 1 + np.arange(PAST_TICKS)
+        return Observation(
+            scene=self.scene,
+            sample_token=token("drive", self.scene, index),
+            index=index,
+            timestamp_us=int(motion.times_us[-1]),
+            views=views,
+            lidar=self.lidar,
+            ego=self.ego_state(motion, index, can),
+            past_poses=poses[np.maximum(past, 0)],
+            past_valid=past >= 0,
+            command=command,
+        )
+
+    def ego_state(self, motion: Motion, index: int, row: Floats | None = None) -> EgoState:
+        """Motion now: measured while the ego is the recorded one, then simulated.
+
+        Args:
+            motion: Since the first planning instant.
+            index: Number of the keyframe.
+            row: (9,) the engine's own row of the CAN bus, if it has one.
+
+        Returns:
+            The state.
+        """
+        now, primed = motion.ego[-1], index < len(self.can.motion)
+        simulated = simulated_can(now) if row is None else row
+        can = self.can.motion[index] if primed else simulated
+        wheel = float(self.can.steering_wheel_rad[index]) if primed else STEERING_RATIO * float(now[STEERING])
+        here = np.array([now[X], now[Y], self.route.height(now)])
+        return EgoState(
+            pose=now[:3].copy(),
+            position=self.known.position[index].copy() if primed else here,
+            rotation=self.known.rotation[index].copy() if primed else quaternion_from_yaw(now[YAW]),
+            velocity=can[0:2].copy(),
+            acceleration=can[3:5].copy(),
+            yaw_rate=float(can[8]),
+            steering_angle=wheel,
+            source="can_bus" if self.can.measured or not primed else "derived",
+            can_motion=can.copy(),
+            # Nothing later has been simulated, and of the recording nothing later may be seen.
+            can_motion_after=can.copy(),
+        )
+
+
+def simulated_can(ego: Floats) -> Floats:
+    """The CAN row of a simulated car, as nuScenes' message ``pose`` has it.
+
+    Args:
+        ego: (7,) columns of a motion.
+
+    Returns:
+        (9,) velocity, acceleration (with gravity, and towards the inside of a bend) and rotation rate of the rear axle.
+    """
+    speed, rate = float(ego[SPEED]), float(ego[YAW_RATE])
+    return np.array([speed, 0.0, 0.0, float(ego[ACCELERATION]), speed * rate, GRAVITY, 0.0, 0.0, rate])

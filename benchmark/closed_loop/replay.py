@@ -1,0 +1,84 @@
+"""Agents that do what their tracks say, recorded or generated, whatever the ego does."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from benchmark.closed_loop.contract import Moment, Moved
+from benchmark.closed_loop.following import INSTANT_US, INSTANTS
+from benchmark.geometry import Bools, Floats
+from benchmark.interactions.tracks import Integers, Tracks
+
+_END_S = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """Tracks every 0.05 s.
+
+    Attributes:
+        start_us: Time of the first row.
+        boxes: (R, N, 5) boxes.
+        present: (R, N) who is there; nobody is after the end of the tracks.
+        velocity: (R, N, 2) m/s, of the past alone.
+        name: Of the policy.
+        draws: It draws nothing.
+    """
+
+    start_us: int
+    boxes: Floats
+    present: Bools
+    velocity: Floats
+    name: str = "replay"
+    draws: bool = False
+
+    @classmethod
+    def of(cls, tracks: Tracks, first_us: int, start_us: int, end_us: int) -> Self:
+        """Tracks from a start to an end.
+
+        Args:
+            tracks: Everybody.
+            first_us: Time of their second 0.
+            start_us: When a drive starts.
+            end_us: When it ends.
+
+        Returns:
+            The policy.
+        """
+        rows = -(-(end_us - start_us) // INSTANT_US) + 1
+        times = (start_us - first_us) / 1e6 + INSTANT_US / 1e6 * np.arange(rows)
+        boxes, present = tracks.agents_at(times)
+        # Tracks hold their ends; whose track has ended is not there.
+        inside = (times >= tracks.seconds[0] - _END_S) & (times <= tracks.seconds[-1] + _END_S)
+        velocity = tracks.velocities_at(np.clip(times, tracks.seconds[0], tracks.seconds[-1]))
+        return cls(
+            start_us,
+            np.ascontiguousarray(boxes.transpose(1, 0, 2)),
+            np.ascontiguousarray(present.T) & inside[:, None],
+            np.ascontiguousarray(velocity.transpose(1, 0, 2)),
+        )
+
+    @property
+    def first_rows(self) -> Integers:
+        """(N,) first row in which each agent is there; R for who never is."""
+        return np.where(self.present.any(axis=0), self.present.argmax(axis=0), len(self.present))
+
+    def init(self, time_us: int, key: int) -> tuple[None, Moved]:
+        """Everybody at a time of the drive."""
+        return None, self._rows(time_us, time_us)
+
+    def act(self, memory: None, moment: Moment, key: int) -> tuple[None, Moved]:
+        """The next 0.1 s."""
+        return None, self._rows(moment.time_us + INSTANT_US, moment.time_us + INSTANTS * INSTANT_US)
+
+    def _rows(self, *times_us: int) -> Moved:
+        """Two rows; after the last one nobody is there."""
+        last = len(self.boxes) - 1
+        asked = [(time - self.start_us) // INSTANT_US for time in times_us]
+        if asked[-1] <= last and asked[-1] == asked[0] + 1:
+            rows = slice(asked[0], asked[0] + INSTANTS)
+            return Moved(self.boxes[rows], self.present[rows], self.velocity[asked[-1]])
+        kept = [min(row, last) for row in asked]
+        gone = np.array(asked) > last
+        return Moved(self.boxes[kept], self.present[kept] & ~gone[:, None], self.velocity[kept[-1]])

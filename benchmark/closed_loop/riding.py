@@ -1,0 +1,264 @@
+"""What drives have in common whatever engine drives: the motion so far, a contact, and the ride as one Protocol."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.closed_loop.adversary import AdversaryTrack
+from benchmark.errors import InputError
+from benchmark.geometry import Bools, Floats, wrap_angle
+from benchmark.planning import Command, EgoState, Plan
+from benchmark.scene import Scene
+
+SUBSTEP_S: Final = 0.1
+"""Between the instants of a motion that was driven."""
+SUBSTEPS: Final = 5
+"""Instants in a tick."""
+TICK_US: Final = 500_000
+GRAVITY: Final = 9.81
+"""In the accelerations of a CAN bus at rest, upwards."""
+X, Y, YAW, SPEED, ACCELERATION, YAW_RATE, STEERING = range(7)
+"""Columns of the ego in a motion: rear axle, global; m/s, m/s^2 and rad/s along and about the body; road wheels."""
+EGO_COLUMNS: Final = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What has happened since the first planning instant; nothing later. F instants, N agents.
+
+    Attributes:
+        times_us: (F,) microseconds; 0.1 s apart where the ego drives, those of the recording where it is primed.
+        ego: (F, 7) x, y, yaw, speed, acceleration, yaw rate and angle of the road wheels.
+        position: (N, F, 3) box centres of the scene's agents, in its order; where one is not there, any finite values.
+        yaw: (N, F) radians.
+        present: (N, F) who is there.
+        ticks: (K,) planning instants among the F.
+    """
+
+    times_us: NDArray[np.int64]
+    ego: Floats
+    position: Floats
+    yaw: Floats
+    present: Bools
+    ticks: NDArray[np.int64]
+
+    @property
+    def seconds(self) -> Floats:
+        """(F,) since the first instant."""
+        return np.asarray((self.times_us - self.times_us[0]) * 1e-6)
+
+    def boxes(self, size: Floats) -> Floats:
+        """(N, F, 5) boxes of agents with (N, 3) sizes."""
+        sizes = np.broadcast_to(size[:, None, :2], (*self.yaw.shape, 2))
+        return np.concatenate([self.position[..., :2], sizes, self.yaw[..., None]], axis=-1)
+
+    def at(self, time_us: int) -> Floats:
+        """(7,) the ego at a time between two instants, or at one: linear, headings by the shortest turn."""
+        after = int(np.clip(np.searchsorted(self.times_us, time_us), 1, max(len(self.times_us) - 1, 1)))
+        if len(self.times_us) == 1:
+            return np.array(self.ego[0])
+        first, second = self.ego[after - 1], self.ego[after]
+        share = (time_us - int(self.times_us[after - 1])) / int(self.times_us[after] - self.times_us[after - 1])
+        step = second - first
+        step[YAW] = wrap_angle(step[YAW])
+        return np.asarray(first + np.clip(share, 0.0, 1.0) * step)
+
+    def then(self, later: "Motion") -> Self:
+        """The motion gone on with: the ticks of ``later`` are counted from its own first instant."""
+        return replace(
+            self,
+            times_us=np.concatenate([self.times_us, later.times_us]),
+            ego=np.concatenate([self.ego, later.ego]),
+            position=np.concatenate([self.position, later.position], axis=1),
+            yaw=np.concatenate([self.yaw, later.yaw], axis=1),
+            present=np.concatenate([self.present, later.present], axis=1),
+            ticks=np.concatenate([self.ticks, later.ticks + len(self.times_us)]),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """A contact of a drive.
+
+    Attributes:
+        time_us: When.
+        agent: Index among the scene's agents.
+        ego: (5,) the ego's box as the engine has it.
+        ego_speed: Along the heading, m/s.
+        other: (5,) box of the other.
+        other_velocity: (2,) m/s.
+    """
+
+    time_us: int
+    agent: int
+    ego: Floats
+    ego_speed: float
+    other: Floats
+    other_velocity: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class NeuroncapScore:
+    """What NeuroNCAP's engine says of a run.
+
+    Attributes:
+        score: 0 to 5, or ``None`` where it does not exist (nothing of nothing).
+        impact_speed: m/s.
+        reference_speed: m/s.
+    """
+
+    score: float | None
+    impact_speed: float
+    reference_speed: float
+
+
+class UndrivablePlanError(ValueError):
+    """A plan that an engine cannot drive: the planner failed."""
+
+
+class Ride(Protocol):
+    """A drive at a planning instant: a value; `after` gives another one and changes nothing."""
+
+    @property
+    def motion(self) -> Motion:
+        """Everything so far, ending with now."""
+
+    @property
+    def start(self) -> int:
+        """Keyframe of the first planning instant."""
+
+    @property
+    def primed(self) -> int:
+        """Planning instants at which the ego is the recorded one; from the last of them on plans are driven."""
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether a plan is wanted."""
+
+    @property
+    def command(self) -> Command | None:
+        """The command, of engines that have a rule of their own; ``None``: as the data set's, by the route."""
+
+    @property
+    def can(self) -> Floats | None:
+        """(9,) velocity, acceleration and rotation rate now, of engines that report such a row of their own."""
+
+    @property
+    def touch(self) -> Touch | None:
+        """The contact that ends it, once the engine knows of it."""
+
+    @property
+    def passed(self) -> tuple[Touch, ...]:
+        """Contacts before it that do not end it; none where every contact does."""
+
+    @property
+    def adversary(self) -> AdversaryTrack | None:
+        """Where an adversary went, planned while the ego drove or on a stored track; ``None`` without one."""
+
+    def after(self, plan: Plan) -> "Ride":
+        """Half a second later.
+
+        Args:
+            plan: The planner's.
+
+        Raises:
+            UndrivablePlanError: If the engine cannot drive it; nothing is scored then.
+        """
+
+    def finished(self) -> "Ride":
+        """The same with everything that the engine checks at the end."""
+
+    def neuroncap_score(self) -> NeuroncapScore | None:
+        """The engine's own score of a finished ride, if it has one."""
+
+
+class RideMaker(Protocol):
+    """Begins rides of one engine, one policy of agents and one latency. Picklable."""
+
+    @property
+    def draws(self) -> bool:
+        """Whether two runs of a scene can differ."""
+
+    def families(self, read: "Callable[[], tuple[Scene, RecordedCan]]") -> tuple[str, ...]:
+        """Scenarios that a scene is driven with, by family; one without a name where it is driven as it is.
+
+        Args:
+            read: Gives the scene and what its car measured; not called where that does not matter.
+        """
+
+    def after_together(self, rides: Sequence[Ride], plans: Sequence[Plan]) -> "list[Ride | UndrivablePlanError]":
+        """Half a second of several rides that it began: to the last bit what `Ride.after` says of each alone.
+
+        Args:
+            rides: R of them.
+            plans: R of them.
+
+        Returns:
+            R rides, or why the engine cannot drive its plan.
+        """
+
+    def begin(self, scene: Scene, run: int, can: "RecordedCan", family: str = "") -> Ride:
+        """The ride at its first planning instant.
+
+        Args:
+            scene: The recorded or generated scene.
+            run: Index of the run, from which alone anything is drawn.
+            can: What the recorded car measured at the keyframes.
+            family: Which scenario.
+
+        Raises:
+            InputError: If the scene is too short to be driven.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedCan:
+    """What the recorded car measured at its K keyframes; derived from poses where it measured nothing.
+
+    Attributes:
+        motion: (K, 9) velocity, acceleration, rotation rate, x, y and z each.
+        steering_wheel_rad: (K,) radians; 0 where nobody measured it.
+        measured: Whether there is a CAN bus.
+        root: Of the data set, where NeuroNCAP's engine finds the messages that it reads.
+    """
+
+    motion: Floats
+    steering_wheel_rad: Floats
+    measured: bool
+    root: Path | None = None
+
+    @classmethod
+    def of(cls, states: Iterable[EgoState], root: Path | None = None) -> Self:
+        """What observations of a scene say, of a data set with a root."""
+        found = list(states)
+        motion = np.array([can_row(each) for each in found]).reshape(-1, 9)
+        wheel = np.array([each.steering_angle or 0.0 for each in found], np.float64)
+        return cls(motion, wheel, all(each.source == "can_bus" for each in found), root)
+
+    def at(self, keyframes: slice) -> Self:
+        """The same of some keyframes alone."""
+        return type(self)(self.motion[keyframes].copy(), self.steering_wheel_rad[keyframes].copy(), self.measured)
+
+
+def require_room(scene: Scene, ticks: int) -> None:
+    """Refuse a scene with fewer keyframes than a drive of so many ticks needs to begin.
+
+    Raises:
+        InputError: If it is too short.
+    """
+    if len(scene.keyframes) < ticks:
+        raise InputError(
+            f"scene {scene.name} has {len(scene.keyframes)} keyframes, and a drive needs {ticks} at least to begin; "
+            "leave it out with --scenes"
+        )
+
+
+def can_row(state: EgoState) -> Floats:
+    """(9,) what a car measured: velocity, acceleration, rotation rate; or its derived motion in that form."""
+    if state.can_motion is not None:
+        return state.can_motion
+    return np.array([*state.velocity, 0.0, *state.acceleration, GRAVITY, 0.0, 0.0, state.yaw_rate])

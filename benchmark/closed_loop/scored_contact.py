@@ -1,0 +1,75 @@
+"""A contact of a drive in numbers: who, of what kind, at whose fault, how hard."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmark.closed_loop.riding import Touch
+from benchmark.interactions.contacts import KINDS, Pairs, at_fault, delta_v, is_agent, mass_kg
+from benchmark.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class ScoredContact:
+    """See `benchmark.fairness.impact` and docs/severity.md, where kinds, blame and masses are.
+
+    Attributes:
+        seconds: Since the drive's first driven instant.
+        agent: Instance identifier of who is touched.
+        category: Its nuScenes category.
+        adversary: Whether it was made to be an adversary.
+        kind: What hits what.
+        at_fault: Whether the ego is to blame.
+        impact_speed: Size of the difference of velocities, m/s.
+        delta_v_ego: Change of the ego's velocity in a plastic impact, m/s.
+        delta_v_other: Change of the other's velocity, m/s.
+    """
+
+    seconds: float
+    agent: str
+    category: str
+    adversary: bool
+    kind: str
+    at_fault: bool
+    impact_speed: float
+    delta_v_ego: float
+    delta_v_other: float
+
+
+def scored_contact(
+    scene: Scene, touch: Touch, start_us: int, *, unsure: bool, adversary: int | None = None
+) -> ScoredContact:
+    """A contact in numbers.
+
+    Args:
+        scene: The scene.
+        touch: The contact.
+        start_us: Time of the first driven instant.
+        unsure: Whether the ego is in several lanes or off the drivable area, which makes a lateral contact its fault.
+        adversary: Who became an adversary in this drive alone.
+
+    Returns:
+        The numbers.
+    """
+    category, name = scene.agents.categories[touch.agent], scene.agents.ids[touch.agent]
+    pair = Pairs(
+        ego=touch.ego[None],
+        ego_speed=np.array([touch.ego_speed]),
+        other=touch.other[None],
+        other_velocity=touch.other_velocity[None],
+        is_agent=np.array([is_agent(category)]),
+    )
+    kind = KINDS[int(pair.kinds[0])]
+    impact = pair.impact_speed
+    own, others = delta_v(impact, np.array([mass_kg(category)]))
+    return ScoredContact(
+        seconds=(touch.time_us - start_us) * 1e-6,
+        agent=name,
+        category=category,
+        adversary=name in scene.adversaries or touch.agent == adversary,
+        kind=kind.value,
+        at_fault=at_fault(kind, unsure),
+        impact_speed=float(impact[0]),
+        delta_v_ego=float(own[0]),
+        delta_v_other=float(others[0]),
+    )

@@ -1,1 +1,0 @@
-"""What is said of a drive: contact, progress, comfort, the road, and scores of others' formulas; never mixed."""

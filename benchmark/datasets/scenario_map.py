@@ -1,0 +1,206 @@
+"""A road map as map features of a ScenarioNet file, and back."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import shapely
+from shapely.geometry import MultiPolygon, Polygon
+
+from benchmark.datasets.own_words import OWN, RING_PREFIX
+from benchmark.datasets.scenarionet_values import FARTHEST_M, name_of, real_numbers
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.road_map import Divider, DividerKind, Lane, RoadMap
+from benchmark.untrusted.files import one_line
+from benchmark.untrusted.limits import MAP_LANES, MAP_POINTS
+
+Feature = dict[str, Any]
+
+_LINE_TYPES: Final = {
+    DividerKind.SOLID_WHITE: "ROAD_LINE_SOLID_SINGLE_WHITE",
+    DividerKind.DASHED_WHITE: "ROAD_LINE_BROKEN_SINGLE_WHITE",
+    DividerKind.SOLID_YELLOW: "ROAD_LINE_SOLID_SINGLE_YELLOW",
+    DividerKind.DASHED_YELLOW: "ROAD_LINE_BROKEN_SINGLE_YELLOW",
+    DividerKind.UNPAINTED: "UNKNOWN_LINE",
+}
+_SURFACE_TYPES: Final = {"ped_crossings": "CROSSWALK", "walkways": "ROAD_EDGE_SIDEWALK"}
+"""Layers of surfaces that ScenarioNet has a type for."""
+_OTHER_LAYERS: Final = ("road_segments", "stop_lines", "carparks", "road_blocks")
+"""Layers that it has none for."""
+_SURFACE_NEAR_LINE_M: Final = 90.0
+"""MetaDrive refuses lanes whose surface and centre line have mean points 100 m apart."""
+
+
+def features_of_map(road_map: RoadMap) -> tuple[dict[str, Feature], dict[str, Any]]:
+    """A road map for a ScenarioNet file.
+
+    Args:
+        road_map: The map.
+
+    Returns:
+        ``map_features``, and what has no place among them, for the file's own block.
+    """
+    features: dict[str, Feature] = {name: _lane(lane) for name, lane in road_map.lanes.items()}
+
+    def put(key: str, feature: Feature) -> None:
+        while key in features:
+            key = f"{key}_"
+        features[key] = feature
+
+    for line in road_map.dividers:
+        own = {"layer": "dividers", "identifier": line.identifier, "between_directions": line.between_directions}
+        put(line.identifier, {"type": _LINE_TYPES[line.kind], "polyline": _points(line.line), OWN: own})
+    for layer, kind in _SURFACE_TYPES.items():
+        for name, shape in getattr(road_map, layer).items():
+            outline, *holes = _rings(shape)
+            own = {"layer": layer, "identifier": name, "holes": holes}
+            put(name, {"type": kind, "polygon": outline, OWN: own})
+    for number, part in enumerate(road_map.drivable_area.geoms):
+        for ring, points in enumerate(_rings(part)):
+            own = {"layer": "drivable_area", "polygon": number, "ring": ring}
+            put(f"{RING_PREFIX}{number}_{ring}", {"type": "ROAD_EDGE_BOUNDARY", "polyline": points, OWN: own})
+    layers = {
+        layer: {name: _rings(shape) for name, shape in getattr(road_map, layer).items()} for layer in _OTHER_LAYERS
+    }
+    return features, {
+        "location": road_map.location,
+        "canvas_m": [float(side) for side in road_map.canvas_m],
+        "intersections": sorted(road_map.intersections),
+        "layers": layers,
+    }
+
+
+def _lane(lane: Lane) -> Feature:
+    own: dict[str, Any] = {"layer": "lanes", "identifier": lane.identifier, "is_connector": lane.is_connector}
+    feature: Feature = {
+        "type": "LANE_SURFACE_STREET",
+        "polyline": _points(lane.centerline),
+        "entry_lanes": list(lane.predecessors),
+        "exit_lanes": list(lane.successors),
+        OWN: own,
+    }
+    if lane.polygon is not None:
+        outline, *own["holes"] = _rings(lane.polygon)
+        away_m = np.linalg.norm(outline.mean(axis=0) - lane.centerline.mean(axis=0))
+        (feature if away_m < _SURFACE_NEAR_LINE_M else own)["polygon"] = outline
+    return feature
+
+
+def _rings(shape: Polygon) -> list[Floats]:
+    """The outline of a surface, then its holes, each (M, 2) with the first point once more at the end."""
+    return [_points(shapely.get_coordinates(ring)) for ring in (shape.exterior, *shape.interiors)]
+
+
+def _points(points: Floats) -> Floats:
+    return np.array(points, np.float64)
+
+
+def map_of_own_features(features: Mapping[Any, Any], own: Any, path: Path) -> RoadMap:
+    """The map that `features_of_map` was given.
+
+    Args:
+        features: ``map_features`` of the file.
+        own: What the file's own block says of the map.
+        path: The file, for messages.
+
+    Returns:
+        The map, whole.
+
+    Raises:
+        InputError: If a part of it lacks what files that are written here have.
+    """
+    try:
+        return _map(features, own, path)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, shapely.errors.ShapelyError) as error:
+        raise InputError(
+            f"{path}: its map is not as challenger-bench writes it ({type(error).__name__}: {one_line(error, 80)}); "
+            "export it again"
+        ) from error
+
+
+def _map(features: Mapping[Any, Any], own: Any, path: Path) -> RoadMap:
+    lanes, lines = {}, []
+    surfaces: dict[str, dict[str, Polygon]] = {layer: {} for layer in _SURFACE_TYPES}
+    rings: dict[int, dict[int, Floats]] = {}
+    kinds = {kind: name for name, kind in _LINE_TYPES.items()}
+    _require_no_more_than_roads(features)
+    for key, feature in features.items():
+        said = feature[OWN]
+        layer = said["layer"]
+        if layer == "drivable_area":
+            rings.setdefault(int(said["polygon"]), {})[int(said["ring"])] = _read_points(feature["polyline"])
+            continue
+        name = name_of(said["identifier"], f"the name of {key}", path)
+        if layer == "lanes":
+            lanes[name] = _read_lane(name, feature, path)
+        elif layer == "dividers":
+            lines.append(
+                Divider(
+                    name, _read_points(feature["polyline"]), kinds[feature["type"]], said["between_directions"] is True
+                )
+            )
+        else:
+            surfaces[layer][name] = _surface([feature["polygon"], *said["holes"]])
+    parts = [_surface([rings[number][ring] for ring in sorted(rings[number])]) for number in sorted(rings)]
+    width, height = _read_numbers(own["canvas_m"], (2,)).tolist()
+    layers = {layer: dict(_named_surfaces(own["layers"][layer], path)) for layer in _OTHER_LAYERS}
+    return RoadMap(
+        location=name_of(own["location"], "the location", path),
+        drivable_area=MultiPolygon(parts),
+        lanes=lanes,
+        dividers=tuple(lines),
+        intersections=frozenset(name_of(name, "an intersection", path) for name in own["intersections"]),
+        canvas_m=(width, height),
+        **surfaces,
+        **layers,
+    )
+
+
+def _require_no_more_than_roads(features: Mapping[Any, Any]) -> None:
+    lines = [feature.get(key) for feature in features.values() for key in ("polyline", "polygon")]
+    points = sum(len(line) for line in lines if line is not None)
+    lanes = sum(feature[OWN]["layer"] == "lanes" for feature in features.values())
+    if points > MAP_POINTS or lanes > MAP_LANES:
+        raise ValueError(f"{points} points and {lanes} lanes, more than roads have")
+
+
+def _read_lane(name: str, feature: Feature, path: Path) -> Lane:
+    said = feature[OWN]
+    outline = feature.get("polygon", said.get("polygon"))
+    return Lane(
+        identifier=name,
+        centerline=_read_points(feature["polyline"]),
+        polygon=None if outline is None else _surface([outline, *said["holes"]]),
+        successors=tuple(name_of(other, f"a lane after {name}", path) for other in feature["exit_lanes"]),
+        predecessors=tuple(name_of(other, f"a lane before {name}", path) for other in feature["entry_lanes"]),
+        is_connector=said["is_connector"] is True,
+    )
+
+
+def _named_surfaces(layer: Mapping[Any, Any], path: Path) -> Iterator[tuple[str, Polygon]]:
+    for name, rings in layer.items():
+        yield name_of(name, "the name of a part of the map", path), _surface(rings)
+
+
+def _surface(rings: Any) -> Polygon:
+    outline, *holes = (_read_points(ring) for ring in rings)
+    return Polygon(outline, holes)
+
+
+def _read_points(value: Any) -> Floats:
+    points = real_numbers(value)
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
+        raise ValueError(f"points of shape {points.shape}")
+    return _finite(points)
+
+
+def _read_numbers(value: Any, shape: tuple[int, ...]) -> Floats:
+    return _finite(real_numbers(value).reshape(shape))
+
+
+def _finite(values: Floats) -> Floats:
+    if not np.isfinite(values).all() or np.abs(values).max(initial=0.0) > FARTHEST_M:
+        raise ValueError("coordinates that are no metres")
+    return values

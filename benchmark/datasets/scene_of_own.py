@@ -1,0 +1,328 @@
+"""The scene of a ScenarioNet file that was exported here: its own frames, with what others have no place for."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_HEIGHT_M
+from benchmark.datasets.annotated import nearest_valid
+from benchmark.datasets.own_words import (
+    ADVERSARIES,
+    OWN,
+    SCHEMA,
+    Exchanged,
+    ego_center,
+    track_digest,
+)
+from benchmark.datasets.scenario_map import map_of_own_features
+from benchmark.datasets.scenarionet_tracks import SourceTrack
+from benchmark.datasets.scenarionet_values import FARTHEST_M, name_of, real_numbers
+from benchmark.errors import InputError
+from benchmark.geometry import Floats, quaternion_from_yaw
+from benchmark.scene import Agents, Annotations, Camera, EgoTrack, LidarMount, Scene, SweepPoses
+from benchmark.untrusted.files import one_line
+from benchmark.untrusted.json_text import parse_json
+from benchmark.untrusted.limits import RECORD
+
+_SAME_M: Final = 1e-6
+"""How far the ego may be from where the file's own block has it before somebody moved it."""
+_LONGEST_TEXT: Final = 10_000
+_MOST_PIXELS: Final = 20_000
+
+
+@dataclass(frozen=True, slots=True)
+class OwnFile:
+    """What was read of a file that was exported here.
+
+    Attributes:
+        path: The file.
+        own: Its own block.
+        metadata: Its metadata.
+        raw_tracks: Its tracks as they stand in it.
+        tracks: Those that are there at some step, checked, but for the ego's.
+        ego: The ego's.
+        features: Parts of its map.
+    """
+
+    path: Path
+    own: Mapping[Any, Any]
+    metadata: Mapping[Any, Any]
+    raw_tracks: Mapping[Any, Any]
+    tracks: Mapping[str, SourceTrack]
+    ego: SourceTrack
+    features: Mapping[Any, Any]
+
+
+def own_block(metadata: Mapping[Any, Any], path: Path) -> Mapping[Any, Any] | None:
+    """What a file that was exported here says in its own block.
+
+    Args:
+        metadata: Of the file.
+        path: The file, for messages.
+
+    Returns:
+        The block; ``None`` in a file of somebody else.
+
+    Raises:
+        InputError: If it is of another version.
+    """
+    own = metadata.get(OWN)
+    if own is None:
+        return None
+    if not isinstance(own, dict) or own.get("schema") != SCHEMA:
+        said = own.get("schema") if isinstance(own, dict) else None
+        raise InputError(
+            f"{path} was exported by another version (its block {OWN} has the schema {said!r:.40}, this version reads "
+            f"{SCHEMA}); upgrade challenger-bench or export it again"
+        )
+    return own
+
+
+def scene_of_own(file: OwnFile) -> Exchanged:
+    """The scene as it was exported, with what was edited since.
+
+    A track that is as it was exported keeps its annotations. One that was edited, or is new, is annotated where it is
+    at each keyframe. Objects that are at no keyframe are left out, because nothing would annotate them.
+
+    Args:
+        file: What was read.
+
+    Returns:
+        The scene and how it was made.
+
+    Raises:
+        InputError: If something is missing or makes no sense.
+    """
+    try:
+        return _scene(file)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
+        raise InputError(
+            f"{file.path}: what challenger-bench adds to its files is damaged ({type(error).__name__}: "
+            f"{one_line(error, 80)}); export it again"
+        ) from error
+
+
+def _scene(file: OwnFile) -> Exchanged:
+    own, path = file.own, file.path
+    timestamps = _whole_numbers(own["timestamps_us"])
+    keyframes = _whole_numbers(own["keyframes"])
+    frames = len(file.ego.heading)
+    if len(timestamps) != frames or (np.diff(timestamps) <= 0).any() or timestamps[0] < 0:
+        raise ValueError("times that do not match its steps")
+    if not len(keyframes) or (np.diff(keyframes) <= 0).any() or keyframes[0] < 0 or keyframes[-1] >= frames:
+        raise ValueError("keyframes that are no steps of it")
+    agents, annotations = _objects(file, keyframes)
+    name = name_of(own["name"], "the name of the scene", path)
+    made = Exchanged(
+        scene=Scene(
+            name=name,
+            token=name_of(own["token"], "the token of the scene", path),
+            description=_text(own["description"]),
+            log=name_of(own["log"], "the log", path),
+            vehicle=name_of(own["vehicle"], "the vehicle", path),
+            date=name_of(own["date"], "the date", path),
+            timestamps_us=timestamps,
+            keyframes=keyframes,
+            ego=_ego(file),
+            agents=agents,
+            annotations=annotations,
+            cameras=tuple(_camera(camera, path) for camera in own["cameras"]),
+            lidar=LidarMount(_numbers(own["lidar"]["translation"], (3,)), _numbers(own["lidar"]["rotation"], (4,))),
+            road_map=map_of_own_features(file.features, own["map"], path),
+            adversaries=adversaries_of(file.metadata, agents.ids, path),
+            sweep_poses=_sweeps(own["sweeps"], frames, len(own["cameras"])),
+        ),
+        source_scene=name_of(own["source_scene"], "the source scene", path) or name,
+        report=_report(own["report"]),
+    )
+    return made
+
+
+def adversaries_of(metadata: Mapping[Any, Any], ids: Sequence[str], path: Path) -> tuple[str, ...]:
+    """Who is adversarial, as the metadata of any ScenarioNet file may say (``adversaries``, names of tracks).
+
+    Args:
+        metadata: Of the file.
+        ids: Names of its objects.
+        path: The file, for messages.
+
+    Returns:
+        Names; none where it says nothing.
+
+    Raises:
+        InputError: If it names what is no object of it.
+    """
+    said = metadata.get(ADVERSARIES, [])
+    if not isinstance(said, list | tuple):
+        raise InputError(f"{path}: metadata {ADVERSARIES} must be a list of tracks; correct it")
+    names = tuple(dict.fromkeys(name_of(each, f"one of the {ADVERSARIES}", path) for each in said))
+    unknown = [name for name in names if name not in ids]
+    if unknown:
+        raise InputError(
+            f"{path}: metadata {ADVERSARIES} names {unknown[0]}, and it has no such object at any keyframe; correct it"
+        )
+    return names
+
+
+def _ego(file: OwnFile) -> EgoTrack:
+    """The recorded poses, unless somebody moved the ego since."""
+    frames = len(file.ego.heading)
+    known = EgoTrack(
+        _numbers(file.own["ego_position"], (frames, 3)), _unit(_numbers(file.own["ego_rotation"], (frames, 4)))
+    )
+    away = np.abs(ego_center(known) - file.ego.position).max(axis=1)
+    turned = np.abs(np.sin((known.yaw - file.ego.heading) / 2))
+    if max(away.max(), turned.max()) < _SAME_M:
+        return known
+    yaw = file.ego.heading
+    ahead = EGO_CENTER_FROM_REAR_AXLE_M * np.column_stack([np.cos(yaw), np.sin(yaw)])
+    center = file.ego.position
+    position = np.column_stack([center[:, :2] - ahead, center[:, 2] - 0.5 * EGO_HEIGHT_M])
+    return EgoTrack(position, quaternion_from_yaw(yaw))
+
+
+def _objects(file: OwnFile, keyframes: NDArray[np.int64]) -> tuple[Agents, Annotations]:
+    tracks = {name: track for name, track in file.tracks.items() if track.valid[keyframes].any()}
+    held = {name: nearest_valid(track.valid[None])[0] for name, track in tracks.items()}
+    frames, count = len(file.ego.heading), len(tracks)
+    # Names may be numbers in the file.
+    raw = {str(name): track for name, track in file.raw_tracks.items()}
+    own = {name: _own_of_track(raw[name]) for name in tracks}
+    categories = [_category(own[name], track, file.path) for name, track in tracks.items()]
+    agents = Agents(
+        ids=tuple(tracks),
+        categories=tuple(categories),
+        position=np.array([track.position[held[name]] for name, track in tracks.items()]).reshape(count, frames, 3),
+        yaw=np.array([track.heading[held[name]] for name, track in tracks.items()]).reshape(count, frames),
+        size=np.array([track.size for track in tracks.values()]).reshape(count, 3),
+        valid=np.array([track.valid for track in tracks.values()], np.bool_).reshape(count, frames),
+    )
+    rows = [_annotated(own[name], agents, row, keyframes) for row, name in enumerate(tracks)]
+    shape = (count, len(keyframes))
+
+    def together(field: str, last: tuple[int, ...], kind: type) -> Any:
+        return np.array([row[field] for row in rows], dtype=kind).reshape(*shape, *last)
+
+    return agents, Annotations(
+        position=together("position", (3,), np.float64),
+        rotation=together("rotation", (4,), np.float64),
+        size=together("size", (3,), np.float64),
+        valid=together("valid", (), np.bool_),
+        attribute=together("attribute", (), np.str_),
+        visibility=together("visibility", (), np.int64),
+        num_lidar_pts=together("num_lidar_pts", (), np.int64),
+        num_radar_pts=together("num_radar_pts", (), np.int64),
+    )
+
+
+def _own_of_track(track: Mapping[Any, Any]) -> Mapping[Any, Any] | None:
+    """What the file adds to a track; nothing to one that somebody added."""
+    metadata = track.get("metadata")
+    own = metadata.get(OWN) if isinstance(metadata, dict) else None
+    return own if isinstance(own, dict) else None
+
+
+def _category(own: Mapping[Any, Any] | None, track: SourceTrack, path: Path) -> str:
+    return track.category if own is None else name_of(own["category"], "a category", path)
+
+
+def _annotated(own: Mapping[Any, Any] | None, agents: Agents, row: int, keyframes: NDArray[np.int64]) -> dict[str, Any]:
+    """Fields of `Annotations` of one object."""
+    position, yaw, size, valid = (part[row] for part in (agents.position, agents.yaw, agents.size, agents.valid))
+    if own is not None:
+        known = _known_annotations(own["annotations"], len(keyframes))
+        if own["digest"] == track_digest(position, yaw, size, valid):
+            return known
+    else:
+        nothing = np.zeros(len(keyframes), np.int64)
+        known = {"attribute": [""] * len(keyframes), "visibility": nothing, "num_lidar_pts": nothing}
+        known["num_radar_pts"] = nothing
+    there = valid[keyframes]
+    at = keyframes[nearest_valid(there[None])[0]]
+    return {
+        **known,
+        "position": position[at],
+        "rotation": quaternion_from_yaw(yaw[at]),
+        "size": np.repeat(size[None], len(keyframes), axis=0),
+        "valid": there,
+        # Metrics drop boxes without points.
+        "num_lidar_pts": np.where(there, np.maximum(known["num_lidar_pts"], 1), 0),
+    }
+
+
+def _known_annotations(said: Mapping[str, Any], count: int) -> dict[str, Any]:
+    attributes = [_text(text) for text in said["attribute"]]
+    if len(attributes) != count:
+        raise ValueError(f"{len(attributes)} attributes at {count} keyframes")
+    whole = {
+        name: _whole_numbers(said[name]).reshape(count) for name in ("visibility", "num_lidar_pts", "num_radar_pts")
+    }
+    size = _numbers(said["size"], (count, 3))
+    if (size <= 0).any():
+        raise ValueError("sizes that are not positive")
+    return {
+        "position": _numbers(said["position"], (count, 3)),
+        "rotation": _unit(_numbers(said["rotation"], (count, 4))),
+        "size": size,
+        "valid": _numbers(said["valid"], (count,)) > 0,
+        "attribute": attributes,
+        **whole,
+    }
+
+
+def _camera(said: Mapping[Any, Any], path: Path) -> Camera:
+    width, height = _whole_numbers(said["size"]).tolist()
+    if not (0 < width <= _MOST_PIXELS and 0 < height <= _MOST_PIXELS):
+        raise ValueError(f"a camera of {width} x {height} pixels")
+    return Camera(
+        name=name_of(said["name"], "the name of a camera", path),
+        translation=_numbers(said["translation"], (3,)),
+        rotation=_unit(_numbers(said["rotation"], (4,))),
+        intrinsic=_numbers(said["intrinsic"], (3, 3)),
+        width=width,
+        height=height,
+    )
+
+
+def _sweeps(said: Any, frames: int, cameras: int) -> SweepPoses | None:
+    if said is None:
+        return None
+    return SweepPoses(_numbers(said["lidar"], (frames, 4, 4)), _numbers(said["cameras"], (cameras, frames, 4, 4)))
+
+
+def _report(text: Any) -> dict[str, Any]:
+    value = parse_json(_text(text, RECORD.line_bytes).encode(), RECORD)
+    if not isinstance(value, dict):
+        raise ValueError("a report that is no object")
+    return value
+
+
+def _text(value: Any, longest: int = _LONGEST_TEXT) -> str:
+    if not isinstance(value, str) or len(value) > longest:
+        raise ValueError("text that is none, or too long")
+    value.encode()
+    return value
+
+
+def _numbers(value: Any, shape: tuple[int, ...]) -> Floats:
+    numbers = real_numbers(value).reshape(shape)
+    if not np.isfinite(numbers).all() or np.abs(numbers).max(initial=0.0) > FARTHEST_M:
+        raise ValueError("numbers that are not finite or too large")
+    return numbers
+
+
+def _unit(quaternions: Floats) -> Floats:
+    if (np.abs(np.linalg.norm(quaternions, axis=-1) - 1.0) > 1e-3).any():
+        raise ValueError("rotations that are no unit quaternions")
+    return quaternions
+
+
+def _whole_numbers(value: Any) -> NDArray[np.int64]:
+    found = np.asarray(value)
+    if found.dtype.kind not in "iu" or found.ndim != 1:
+        raise ValueError(f"{found.dtype} where whole numbers belong")
+    return found.astype(np.int64)

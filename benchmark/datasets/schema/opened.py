@@ -1,0 +1,58 @@
+"""What is checked when a root is opened, and what when a scene of it is read: the first error ends it.
+
+Together the two are what `data check` calls an error in the tables of the scenes that are read. What it finds in other
+files is refused by whoever opens them.
+"""
+
+from collections.abc import Collection, Mapping
+
+from benchmark.datasets.schema import LINKS, FaultList
+from benchmark.datasets.schema.links import check_chains, check_link, check_links, check_sample_chains
+from benchmark.datasets.schema.provenance import check_adversaries
+from benchmark.datasets.schema.rates import check_rates
+from benchmark.datasets.schema.table_checks import CheckedTables, Row
+from benchmark.datasets.schema.values import check_images, check_sensors, check_shared
+
+
+def check_opened(tables: CheckedTables, faults: FaultList, rates: FaultList) -> None:
+    """Check what the rows of the shared tables and of all samples say together.
+
+    Args:
+        tables: These tables, or all.
+        faults: Gets the faults.
+        rates: Gets scenes with another rate of keyframes than nuScenes.
+    """
+    check_links(tables, faults)
+    check_sample_chains(tables, faults)
+    check_shared(tables, faults)
+    check_rates(tables, rates)
+
+
+def check_scene(
+    shared: CheckedTables,
+    rows: Mapping[str, list[Row]],
+    scene: Row,
+    adversaries: Collection[str],
+    faults: FaultList,
+) -> None:
+    """Check what the rows of one scene say together.
+
+    Args:
+        shared: The tables that do not grow with the scenes.
+        rows: Rows of the scene in the tables that do.
+        scene: Its row.
+        adversaries: Instances that were made to be adversaries of the scene.
+        faults: Gets the faults.
+    """
+    own = CheckedTables.of_sound_rows({**rows, "scene": [scene]})
+    tables = CheckedTables(
+        {**shared.rows, **own.rows}, {**shared.by_token, **own.by_token}, own.unreadable, own.unsound
+    )
+    for link in LINKS:
+        if link.table in rows and link.target in rows:
+            known = tables.by_token[link.target].keys()
+            check_link(link, rows[link.table], known, faults, among=" among the rows of its scene")
+    check_chains(tables, faults)
+    check_images(tables, faults)
+    check_sensors(tables, faults)
+    check_adversaries(tables, scene, adversaries, faults)

@@ -1,1 +1,0 @@
-"""The view from above: a scene's road, agents and plans on a canvas of metres."""

@@ -1,0 +1,1 @@
+"""Extensions of the benchmark: each a folder that can be taken away."""

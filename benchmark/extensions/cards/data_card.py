@@ -1,0 +1,229 @@
+"""The card of a data set: what is in it, where it comes from, what it may be used for and what it may not show."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from benchmark.constants import VERSION
+from benchmark.datasets.scene_facts import frozen_split_of
+from benchmark.errors import InputError
+from benchmark.extensions.cards.columns import column_rows
+from benchmark.extensions.cards.croissant import Described
+from benchmark.extensions.cards.licences import UNKNOWN, licence_named, licence_page
+from benchmark.extensions.cards.scene_index import SCENE_COLUMNS, scene_rows
+from benchmark.extensions.cards.writing import CITE, CROISSANT_FILE, CardSettings, WrittenCard, ending, write_card
+from benchmark.report.table import escape_markdown
+from benchmark.report.words import counted
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
+INDEX_FILE: Final = "scenes.parquet"
+TAGS: Final = ("autonomous-driving", "nuscenes", "motion-planning", "trajectories")
+_SHORT_HASH: Final = 12
+
+
+@dataclass(frozen=True, slots=True)
+class _Origin:
+    """Where a data set comes from, in sentences.
+
+    Attributes:
+        collected: How its motion came to be.
+        pictures: How its images came to be.
+        kinds: What the responsible-AI extension calls that.
+        town: Whether it is the procedural town of this project.
+        generated: Whether vehicles were made to be adversaries.
+    """
+
+    collected: str
+    pictures: str
+    kinds: tuple[str, ...]
+    town: bool
+    generated: bool
+
+
+def write_data_card(
+    data: "DataSet", to: Path, settings: CardSettings | None = None, *, embedded: bool = False
+) -> WrittenCard:
+    """Write ``README.md``, ``scenes.parquet`` and ``croissant.json`` of a data set.
+
+    Nothing of this machine is in them, and the same data set and settings give the same bytes with the same pyarrow.
+
+    Args:
+        data: The data set, any nuScenes-format root.
+        to: Folder.
+        settings: What it does not know of itself.
+        embedded: Whether it is the town that comes with this project.
+
+    Returns:
+        What was written.
+
+    Raises:
+        InputError: If the data set is broken or has no scenes, the folder cannot be written or pyarrow is not
+            installed.
+    """
+    settings = settings or CardSettings()
+    rows = list(scene_rows(data))
+    if not rows:
+        raise InputError(f"{data.root} has no scenes to describe; name another data set")
+    origin = _origin(data.provenance() or {}, rows, embedded)
+    said = _described(data, rows, origin, settings)
+    return write_card(to, said, _page(data, rows, origin, said), INDEX_FILE, "scenes", SCENE_COLUMNS, rows, TAGS)
+
+
+def _origin(made: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], embedded: bool) -> _Origin:
+    source, renderer = made.get("source"), made.get("renderer")
+    generated = any(row["adversaries"] for row in rows) or any(row["scene"] != row["source_scene"] for row in rows)
+    if embedded:
+        collected = "A procedural town made from a seed by challenger-bench: no recording, no person, no place."
+    elif isinstance(source, dict):
+        print_of = str(source.get("fingerprint"))[:_SHORT_HASH]
+        collected = f"Made from the recordings {str(source.get('name'))[:80]} (content {print_of}) by challenger-bench."
+    else:
+        collected = "Recordings in nuScenes format; how they were collected is not said in the data set."
+    frozen = frozen_split_of(made)
+    if frozen is not None:
+        collected += f" Adversaries are those of the frozen split {frozen[:80]}."
+    elif generated:
+        collected += " Adversaries were found by a search over simulated trajectories of recorded vehicles."
+    drawn = str(renderer.get("name"))[:80] if isinstance(renderer, dict) else None
+    pictures = (
+        f"Images were drawn by the renderer {drawn} from boxes and maps, not taken by a camera."
+        if drawn is not None
+        else "Who took or drew the images, if there are any, is not said in the data set."
+    )
+    simulated = ("Software Collection",) if embedded or generated or drawn is not None else ()
+    recorded = () if embedded else ("Secondary Data Analysis",)
+    return _Origin(collected, pictures, (*simulated, *recorded), embedded, generated)
+
+
+def _described(
+    data: "DataSet", rows: Sequence[Mapping[str, Any]], origin: _Origin, settings: CardSettings
+) -> Described:
+    licence = "apache-2.0" if origin.town and settings.licence is None else licence_named(settings.licence)
+    samples = sum(row["samples"] for row in rows)
+    description = (
+        f"{counted(len(rows), 'driving scene')} with {counted(samples, 'sample')} in nuScenes format. "
+        f"{origin.collected} {origin.pictures}"
+    )
+    return Described(
+        name=settings.title or data.name,
+        description=description,
+        licence=licence,
+        url=settings.url,
+        published=settings.published,
+        version=f"1.0.0+{data.fingerprint()[:_SHORT_HASH]}",
+        cite=CITE,
+        creator=settings.creator,
+        keywords=TAGS,
+        responsible=_responsible(rows, origin),
+    )
+
+
+def _responsible(rows: Sequence[Mapping[str, Any]], origin: _Origin) -> dict[str, str | tuple[str, ...]]:
+    """What the responsible-AI extension asks, as far as the data set tells."""
+    people = (
+        "None: every road user is made up."
+        if origin.town
+        else "Positions of road users at known times and places, and, where images were taken by cameras, faces and "
+        "number plates unless whoever recorded them hid these; the data set does not say."
+    )
+    missing = sorted(column.name for column in SCENE_COLUMNS if any(row[column.name] is None for row in rows))
+    use = (
+        "Evaluation of motion planners in open loop and in closed loop.",
+        *(
+            ("Not for rates of accidents: the scenes are a search's worst cases, and no sample of traffic.",)
+            if origin.generated
+            else ()
+        ),
+    )
+    return {
+        "dataCollection": f"{origin.collected} {origin.pictures}",
+        "dataCollectionType": origin.kinds,
+        "dataCollectionMissingData": "Columns of the index with nulls: " + (", ".join(missing) or "none") + ".",
+        "dataPreprocessingProtocol": ("Scenes that inspectors rejected are left out of the index.",),
+        "dataAnnotationProtocol": "Boxes are those of the tables; labels of manoeuvre, place and severity are computed "
+        f"by challenger-bench {VERSION} by written definitions, and by no person.",
+        "machineAnnotationTools": (f"challenger-bench {VERSION}",),
+        "dataBiases": (f"Locations: {_most(rows, 'location')}.", f"Light as described: {_most(rows, 'light')}."),
+        "dataLimitations": _limitations(origin),
+        "dataUseCases": use,
+        "dataSocialImpact": "Planners that collide here need work; planners that do not are not shown to be safe.",
+        "personalSensitiveInformation": (people,),
+        "dataReleaseMaintenancePlan": "The version ends in a hash of the content: other content has another one.",
+    }
+
+
+def _limitations(origin: _Origin) -> tuple[str, ...]:
+    generated = (
+        "Recorded road users do not react to the adversary.",
+        "Adversaries were verified by the search that made them, by its own rules.",
+    )
+    town = ("Roads, traffic and images are simple: numbers of planners here are no numbers of planners on the road.",)
+    plain = "Motion between annotated keyframes is interpolated."
+    return (plain, *(generated if origin.generated else ()), *(town if origin.town else ()))
+
+
+def _most(rows: Sequence[Mapping[str, Any]], column: str) -> str:
+    counts = Counter(str(row[column] or "not named") for row in rows)
+    return ", ".join(
+        f"{name} {count}" for name, count in sorted(counts.items(), key=lambda one: (-one[1], one[0]))[:12]
+    )
+
+
+def _page(data: "DataSet", rows: Sequence[Mapping[str, Any]], origin: _Origin, said: Described) -> list[str]:
+    """Lines of the page below its head."""
+    totals = Counter[str]()
+    for row in rows:
+        totals.update({name: row[name] or 0 for name in ("samples", "annotations", "adversaries")})
+    seconds = sum(row["seconds"] for row in rows)
+    review = data.review(None).facts
+    licence = (
+        "Not decided: whoever publishes this must say. What was made from recordings stays under their terms."
+        if said.licence == UNKNOWN
+        else f"{said.licence} ({licence_page(said.licence)})."
+    )
+    manoeuvres = _most([row for row in rows if row["manoeuvre"]], "manoeuvre") or "none labelled"
+    lines = [
+        f"# {escape_markdown(said.name)}",
+        "",
+        escape_markdown(said.description),
+        "",
+        "| | |",
+        "|---|---|",
+        f"| scenes | {len(rows):,} |",
+        f"| samples (2 Hz) | {totals['samples']:,} |",
+        f"| hours | {seconds / 3600:.2f} |",
+        f"| annotated boxes | {totals['annotations']:,} |",
+        f"| adversaries | {totals['adversaries']:,} |",
+        f"| what the first of them do | {escape_markdown(manoeuvres)} |",
+        f"| locations | {escape_markdown(_most(rows, 'location'))} |",
+        f"| light, as described | {escape_markdown(_most(rows, 'light'))} |",
+        f"| inspected by people | {_inspected(review)} |",
+        f"| content | `{data.fingerprint()}` |",
+        f"| licence | {escape_markdown(licence)} |",
+        "",
+        "## Index",
+        "",
+        f"`{INDEX_FILE}` has one row a scene; `{CROISSANT_FILE}` describes it for machines. The tables, maps and",
+        "images are the data set itself, a nuScenes-format root that the unmodified nuscenes-devkit opens.",
+        "",
+        *column_rows(SCENE_COLUMNS),
+        "",
+        "## Before you use it",
+        "",
+    ]
+    for name in ("dataUseCases", "dataLimitations", "dataBiases", "personalSensitiveInformation"):
+        found = said.responsible[name]
+        lines += [f"- {escape_markdown(text)}" for text in ((found,) if isinstance(found, str) else found)]
+    lines += ["", "## Judge a planner on it", "", "With challenger-bench installed:", "", "```"]
+    lines += ["challenger-bench eval --data FOLDER --split SPLIT --model my_planner:MyPlanner", "```", ""]
+    return [*lines, *ending()]
+
+
+def _inspected(review: Any) -> str:
+    if review is None:
+        return "no"
+    return f"{review.accepted} accepted, {review.rejected} rejected and left out, {review.not_reviewed} not reviewed"

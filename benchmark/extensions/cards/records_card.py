@@ -1,0 +1,206 @@
+"""The card of results: every rate of run records and of drives as one row, with what it was measured by and on."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from benchmark.constants import VERSION
+from benchmark.errors import InputError
+from benchmark.extensions.cards.columns import Column, column_rows
+from benchmark.extensions.cards.croissant import Described
+from benchmark.extensions.cards.licences import UNKNOWN, licence_named, licence_page
+from benchmark.extensions.cards.writing import CITE, CROISSANT_FILE, CardSettings, WrittenCard, ending, write_card
+from benchmark.machine.storage import content_key
+from benchmark.records.drives import DriveRecord, columns_of
+from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import RateRow
+from benchmark.report.table import escape_markdown
+from benchmark.report.words import counted
+
+INDEX_FILE: Final = "rates.parquet"
+TAGS: Final = ("autonomous-driving", "nuscenes", "motion-planning", "benchmark", "leaderboard")
+RATE_COLUMNS: Final = (
+    Column("data_set", "text", "name of the data set"),
+    Column("data_content", "text", "hash of its content"),
+    Column("split", "text", "split"),
+    Column("frozen_split", "text", "frozen split that it was built from, if it was"),
+    Column("planner", "text", "name of the planner"),
+    Column("privileged", "truth", "whether it saw boxes, the map or the recorded future"),
+    Column("miniature", "truth", "whether it is a small stand-in that ranks nothing"),
+    Column("weights_sha256", "text", "hash of its weights, if it has any"),
+    Column("loop", "text", "open (plans judged against the recording) or closed (plans driven)"),
+    Column("protocol", "text", "definition: a protocol, nuscenes-pdm, or engine and agents of a drive"),
+    Column("protocol_version", "count", "its version"),
+    Column("column", "text", "what was measured: collision, l2, ..."),
+    Column("horizon", "text", "1s, 2s, 3s, avg, ...; null of drives"),
+    Column("value", "number", "mean or rate; null where nothing entered it"),
+    Column("low", "number", "lower end of the 95 % interval over recorded scenes"),
+    Column("high", "number", "upper end"),
+    Column("numerator", "number", "sum that entered"),
+    Column("denominator", "number", "how many samples or drives entered"),
+    Column("coverage", "number", "share of samples or drives on which the planner did not fail"),
+    Column("scenes", "count", "scenes that ran"),
+    Column("scenes_in_split", "count", "of so many"),
+    Column("record", "text", "content id of the record"),
+)
+
+
+def rate_rows(records: Sequence[RunRecord], drives: Sequence[DriveRecord]) -> Iterator[dict[str, Any]]:
+    """One row for each rate, record by record.
+
+    Args:
+        records: Of planning.
+        drives: Of driving.
+
+    Yields:
+        A value or ``None`` for each of `RATE_COLUMNS`.
+    """
+    for record in records:
+        whose = {**_whose(record.run, record.content_id), "loop": "open", "coverage": record.summary.coverage}
+        measured = [(name, found.version, found.columns) for name, found in record.summary.protocols.items()]
+        if record.summary.driving is not None:
+            measured.append(("nuscenes-pdm", record.summary.driving.version, record.summary.driving.columns))
+        for protocol, version, columns in measured:
+            by = {"protocol": protocol, "protocol_version": version}
+            for column, rates in columns.items():
+                for horizon, rate in rates.items():
+                    yield {**whose, **by, "column": column, "horizon": horizon, **_numbers(rate)}
+    for drive in drives:
+        facts = drive.facts
+        whose = {**_whose(facts, drive.content_id), "loop": "closed", "coverage": drive.summary.coverage}
+        by = {"protocol": facts.measured.world, "protocol_version": facts.scoring, "horizon": None}
+        for column, rate in columns_of(drive).items():
+            yield {**whose, **by, "column": column, **_numbers(rate)}
+
+
+def write_records_card(
+    records: Sequence[RunRecord], drives: Sequence[DriveRecord], to: Path, settings: CardSettings | None = None
+) -> WrittenCard:
+    """Write ``README.md``, ``rates.parquet`` and ``croissant.json`` of results.
+
+    Args:
+        records: Of planning.
+        drives: Of driving.
+        to: Folder.
+        settings: What the records do not know.
+
+    Returns:
+        What was written.
+
+    Raises:
+        InputError: If there are no records, the folder cannot be written or pyarrow is not installed.
+    """
+    settings = settings or CardSettings()
+    rows = list(rate_rows(records, drives))
+    if not rows:
+        raise InputError("there are no records with numbers to describe; run challenger-bench eval first")
+    count = len(records) + len(drives)
+    description = (
+        f"{counted(len(rows), 'rate')} from {counted(count, 'record')} of driving models on adversarial and ordinary "
+        "scenes, each by a named, versioned protocol, with its sample count and interval."
+    )
+    said = Described(
+        name=settings.title or "challenger-bench results",
+        description=description,
+        licence=licence_named(settings.licence),
+        url=settings.url,
+        published=settings.published,
+        version=f"1.0.0+{content_key(sorted({row['record'] for row in rows}))[:12]}",
+        cite=CITE,
+        creator=settings.creator,
+        keywords=TAGS,
+        responsible=_responsible(records, drives),
+    )
+    page = _page(said, records, drives)
+    return write_card(to, said, page, INDEX_FILE, "rates", RATE_COLUMNS, rows, TAGS)
+
+
+def _whose(facts: Any, content_id: str) -> dict[str, Any]:
+    planner = facts.planner
+    return {
+        "data_set": facts.data.name,
+        "data_content": facts.data.fingerprint,
+        "split": facts.split,
+        "frozen_split": facts.frozen_split,
+        "planner": planner.name,
+        "privileged": planner.privileged,
+        "miniature": planner.miniature,
+        "weights_sha256": planner.weights_sha256,
+        "scenes": len(facts.scenes),
+        "scenes_in_split": facts.scenes_in_split,
+        "record": content_id,
+    }
+
+
+def _numbers(rate: RateRow) -> dict[str, Any]:
+    return {name: getattr(rate, name) for name in ("value", "low", "high", "numerator", "denominator")}
+
+
+def _responsible(records: Sequence[RunRecord], drives: Sequence[DriveRecord]) -> dict[str, str | tuple[str, ...]]:
+    failed = sum(one.summary.failed for one in records) + sum(one.summary.failed for one in drives)
+    parts = sum(not one.covers_split for one in records) + sum(not one.covers_split for one in drives)
+    return {
+        "dataCollection": f"Planners were run and judged by challenger-bench ({VERSION} wrote this card).",
+        "dataCollectionType": ("Experiments", "Software Collection"),
+        "dataCollectionMissingData": f"{counted(failed, 'sample or drive', 'samples or drives')} on which a planner "
+        f"failed are in no rate; {counted(parts, 'record')} of a part of a split.",
+        "dataAnnotationProtocol": "None: numbers are computed from stored plans.",
+        "dataBiases": ("A rate is one of these scenes, and of no others.",),
+        "dataLimitations": (
+            "Two protocols never compare: rates of one name under two protocols are two quantities.",
+            "Rates on adversarial scenes depend on the search that found them.",
+            "Miniatures are small stand-ins and rank nothing.",
+        ),
+        "dataUseCases": ("Comparing planners on the same split under the same protocol and version.",),
+        "dataSocialImpact": "A low rate here shows that no planner is safe.",
+        "personalSensitiveInformation": ("None.",),
+        "dataReleaseMaintenancePlan": "The version ends in a hash of the records: other records have another one.",
+    }
+
+
+def _page(said: Described, records: Sequence[RunRecord], drives: Sequence[DriveRecord]) -> list[str]:
+    rows = [
+        ("open", one.planner, one.run.data.name, one.run.split, len(one.rows), one.summary.coverage, one.content_id)
+        for one in records
+    ] + [
+        (
+            "closed",
+            one.planner,
+            one.facts.data.name,
+            one.facts.split,
+            len(one.rows),
+            one.summary.coverage,
+            one.content_id,
+        )
+        for one in drives
+    ]
+    licence = (
+        "Not decided: whoever publishes this must say."
+        if said.licence == UNKNOWN
+        else f"{said.licence} ({licence_page(said.licence)})."
+    )
+    lines = [
+        f"# {escape_markdown(said.name)}",
+        "",
+        escape_markdown(said.description),
+        "",
+        f"Licence: {escape_markdown(licence)}",
+        "",
+        "| loop | planner | data set | split | samples or drives | coverage | record |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for loop, planner, name, split, count, coverage, content in rows:
+        cells = (loop, escape_markdown(planner), escape_markdown(name), escape_markdown(split), f"{count:,}")
+        lines.append(f"| {' | '.join(cells)} | {100 * coverage:.1f} % | `{content}` |")
+    lines += [
+        "",
+        "## Index",
+        "",
+        f"`{INDEX_FILE}` has one row a rate; `{CROISSANT_FILE}` describes it for machines.",
+        "",
+    ]
+    lines += [*column_rows(RATE_COLUMNS), "", "## Before you use it", ""]
+    for field in ("dataUseCases", "dataLimitations", "dataBiases", "dataCollectionMissingData"):
+        found = said.responsible[field]
+        lines += [f"- {escape_markdown(text)}" for text in ((found,) if isinstance(found, str) else found)]
+    return [*lines, "", *ending()]

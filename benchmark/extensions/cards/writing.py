@@ -1,0 +1,131 @@
+"""A card on disk: ``README.md`` for people and hubs, an index in Parquet, ``croissant.json`` for search engines."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Any, Final
+
+from benchmark.constants import VERSION
+from benchmark.errors import InputError
+from benchmark.extensions.cards.columns import Column, write_index
+from benchmark.extensions.cards.croissant import Described, croissant
+from benchmark.extensions.cards.front_matter import front_matter, size_category
+from benchmark.extensions.cards.licences import PAGES, UNKNOWN, licence_named
+from benchmark.machine.storage import write_bytes, write_json
+from benchmark.published import PAPER
+
+CARD_FILE: Final = "README.md"
+CROISSANT_FILE: Final = "croissant.json"
+CITE: Final = f'Zhiyuan Xu, Bohan Li, Huan-ang Gao, et al. "{PAPER}", 2025. https://pixtella.github.io/Challenger/'
+_OURS: Final = "Card written by challenger-bench"
+_TITLE: Final = re.compile(r"[^\n\r]{1,200}")
+_ADDRESS: Final = re.compile(r"https?://[^\s\"<>]{1,2000}")
+
+
+@dataclass(frozen=True, slots=True)
+class CardSettings:
+    """What a data set does not know of itself.
+
+    Attributes:
+        title: What it is called in public; its own name if none is given.
+        licence: Identifier of its licence; ``None`` where that is not decided.
+        url: Where it will be published.
+        published: Day of that, ``YYYY-MM-DD``.
+        creator: Who publishes it.
+    """
+
+    title: str | None = None
+    licence: str | None = None
+    url: str | None = None
+    published: str | None = None
+    creator: str | None = None
+
+    def __post_init__(self) -> None:
+        licence_named(self.licence)
+        for option, text in (("--title", self.title), ("--creator", self.creator)):
+            if text is not None and not (_TITLE.fullmatch(text) and text.strip()):
+                raise InputError(f"{option} must be one line of at most 200 letters, got {text[:40]!r}")
+        if self.url is not None and not _ADDRESS.fullmatch(self.url):
+            raise InputError(f"--url must begin with http:// or https:// and hold no blanks, got {self.url[:80]!r}")
+        if self.published is not None:
+            try:
+                date.fromisoformat(self.published)
+            except ValueError as wrong:
+                raise InputError(f"--published must be a day such as 2026-01-31, got {self.published!r}") from wrong
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenCard:
+    """What was written: the files, and how many rows the index has."""
+
+    files: tuple[Path, ...]
+    rows: int
+
+    def as_json(self) -> dict[str, Any]:
+        """For machines."""
+        return {"files": [str(path) for path in self.files], "rows": self.rows}
+
+
+def write_card(
+    to: Path,
+    said: Described,
+    page: Sequence[str],
+    index_name: str,
+    rows: str,
+    columns: Sequence[Column],
+    values: Sequence[Mapping[str, Any]],
+    tags: Sequence[str],
+) -> WrittenCard:
+    """Write the files of a card, each in place of what is there.
+
+    Args:
+        to: Folder.
+        said: What is said of the data set.
+        page: Lines of ``README.md`` below its head.
+        index_name: File of the index.
+        rows: What a row of it is, one word in the plural.
+        columns: Its columns.
+        values: Its rows.
+        tags: What hubs sort by.
+
+    Returns:
+        What was written.
+
+    Raises:
+        InputError: If the folder cannot be written, holds a ``README.md`` that is no card of ours, or pyarrow is not
+            installed.
+    """
+    _require_own(to / CARD_FILE)
+    index = to / index_name
+    write_index(index, columns, values)
+    known = said.licence if said.licence in (*PAGES, UNKNOWN) else "other"
+    head = front_matter(
+        {
+            "pretty_name": said.name,
+            "license": known,
+            "license_name": said.licence if known != said.licence else None,
+            "tags": ["croissant", *tags],
+            "size_categories": [size_category(len(values))],
+            "configs": [{"config_name": rows, "data_files": [{"split": "index", "path": index_name}], "default": True}],
+        }
+    )
+    write_json(to / CROISSANT_FILE, croissant(said, index, rows, columns))
+    write_bytes(to / CARD_FILE, (head + "\n".join(page) + "\n").encode())
+    return WrittenCard((to / CARD_FILE, index, to / CROISSANT_FILE), len(values))
+
+
+def ending() -> list[str]:
+    """The last lines of a card: what to cite, and who wrote the card."""
+    return ["## Cite", "", CITE, "", f"{_OURS} {VERSION}."]
+
+
+def _require_own(page: Path) -> None:
+    """Refuse to write over a ``README.md`` that somebody wrote."""
+    try:
+        theirs = page.exists() and _OURS not in page.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise InputError(f"cannot read {page}: {error.strerror or error}; name another folder with --to") from error
+    if theirs:
+        raise InputError(f"{page} is no card that challenger-bench wrote; name another folder with --to, or move it")

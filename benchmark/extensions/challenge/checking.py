@@ -1,0 +1,315 @@
+"""``challenge check``: an entry held to the recordings that it was made from and to the rules; the main path.
+
+Nothing that an entry says of itself is believed: who is changed, how, and what touches what is found in its tables and
+images. Its own judgements and verdicts of inspectors are not read.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from benchmark.constants import VERSION
+from benchmark.datasets.roots import DataSet
+from benchmark.datasets.steps import require_two_hz
+from benchmark.errors import InputError, did_you_mean
+from benchmark.extensions.challenge.counterparts import Counterparts, Keyframes, counterparts
+from benchmark.extensions.challenge.images import Views, faults_of_files, of_another_time, pictures_of, unseen_change
+from benchmark.extensions.challenge.motion import broken_launch, broken_limits
+from benchmark.extensions.challenge.others import Differing, changed_vehicle, differing, labels_of, who_differs
+from benchmark.extensions.challenge.recorded_part import (
+    ego_of,
+    map_of,
+    require_comparable,
+    sensors_of,
+    times_of,
+    told_of,
+)
+from benchmark.extensions.challenge.rules import Rules
+from benchmark.extensions.challenge.surroundings import Nearness, nearest_ego, nearest_other, off_road, too_near
+from benchmark.geometry import Floats, yaw_of_quaternion
+from benchmark.interactions.tracks import Integers
+from benchmark.machine.workers import Executor, LocalProcesses
+from benchmark.records.challenge import ChangedVehicle, ComparedData, EntryVerdict, Reason, SceneVerdict
+from benchmark.scene import Scene
+
+DIGITS: Final = 3
+NO_MAP: Final = "the recordings have no map here: the road was not asked"
+NO_CAMERAS: Final = "the recordings have no cameras here: calibration was not compared"
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedScene:
+    """A verdict, and what later ones need.
+
+    Attributes:
+        verdict: On the scene.
+        tracks: Of each changed vehicle: token in the recording, and (K, 2) places at the keyframes, NaN where it is not
+            there.
+    """
+
+    verdict: SceneVerdict
+    tracks: tuple[tuple[str, Floats], ...]
+
+
+def check_entry(
+    entry: DataSet,
+    base: DataSet,
+    rules: Rules,
+    names: Sequence[str] | None = None,
+    executor: Executor | None = None,
+) -> EntryVerdict:
+    """Check an entry.
+
+    Args:
+        entry: The data set of a stranger.
+        base: The recordings that it was made from.
+        rules: Of the challenge.
+        names: Scenes of the entry, all by default; then it need not have all that the rules require.
+        executor: Where scenes are checked; this process by default. Nothing depends on it.
+
+    Returns:
+        The verdict.
+
+    Raises:
+        InputError: If a scene is not of these recordings, is missing, or is broken; nothing can be said then.
+    """
+    sources = recordings_of(entry, base, names)
+    if names is None:
+        _require_scenes(entry, sources, rules)
+    work = [(name, sources[name]) for name in sources]
+    check = partial(_checked, entry, base, rules)
+    found = list((executor or LocalProcesses(1)).map(check, work, total=len(work), label="checking scenes"))
+    return EntryVerdict(
+        version=VERSION,
+        entry=ComparedData(name=entry.name, fingerprint=entry.fingerprint()),
+        base=ComparedData(name=base.name, fingerprint=base.fingerprint()),
+        challenge=rules.name,
+        rules=rules.fingerprint,
+        reasons=tuple(_of_too_many(sources, rules)),
+        scenes=tuple(_with_repeats(found, rules)),
+    )
+
+
+def recordings_of(entry: DataSet, base: DataSet, names: Sequence[str] | None = None) -> dict[str, str]:
+    """Names of the recorded scenes that the scenes of an entry were made from.
+
+    Args:
+        entry: The entry.
+        base: The recordings.
+        names: Scenes of the entry, all by default.
+
+    Returns:
+        By name of the scene, in the order of the entry.
+
+    Raises:
+        InputError: If the entry has no such scene, or one that no recording is known of.
+    """
+    present = entry.scene_names(None)
+    for name in names or ():
+        if name not in present:
+            raise InputError(f"{entry.root} has no scene {name!r}; {did_you_mean(name, present)}it has {len(present)}")
+    wanted = [name for name in present if names is None or name in names]
+    if not wanted:
+        raise InputError(f"{entry.root} has no scene to check")
+    sources = {name: facts.source for name, facts in entry.scene_facts(wanted).items()}
+    recorded = set(base.scene_names(None))
+    if lost := next((name for name in wanted if sources[name] not in recorded), None):
+        raise InputError(
+            f"{lost} of {entry.root} is said to be made from {sources[lost]}, which {base.root} has not; give the "
+            "recordings with --base, or name the scene after its recording, such as scene-0061-a"
+        )
+    return sources
+
+
+def _require_scenes(entry: DataSet, sources: Mapping[str, str], rules: Rules) -> None:
+    if missing := sorted(set(rules.scenes.required) - set(sources.values())):
+        raise InputError(
+            f"{entry.root} has no scene of {', '.join(missing[:5])}{', ...' if len(missing) > 5 else ''}, "
+            f"{len(missing)} of {len(rules.scenes.required)} that the rules require; add them"
+        )
+
+
+def _of_too_many(sources: Mapping[str, str], rules: Rules) -> Iterator[Reason]:
+    most = rules.scenes.most_of_one
+    for recording, count in Counter(sources.values()).items():
+        if most and count > most:
+            yield Reason(
+                rule="scenes.most_of_one", sentence=f"has {count} scenes of {recording}; {most} may be made of one"
+            )
+
+
+def _with_repeats(found: Sequence[CheckedScene], rules: Rules) -> Iterator[SceneVerdict]:
+    """Verdicts, with the reason added to scenes that repeat an earlier one."""
+    earlier: dict[tuple[str, tuple[str, ...]], list[CheckedScene]] = {}
+    for scene in found:
+        verdict = scene.verdict
+        alike = earlier.setdefault((verdict.recording, tuple(token for token, _ in scene.tracks)), [])
+        twin = next((other for other in alike if _same(scene, other, rules.scenes.apart_m)), None)
+        if twin is not None:
+            reason = Reason(rule="scenes.apart_m", sentence=f"is the scene {twin.verdict.scene} once more")
+            verdict = verdict.model_copy(update={"reasons": (*verdict.reasons, reason)})
+        alike.append(scene)
+        yield verdict
+
+
+def _same(scene: CheckedScene, other: CheckedScene, apart_m: float) -> bool:
+    if not scene.tracks:
+        return not other.tracks
+    for (_, mine), (_, theirs) in zip(scene.tracks, other.tracks, strict=True):
+        if mine.shape != theirs.shape or (np.isnan(mine) != np.isnan(theirs)).any():
+            return False
+        if np.nanmax(np.hypot(*(mine - theirs).T), initial=0.0) > apart_m:
+            return False
+    return True
+
+
+def _checked(entry: DataSet, base: DataSet, rules: Rules, work: tuple[str, str]) -> CheckedScene:
+    return _SceneCheck.of(entry, base, rules, *work).result()
+
+
+@dataclass(frozen=True, slots=True)
+class _SceneCheck:
+    """Everything that is looked at of one scene."""
+
+    entry: DataSet
+    base: DataSet
+    rules: Rules
+    scene: Scene
+    recorded: Scene
+    common: Keyframes
+    known: Counterparts
+    differing: tuple[Differing, ...]
+    views: tuple[Views, Views]
+    notes: list[str]
+
+    @classmethod
+    def of(cls, entry: DataSet, base: DataSet, rules: Rules, name: str, source: str) -> "_SceneCheck":
+        scene, recorded = entry.scene(name), base.scene(source)
+        require_two_hz(recorded, "the challenge")
+        common = Keyframes.common(scene, recorded)
+        require_comparable(scene, recorded, common)
+        known = counterparts(scene, recorded, common)
+        found = differing(scene, recorded, known, common, rules)
+        views = entry.videos(name, sweeps=False), base.videos(source, sweeps=False)
+        return cls(entry, base, rules, scene, recorded, common, known, tuple(found), views, [])
+
+    def result(self) -> CheckedScene:
+        reasons = [*self._as_recorded(), *self._who(), *self._images()]
+        vehicles = []
+        for each in self.differing[: max(self.rules.changed.most, 1)]:
+            said, vehicle = self._vehicle(each)
+            reasons += said
+            vehicles.append(vehicle)
+        vehicles += [self._described(each) for each in self.differing[max(self.rules.changed.most, 1) :]]
+        verdict = SceneVerdict(
+            scene=self.scene.name,
+            recording=self.recorded.name,
+            reasons=tuple(reasons),
+            notes=tuple(self.notes),
+            changed=tuple(vehicles),
+            images=sum(map(len, self.views[0].values())),
+        )
+        return CheckedScene(verdict, tuple(self._track(each) for each in self.differing))
+
+    def _as_recorded(self) -> Iterator[Reason]:
+        rules = self.rules.unchanged
+        yield from times_of(self.scene, self.recorded, self.common)
+        yield from ego_of(self.scene, self.recorded, self.common, rules)
+        yield from sensors_of(
+            self.scene, self.recorded, self.common, self.views, rules, required=self.rules.images.required
+        )
+        if not self.views[1]:
+            self.notes.append(NO_CAMERAS)
+        if self.base.has_map(self.recorded.name):
+            yield from map_of(self.scene.road_map, self.recorded.road_map, rules)
+        else:
+            self.notes.append(NO_MAP)
+        # Observations cannot be had of a scene some of whose images are missing, which is a reason by itself.
+        there = {view.path.is_file() for of_camera in self.views[0].values() for view in of_camera}
+        if len(there) < 2:
+            mine = list(self.entry.observations(self.scene.name))
+            theirs = list(self.base.observations(self.recorded.name))
+            yield from told_of(mine, theirs, self.common, rules)
+
+    def _who(self) -> Iterator[Reason]:
+        arguments = self.scene, self.recorded, self.known, self.differing, self.common, self.rules
+        yield from who_differs(*arguments)
+        yield from labels_of(*arguments)
+
+    def _images(self) -> Iterator[Reason]:
+        if not self.rules.images.required or not self.views[1]:
+            return
+        seen, reasons = faults_of_files(self.views[0], self.rules.images)
+        yield from reasons
+        if not self.rules.images.of_their_time:
+            return
+        recorded = pictures_of(self.views[1])
+        yield from of_another_time(seen, recorded, self.common)
+        for each in self.differing[: self.rules.changed.most]:
+            changed = np.flatnonzero(each.at)
+            found = unseen_change(self.scene, each.agent, changed, self.views, (seen, recorded), self.common)
+            if found is not None:
+                yield found
+
+    def _vehicle(self, each: Differing) -> tuple[list[Reason], ChangedVehicle]:
+        """What is said of one changed vehicle."""
+        rules, scene = self.rules, self.scene
+        reasons = list(changed_vehicle(scene, self.recorded, each, self.common, rules))
+        reasons += self._motion(each)
+        frames = self._frames(each)
+        if not len(frames):
+            return reasons, self._described(each)
+        boxes = scene.agents.boxes[each.agent, frames]
+        if self.base.has_map(self.recorded.name):
+            reasons += off_road(boxes, scene.seconds[frames], self.recorded.road_map, rules.road)
+        other = nearest_other(scene, each.agent, frames)
+        ego = nearest_ego(scene, each.agent, int(self.common.here[each.first]))
+        reasons += [found for found in (too_near(near, scene, rules.gaps) for near in (ego, other)) if found]
+        return reasons, self._described(each, ego, other)
+
+    def _motion(self, each: Differing) -> Iterator[Reason]:
+        here = self.common.here
+        there = here[each.at & self.scene.annotations.valid[each.agent, here]]
+        seconds = self.scene.seconds[self.scene.keyframes]
+        yield from broken_limits(seconds[there], self._boxes(each.agent, there), self.rules.motion)
+        before = here[: each.first]
+        before = before[self.scene.annotations.valid[each.agent, before]][-2:]
+        if len(before) == 2 and len(there):
+            at = np.concatenate([before, there[:1]])
+            launch = broken_launch(seconds[at], self._boxes(each.agent, at), self.rules.motion)
+            if launch is not None:
+                yield launch
+
+    def _boxes(self, agent: int, keyframes: Integers) -> Floats:
+        """(C, 5) boxes at keyframes, as annotated."""
+        notes, at = self.scene.annotations, (agent, keyframes)
+        yaw = yaw_of_quaternion(notes.rotation[at])[:, None]
+        return np.concatenate([notes.position[at][:, :2], notes.size[at][:, :2], yaw], axis=1)
+
+    def _frames(self, each: Differing) -> Integers:
+        """Frames after the last keyframe before it differs at which it is there."""
+        first = int(self.common.here[each.first])
+        start = int(self.scene.keyframes[first - 1]) + 1 if first else 0
+        return start + np.flatnonzero(self.scene.agents.valid[each.agent, start:])
+
+    def _described(self, each: Differing, ego: Nearness | None = None, other: Nearness | None = None) -> ChangedVehicle:
+        at = self.scene.keyframes[self.common.here[each.first]]
+        return ChangedVehicle(
+            instance=self.scene.agents.ids[each.agent],
+            recorded=self.recorded.agents.ids[each.recorded],
+            category=self.scene.agents.categories[each.agent],
+            from_s=round(float(self.scene.seconds[at]), DIGITS),
+            farthest_m=round(each.farthest_m, DIGITS),
+            least_gap_ego_m=None if ego is None else round(ego.gap_m, DIGITS),
+            least_gap_others_m=None if other is None else round(other.gap_m, DIGITS),
+            nearest_ego_s=None if ego is None else round(ego.seconds, DIGITS),
+        )
+
+    def _track(self, each: Differing) -> tuple[str, Floats]:
+        notes = self.scene.annotations
+        places = np.where(notes.valid[each.agent, :, None], notes.position[each.agent, :, :2], np.nan)
+        return self.recorded.agents.ids[each.recorded], places

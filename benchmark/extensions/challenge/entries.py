@@ -1,0 +1,161 @@
+"""An entry as its organiser sees it: who is changed was found, and nothing that it says of itself is read."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+
+from benchmark.datasets.annotation_counts import AnnotationCount
+from benchmark.datasets.categories import CategoryNames
+from benchmark.datasets.roots import DataSet
+from benchmark.datasets.scene_facts import scene_facts_of
+from benchmark.fairness.scenes import TracksAtHand, judge_scene
+from benchmark.planning import CameraView, Observation
+from benchmark.records.challenge import EntryVerdict, SceneVerdict
+from benchmark.records.judgement import SceneJudgement
+from benchmark.records.review import SplitReview
+from benchmark.records.run_schema import SceneFacts
+from benchmark.scene import Scene
+from benchmark.truth import SampleTruth
+
+SPLIT: Final = "entry"
+"""What the accepted scenes of an entry are called as a split."""
+
+
+@dataclass(slots=True)
+class CheckedEntry:
+    """The accepted scenes of an entry; see `benchmark.datasets.roots.DataSet` for what each method promises.
+
+    Attributes:
+        data: The entry.
+        name: Shown in tables.
+        root: A folder of the organiser's: nothing that lies beside the entry's tables is looked for.
+        version: Version folder of the entry.
+        verdicts: On the accepted scenes, by name.
+        judgements: What this program says of them, by name.
+    """
+
+    data: DataSet
+    name: str
+    root: Path
+    version: str
+    verdicts: Mapping[str, SceneVerdict]
+    judgements: Mapping[str, tuple[SceneJudgement, ...]]
+
+    @classmethod
+    def of(cls, data: DataSet, name: str, root: Path, verdict: EntryVerdict) -> Self:
+        """The accepted scenes of an entry, judged.
+
+        Args:
+            data: The entry.
+            name: Shown in tables.
+            root: A folder of the organiser's.
+            verdict: On the entry.
+
+        Returns:
+            The entry.
+
+        Raises:
+            InputError: If a scene is broken.
+        """
+        accepted = {scene.scene: scene for scene in verdict.scenes if scene.accepted}
+        unjudged = cls(data, name, root, data.version, accepted, {})
+        judged = {scene: judge_scene(unjudged.scene(scene), unjudged.tracks(scene)) for scene in accepted}
+        return replace(unjudged, judgements=judged)
+
+    def tracks(self, name: str) -> TracksAtHand:
+        """What was found of how the changed vehicles of a scene were made."""
+        seconds = self.data.scene(name).seconds
+        starts = {each.instance: int(np.argmin(np.abs(seconds - each.from_s))) for each in self.verdicts[name].changed}
+        return TracksAtHand(generated=False, launches=starts)
+
+    @property
+    def categories(self) -> CategoryNames:
+        """Those of the entry's data."""
+        return self.data.categories
+
+    def with_categories(self, categories: CategoryNames) -> Self:
+        """The same entry with other names of categories replaced."""
+        return replace(self, data=self.data.with_categories(categories))
+
+    def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
+        """How many annotations scenes have, by name."""
+        return self.data.annotation_counts(names)
+
+    def splits(self) -> dict[str, tuple[str, ...]]:
+        """The accepted scenes."""
+        return {SPLIT: self.scene_names()}
+
+    def split_names(self) -> tuple[str, ...]:
+        """The only split."""
+        return (SPLIT,)
+
+    def scene_names(self, split: str | None = None) -> tuple[str, ...]:
+        """Sorted names of the accepted scenes."""
+        return tuple(sorted(self.verdicts))
+
+    def review(self, split: str | None = None) -> SplitReview:
+        """Nobody inspected them."""
+        return SplitReview(waiting=self.scene_names())
+
+    def scene(self, name: str) -> Scene:
+        """One scene, with the changed vehicles as adversaries."""
+        return replace(self.data.scene(name), adversaries=tuple(each.instance for each in self.verdicts[name].changed))
+
+    def observations(self, name: str) -> Iterator[Observation]:
+        """One observation a sample, in time order."""
+        return self.data.observations(name)
+
+    def videos(self, name: str, *, sweeps: bool) -> dict[str, tuple[CameraView, ...]]:
+        """Camera images by camera name, in time order."""
+        return self.data.videos(name, sweeps=sweeps)
+
+    def truth(self, name: str) -> tuple[SampleTruth, ...]:
+        """One truth a sample, in time order, with the changed vehicles as adversaries, whoever the entry names."""
+        changed = frozenset(each.instance for each in self.verdicts[name].changed)
+        return tuple(_with_adversaries(truth, changed) for truth in self.data.truth(name))
+
+    def keyframe_rows(self, name: str) -> dict[str, str]:
+        """Sample tokens of a scene by the tokens of their keyframe rows."""
+        return self.data.keyframe_rows(name)
+
+    def has_map(self, name: str) -> bool:
+        """Whether the scene's location has a vector map."""
+        return self.data.has_map(name)
+
+    def has_lidar(self, name: str) -> bool:
+        """Whether the tables say where the scene's lidar sits."""
+        return self.data.has_lidar(name)
+
+    def fingerprint(self) -> str:
+        """Content hash of the entry."""
+        return self.data.fingerprint()
+
+    def provenance(self) -> dict[str, Any] | None:
+        """What was found: recording, changed vehicles and when they begin to be, by scene."""
+        scenes = {}
+        for name, verdict in self.verdicts.items():
+            starts = [{"launch_frame": start} for start in self.tracks(name).launches.values()]
+            scenes[name] = {
+                "source_scene": verdict.recording,
+                "adversaries": [each.instance for each in verdict.changed],
+                "report": starts[0] if len(starts) == 1 else {"adversaries": starts},
+            }
+        return {"split": SPLIT, "scenes": scenes}
+
+    def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
+        """Recordings and judgements of scenes, by name."""
+        found = {}
+        for name in names:
+            verdict = self.verdicts[name]
+            made = {"source_scene": verdict.recording, "adversaries": [each.instance for each in verdict.changed]}
+            description = self.data.scene(name).description
+            found[name] = scene_facts_of(name, made, description, self.judgements.get(name, ()))
+        return found
+
+
+def _with_adversaries(truth: SampleTruth, adversaries: frozenset[str]) -> SampleTruth:
+    timed = None if truth.timed is None else replace(truth.timed, adversaries=adversaries)
+    return replace(truth, adversaries=adversaries, timed=timed)

@@ -1,0 +1,238 @@
+"""What an entry must have as the recording has it: times, ego, sensors, map, and what a planner is told of the ego."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
+from typing import Any, Final
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike
+
+from benchmark.errors import InputError
+from benchmark.extensions.challenge.counterparts import Keyframes
+from benchmark.extensions.challenge.rules import Unchanged
+from benchmark.geometry import Floats, transform_matrix
+from benchmark.planning import CameraView, Observation
+from benchmark.records.challenge import Reason
+from benchmark.report.words import counted
+from benchmark.road_map import RoadMap
+from benchmark.scene import Camera, Scene
+
+_BETWEEN_M: Final = 1e-3
+"""How far the ego may be from a straight line between keyframes where an entry has no sweeps."""
+_DERIVED_M_S: Final = 0.5
+"""How far motions may differ of which one is measured and one derived from poses."""
+_DERIVED_RAD_S: Final = 0.1
+_INTRINSIC: Final = 1e-9
+"""Share by which scaled intrinsics may differ."""
+_LAYERS: Final = ("ped_crossings", "walkways", "road_segments", "stop_lines", "carparks", "road_blocks")
+
+
+def require_comparable(entry: Scene, recorded: Scene, common: Keyframes) -> None:
+    """Refuse scenes of which nothing can be said.
+
+    Raises:
+        InputError: If the two have no keyframe in common.
+    """
+    if not len(common.here):
+        raise InputError(
+            f"no keyframe of {entry.name} is at a time of its recording {recorded.name}: the entry is of other "
+            "recordings, or its times were shifted; give the recordings that it was made from with --base"
+        )
+
+
+def times_of(entry: Scene, recorded: Scene, common: Keyframes) -> Iterator[Reason]:
+    """Whether the keyframes are those of the recording."""
+    mine, theirs = len(entry.keyframes), len(recorded.keyframes)
+    if mine == theirs == len(common.here):
+        return
+    if mine != theirs:
+        said = f"has {counted(mine, 'keyframe')}, its recording has {theirs}"
+    else:
+        times = entry.timestamps_us[entry.keyframes] - recorded.timestamps_us[recorded.keyframes]
+        first = int(np.argmax(times != 0))
+        said = (
+            f"has {counted(theirs - len(common.here), 'keyframe')} at another time than the recording, first keyframe "
+            f"{first}, by {abs(int(times[first])) * 1e-3:.3g} ms"
+        )
+    yield Reason(rule="unchanged.times", sentence=said)
+
+
+def ego_of(entry: Scene, recorded: Scene, common: Keyframes, rules: Unchanged) -> Iterator[Reason]:
+    """Whether the ego is where it was recorded, at keyframes and between them."""
+    mine, theirs = entry.keyframes[common.here], recorded.keyframes[common.there]
+    moved = np.abs(entry.ego.position[mine] - recorded.ego.position[theirs]).max(axis=1)
+    turned = np.abs(entry.ego.rotation[mine] - recorded.ego.rotation[theirs]).max(axis=1)
+    wrong = (moved > rules.position_m) | (turned > rules.rotation)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        yield Reason(
+            rule="unchanged.position_m" if moved[at] > rules.position_m else "unchanged.rotation",
+            sentence=f"moves the ego at {counted(int(wrong.sum()), 'keyframe')}, first at keyframe {common.here[at]}, "
+            f"by up to {_metres(float(moved.max()))}",
+        )
+    elif np.array_equal(entry.timestamps_us, recorded.timestamps_us):
+        off = np.abs(entry.ego.position - recorded.ego.position).max(axis=1)
+        straight = np.abs(entry.ego.position - _straight(entry)).max(axis=1)
+        between = np.minimum(off, straight) > max(rules.position_m, _BETWEEN_M)
+        if between.any():
+            at = int(np.argmax(between))
+            yield Reason(
+                rule="unchanged.position_m",
+                sentence=f"moves the ego between keyframes, first at {entry.seconds[at]:.2f} s, by "
+                f"{_metres(float(off[at]))}",
+            )
+
+
+def _straight(scene: Scene) -> Floats:
+    """(T, 3) the ego if it went straight from keyframe to keyframe."""
+    at = scene.seconds[scene.keyframes]
+    return np.column_stack([np.interp(scene.seconds, at, axis) for axis in scene.ego.position[scene.keyframes].T])
+
+
+def sensors_of(
+    entry: Scene,
+    recorded: Scene,
+    common: Keyframes,
+    views: tuple[Mapping[str, Sequence[CameraView]], Mapping[str, Sequence[CameraView]]],
+    rules: Unchanged,
+    *,
+    required: bool,
+) -> Iterator[Reason]:
+    """Whether lidar and cameras are mounted, calibrated, timed and posed as in the recording.
+
+    Args:
+        entry: Scene of the entry.
+        recorded: The recording.
+        common: Keyframes of both.
+        views: Of the entry and of the recording, by camera, one a keyframe.
+        rules: What may differ.
+        required: Whether the entry must have every camera at every keyframe; those that it has are compared in any
+            case.
+
+    Yields:
+        Reasons, at most one for each camera.
+    """
+    if _apart(entry.lidar.translation, recorded.lidar.translation) > rules.position_m or (
+        _apart(entry.lidar.rotation, recorded.lidar.rotation) > rules.rotation
+    ):
+        yield Reason(rule="unchanged.position_m", sentence="mounts LIDAR_TOP elsewhere, whose origin plans are told of")
+    mine, theirs = views
+    if required and (missing := sorted(set(theirs) - set(mine))):
+        yield Reason(rule="images.required", sentence=f"has no {', '.join(missing)}")
+    if further := sorted(set(mine) - set(theirs)) if theirs else []:
+        yield Reason(rule="images.required", sentence=f"has {', '.join(further)}, which the recording has not")
+    for name in (camera for camera in mine if camera in theirs):
+        if len(mine[name]) != len(entry.keyframes) or len(theirs[name]) != len(recorded.keyframes):
+            if required:
+                yield Reason(rule="images.required", sentence=f"has {name} not at every keyframe")
+            continue
+        for here, there in zip(common.here.tolist(), common.there.tolist(), strict=True):
+            said = _view_differs(mine[name][here], theirs[name][there], recorded, there, rules)
+            if said:
+                yield Reason(rule="unchanged.position_m", sentence=f"{said} of {name}, first at keyframe {here}")
+                break
+
+
+def _view_differs(mine: CameraView, theirs: CameraView, recorded: Scene, there: int, rules: Unchanged) -> str:
+    """What is wrong with a camera at one keyframe; empty if nothing is."""
+    scaled = theirs.camera.resized(mine.camera.width, mine.camera.height)
+    if _calibration_differs(mine.camera, scaled, rules):
+        return "alters the calibration"
+    frame = int(recorded.keyframes[there])
+    if mine.timestamp_us not in (theirs.timestamp_us, int(recorded.timestamps_us[frame])):
+        return "alters the time"
+    # A picture is of its own exposure, or drawn for the keyframe as the whole data set is here.
+    poses = (theirs.global_T_ego, _pose(recorded, frame))
+    most = max(rules.position_m, 1e-9)
+    return "" if any(_apart(mine.global_T_ego, pose) <= most for pose in poses) else "alters the ego pose"
+
+
+def _calibration_differs(mine: Camera, theirs: Camera, rules: Unchanged) -> bool:
+    return (
+        _apart(mine.translation, theirs.translation) > rules.position_m
+        or _apart(mine.rotation, theirs.rotation) > rules.rotation
+        or bool((np.abs(mine.intrinsic - theirs.intrinsic) > _INTRINSIC * np.abs(theirs.intrinsic)).any())
+    )
+
+
+def _pose(scene: Scene, frame: int) -> Floats:
+    return transform_matrix(scene.ego.rotation[frame], scene.ego.position[frame])
+
+
+def map_of(entry: RoadMap, recorded: RoadMap, rules: Unchanged) -> Iterator[Reason]:
+    """Whether the map around the ego is that of the recording: its surfaces and lanes."""
+    wrong = []
+    if entry.location != recorded.location:
+        wrong.append(f"location ({entry.location}, not {recorded.location})")
+    if _area(entry.drivable_area, recorded.drivable_area) > rules.map_m2:
+        wrong.append("drivable area")
+    for layer in _LAYERS:
+        mine, theirs = getattr(entry, layer), getattr(recorded, layer)
+        if set(mine) != set(theirs) or any(_area(mine[name], theirs[name]) > rules.map_m2 for name in mine):
+            wrong.append(layer.replace("_", " "))
+    if set(entry.lanes) != set(recorded.lanes) or any(
+        not np.array_equal(lane.centerline, recorded.lanes[name].centerline)
+        or lane.successors != recorded.lanes[name].successors
+        for name, lane in entry.lanes.items()
+    ):
+        wrong.append("lanes")
+    if len(entry.dividers) != len(recorded.dividers) or any(
+        not np.array_equal(mine.line, theirs.line)
+        for mine, theirs in zip(entry.dividers, recorded.dividers, strict=True)
+    ):
+        wrong.append("dividers")
+    if entry.intersections != recorded.intersections:
+        wrong.append("junctions")
+    if wrong:
+        yield Reason(rule="unchanged.map_m2", sentence=f"alters the map around the ego: {', '.join(wrong)}")
+
+
+def _area(first: shapely.Geometry, second: shapely.Geometry) -> float:
+    if first.equals_exact(second, 0.0):
+        return 0.0
+    return float(shapely.make_valid(first).symmetric_difference(shapely.make_valid(second)).area)
+
+
+def told_of(
+    entry: Sequence[Observation], recorded: Sequence[Observation], common: Keyframes, rules: Unchanged
+) -> Iterator[Reason]:
+    """Whether planners are told the same of the ego: motion from the CAN bus, past poses, command."""
+    for here, there in zip(common.here.tolist(), common.there.tolist(), strict=True):
+        mine, theirs = entry[here], recorded[there]
+        wrong = _motion_differs(mine, theirs, rules)
+        if mine.command != theirs.command:
+            wrong.append("command")
+        if wrong:
+            yield Reason(
+                rule="unchanged.motion",
+                sentence=f"tells planners another {', '.join(wrong)} of the ego, first at keyframe {here} (CAN bus)",
+            )
+            return
+
+
+def _motion_differs(mine: Observation, theirs: Observation, rules: Unchanged) -> list[str]:
+    if mine.ego.source == theirs.ego.source:
+        names = [each.name for each in fields(mine.ego) if each.name not in ("pose", "position", "rotation", "source")]
+        pairs = {name: (getattr(mine.ego, name), getattr(theirs.ego, name), rules.motion) for name in names}
+    else:
+        pairs = {
+            "velocity": (mine.ego.velocity, theirs.ego.velocity, _DERIVED_M_S),
+            "yaw_rate": (mine.ego.yaw_rate, theirs.ego.yaw_rate, _DERIVED_RAD_S),
+        }
+    return [name.replace("_", " ") for name, (one, other, most) in pairs.items() if not _within(one, other, most)]
+
+
+def _within(first: Any, second: Any, most: float) -> bool:
+    if first is None or second is None:
+        return first is second
+    return _apart(first, second) <= most
+
+
+def _apart(first: ArrayLike, second: ArrayLike) -> float:
+    """Largest difference of two arrays of the same shape."""
+    return float(np.abs(np.asarray(first, np.float64) - np.asarray(second, np.float64)).max(initial=0.0))
+
+
+def _metres(distance: float) -> str:
+    return f"{distance:.3g} m"

@@ -1,0 +1,275 @@
+"""``challenge score``: entries checked, planned on and ranked; the main path.
+
+The score of an entry is the mean over the planners of how often they first touch a changed vehicle, the higher the
+better; where the organiser asks for another protocol than ``exact``, of their collision rates under it, as in the WACV
+2026 challenge. Refused scenes count as scenes on which nobody collides. Beside it stand contacts with anybody,
+attributable success, severity and realism, which rank nothing.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from benchmark.constants import PLAN_STEPS, VERSION
+from benchmark.datasets.roots import DataSet
+from benchmark.errors import InputError
+from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.extensions.challenge.checking import check_entry
+from benchmark.extensions.challenge.entries import SPLIT, CheckedEntry
+from benchmark.extensions.challenge.rules import Rules
+from benchmark.fairness.encounter import CRITICAL_S
+from benchmark.fairness.split_realism import split_realism
+from benchmark.geometry import Floats
+from benchmark.machine.storage import file_name
+from benchmark.machine.workers import LocalProcesses
+from benchmark.metrics.attacks import counted_rows
+from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.effect import says_whom
+from benchmark.metrics.entries import (
+    Refused,
+    adversary_sums,
+    attributable_sums,
+    collision_sums,
+    mean_of,
+    mean_over,
+    pairs_of,
+    places_of,
+    rate_of,
+)
+from benchmark.metrics.rates import HORIZONS
+from benchmark.protocols import STANDARD
+from benchmark.records.challenge import ComparedData, EntryVerdict, Reason, write_verdict
+from benchmark.records.challenge_scores import ChallengeScores, EntryScore, Measured, PlannerOnEntry, Rank
+from benchmark.records.judgement import JudgementSummary, SplitRealism
+from benchmark.records.run import NATIVE, RunRecord
+from benchmark.runs.plan_rows import PlannerFactory
+
+_NOTHING: Final = Measured()
+
+
+@dataclass(frozen=True, slots=True)
+class ScoreSettings:
+    """How entries are scored.
+
+    Attributes:
+        out: Folder of verdicts and of the planners' records, a folder for each entry.
+        rules: Of the challenge.
+        protocol: Who judges.
+        horizon: One of `benchmark.metrics.rates.HORIZONS`.
+        seed: Of the intervals.
+        workers: Processes that check; nothing depends on it.
+    """
+
+    out: Path
+    rules: Rules = field(default_factory=Rules)
+    protocol: str = EXACT
+    horizon: str = "avg"
+    seed: int = 0
+    workers: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class _Scored:
+    """An entry with what its score is made of."""
+
+    name: str
+    verdict: EntryVerdict
+    refused: tuple[Refused, ...]
+    records: tuple[RunRecord, ...]
+    judged: Mapping[str, JudgementSummary]
+    realism: SplitRealism | None
+
+    @property
+    def reasons(self) -> tuple[Reason, ...]:
+        if self.verdict.reasons or self.records:
+            return self.verdict.reasons
+        return (Reason(rule="scenes.required", sentence="has no scene that is accepted"),)
+
+    @property
+    def sources(self) -> dict[str, str]:
+        return {scene.scene: scene.recording for scene in self.verdict.scenes}
+
+
+def score_entries(
+    entries: Mapping[str, DataSet], base: DataSet, planners: Sequence[PlannerFactory], settings: ScoreSettings
+) -> ChallengeScores:
+    """Check, plan and rank.
+
+    Args:
+        entries: Data sets of strangers, by the name that is shown.
+        base: The recordings that all were made from.
+        planners: Who plans on them.
+        settings: The rules, and how it is counted.
+
+    Returns:
+        The scores; verdicts and records of the planners lie below ``settings.out``.
+
+    Raises:
+        InputError: If an entry is bad input, two are the same data, or there is no entry or planner.
+    """
+    _require_some(entries, planners, settings)
+    found = [_scored(name, data, base, planners, settings) for name, data in entries.items()]
+    recordings = sorted({source for each in found for source in each.sources.values()})
+    # Records that are kept from before need not say whom contacts are with; all entries are ranked by the same.
+    told = all(says_whom(record) for each in found for record in each.records)
+    by: Rank = "adversary" if told and settings.protocol == EXACT else "collision"
+    scores = [_score(each, recordings, settings, by, told=told) for each in found]
+    ranked = sorted((each for each in scores if not each[0].reasons), key=lambda each: _order(each[0], by))
+    names = [score.entry.name for score, _ in ranked]
+    compared = [(name, _value(score, by), draws) for name, (score, draws) in zip(names, ranked, strict=True)]
+    pairs = pairs_of(compared, enough=len(recordings) > 1)
+    places = places_of(names, pairs)
+    placed = [
+        score.model_copy(update=dict(zip(("best_place", "worst_place"), places[score.entry.name], strict=True)))
+        for score, _ in ranked
+    ]
+    return ChallengeScores(
+        version=VERSION,
+        challenge=settings.rules.name,
+        rules=settings.rules.fingerprint,
+        base=ComparedData(name=base.name, fingerprint=base.fingerprint()),
+        protocol=settings.protocol,
+        horizon=settings.horizon,
+        ranks=by,
+        planners=tuple(factory.facts for factory in planners),
+        entries=(*placed, *(score for score, _ in scores if score.reasons)),
+        pairs=pairs,
+    )
+
+
+def _require_some(entries: Mapping[str, DataSet], planners: Sequence[PlannerFactory], settings: ScoreSettings) -> None:
+    if not entries or not planners:
+        raise InputError("there is nothing to score: name at least one entry, and a planner with --model")
+    if settings.horizon not in HORIZONS:
+        raise InputError(f"the horizon must be one of {', '.join(HORIZONS)}, got {settings.horizon!r}")
+    names = [factory.facts.name for factory in planners]
+    if settings.protocol == NATIVE:
+        for factory in planners:
+            if factory.facts.native_protocol is None:
+                raise InputError(f"{factory.facts.name} has no protocol of its own; name one with --protocol")
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise InputError(f"{twice} is named twice; name each planner once")
+    seen: dict[str, str] = {}
+    for name, data in entries.items():
+        earlier = seen.setdefault(data.fingerprint(), name)
+        if earlier != name:
+            raise InputError(f"the entries {earlier} and {name} are the same data; leave one out")
+
+
+def _scored(
+    name: str, data: DataSet, base: DataSet, planners: Sequence[PlannerFactory], settings: ScoreSettings
+) -> _Scored:
+    """Check an entry, and let everybody plan on its accepted scenes."""
+    verdict = check_entry(data, base, settings.rules, executor=LocalProcesses(settings.workers))
+    verdict = verdict.model_copy(update={"entry": ComparedData(name=name, fingerprint=verdict.entry.fingerprint)})
+    folder = settings.out / file_name(name)
+    write_verdict(folder, verdict)
+    refused = tuple(
+        Refused(scene.recording, max(len(base.scene(scene.recording).keyframes) - PLAN_STEPS, 0))
+        for scene in verdict.refused
+    )
+    if verdict.reasons or len(refused) == len(verdict.scenes):
+        return _Scored(name, verdict, refused, (), {}, None)
+    entry = CheckedEntry.of(data, name, folder, verdict)
+    records = tuple(evaluate(entry, SPLIT, each, folder / "runs", _evaluation(each, settings)) for each in planners)
+    judged = {scene: JudgementSummary.of(said) for scene, said in entry.judgements.items() if said}
+    return _Scored(name, verdict, refused, records, judged, split_realism(entry, entry.judgements, base))
+
+
+def _evaluation(planner: PlannerFactory, settings: ScoreSettings) -> EvalSettings:
+    """Judged by everybody who judges every run, and by whom the challenge asks."""
+    own = planner.facts.native_protocol if settings.protocol == NATIVE else settings.protocol
+    judges = dict.fromkeys([*STANDARD, *([] if own is None else [own])])
+    return EvalSettings(protocols=tuple(judges), seed=settings.seed)
+
+
+def _score(
+    scored: _Scored, recordings: Sequence[str], settings: ScoreSettings, by: Rank, *, told: bool
+) -> tuple[EntryScore, Floats]:
+    """The score of an entry, and what ranks it in resamples."""
+    about = {
+        "entry": scored.verdict.entry,
+        "scenes": len(scored.verdict.scenes),
+        "refused": tuple(scene.scene for scene in scored.verdict.refused),
+        "reasons": scored.reasons,
+    }
+    if scored.reasons:
+        names = ("collision", "attributable", "careful_survives", "least_gap_m", "critical", "delta_v_m_s")
+        nothing = dict.fromkeys((*names, "without_fault", "realism"), _NOTHING)
+        return EntryScore.model_validate({**about, **nothing}), np.zeros(0)
+    seed = settings.seed
+    collisions = [
+        collision_sums(record, settings.protocol, settings.horizon, scored.refused) for record in scored.records
+    ]
+    attributables = [attributable_sums(record, scored.refused) for record in scored.records]
+    sums = {"collision": collisions, "attributable": attributables}
+    if told:
+        sums["adversary"] = [adversary_sums(record, settings.horizon, scored.refused) for record in scored.records]
+    # Shown with the interval of its own recordings; compared in resamples of everybody's.
+    own = sorted(set(scored.sources.values()))
+    means = {name: mean_of(of_planners, own, seed)[0] for name, of_planners in sums.items()}
+    _, draws = mean_of(sums[by], recordings, seed)
+    planners = {
+        record.planner: PlannerOnEntry.model_validate(
+            {name: rate_of(of_planners[place], seed) for name, of_planners in sums.items()}
+            | {"failed": record.summary.failed}
+        )
+        for place, record in enumerate(scored.records)
+    }
+    measured = {**means, "planners": planners, **_severity(scored, seed), **_realism(scored.realism)}
+    return EntryScore.model_validate({**about, **measured}), draws
+
+
+def _severity(scored: _Scored, seed: int) -> dict[str, Measured]:
+    """How severe the encounters of the accepted scenes are, and the contacts of all plans with changed vehicles."""
+    sources, judged = scored.sources, scored.judged
+
+    def mean(values: Iterable[tuple[str, float | bool | None]]) -> Measured:
+        by_recording: dict[str, list[float]] = {}
+        for scene, value in values:
+            if value is not None:
+                by_recording.setdefault(sources[scene], []).append(float(value))
+        return mean_over(by_recording, seed)
+
+    contacts = [
+        (row.scene, row.severity.contact.delta_v_ego_m_s)
+        for record in scored.records
+        for row in counted_rows(record)
+        if row.severity is not None and row.severity.contact is not None and row.severity.contact.adversary
+    ]
+    return {
+        "careful_survives": mean((scene, said.survives.get("cc")) for scene, said in judged.items()),
+        "least_gap_m": mean((scene, said.least_gap_m) for scene, said in judged.items()),
+        "critical": mean((scene, _is_critical(said)) for scene, said in judged.items()),
+        "delta_v_m_s": mean(contacts),
+        "without_fault": mean((scene, not said.faults) for scene, said in judged.items()),
+    }
+
+
+def _is_critical(said: JudgementSummary) -> bool | None:
+    """Whether ego and changed vehicle are ever nearly in contact; unknown where nobody measured them."""
+    if said.least_gap_m is None:
+        return None
+    return said.least_ttc_s is not None and said.least_ttc_s < CRITICAL_S
+
+
+def _realism(realism: SplitRealism | None) -> dict[str, object]:
+    worst = None if realism is None else realism.headline
+    if worst is None or realism is None:
+        return {"realism": _NOTHING, "not_compared": None if realism is None else realism.not_compared}
+    low, high = worst.interval or (None, None)
+    counted = realism.samples[0] if realism.samples else 0
+    value = Measured(value=worst.realism, low=low, high=high, denominator=counted)
+    return {"realism": value, "realism_feature": worst.name}
+
+
+def _value(score: EntryScore, by: Rank) -> float:
+    value = (score.adversary if by == "adversary" else score.collision).value
+    return 0.0 if value is None else value
+
+
+def _order(score: EntryScore, by: Rank) -> tuple[float, str]:
+    return -_value(score, by), score.entry.name

@@ -1,0 +1,158 @@
+"""What ``/infer`` answers: a trajectory and what else a model saw. Accepted is what NeuroNCAP's own client accepts."""
+
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+import numpy as np
+
+from benchmark.constants import PLAN_STEPS
+from benchmark.errors import InputError
+from benchmark.extensions.http.requests import encoded, parsed
+from benchmark.extensions.http.values import WireError, member, numbers_of
+from benchmark.geometry import Floats
+from benchmark.pdm.motion import headed
+from benchmark.planning import Forecasts, Plan, PlanFrame
+from benchmark.untrusted.limits import WIRE_ANSWER
+from benchmark.waypoints import points_in_ego
+
+_BODY: Final = "the answer"
+_AUX: Final = "aux_outputs"
+_BOX_COLUMNS: Final = 5
+
+
+@dataclass(frozen=True, slots=True)
+class ModelAnswer:
+    """An answer as the wire has it, in the ego frame: x forward, y left of the rear axle.
+
+    A model may answer in another frame, which `plan` is told then.
+
+    Attributes:
+        trajectory: (N, 2) waypoints 0.5 s apart; accepted are other shapes too, of which `plan` says what is wrong.
+        objects: (A, 5) x, y, length, width, yaw.
+        classes: Their classes; lists need not agree in length, nobody compares them.
+        scores: Their scores.
+        ids: Their numbers.
+        futures: (A, M, T, 2) metres from each object's present centre, 0.5 s apart.
+    """
+
+    trajectory: Floats
+    objects: Floats
+    classes: tuple[str, ...]
+    scores: Floats
+    ids: Floats
+    futures: Floats
+
+    @classmethod
+    def read(cls, body: bytes) -> Self:
+        """Read an answer.
+
+        Args:
+            body: What was answered.
+
+        Returns:
+            The answer; its numbers may be NaN.
+
+        Raises:
+            WireError: If NeuroNCAP's client would not take it.
+        """
+        value = parsed(body, WIRE_ANSWER, _BODY)
+        trajectory = numbers_of(member(value, "trajectory", _BODY), "trajectory")
+        aux = member(value, _AUX, _BODY)
+        if not isinstance(aux, dict):
+            raise WireError(
+                f"{_AUX} is {'null' if aux is None else type(aux).__name__}; write {{}} where there are none"
+            )
+        classes = aux.get("object_classes") or []
+        if not isinstance(classes, list) or not all(isinstance(each, str) for each in classes):
+            raise WireError(f"{_AUX}.object_classes is no list of texts")
+        return cls(
+            trajectory=trajectory,
+            objects=_listed(aux, "objects_in_bev", (0, _BOX_COLUMNS)),
+            classes=tuple(classes),
+            scores=_listed(aux, "object_scores", (0,)),
+            ids=_listed(aux, "object_ids", (0,)),
+            futures=_listed(aux, "future_trajs", (0, 0, 0, 2)),
+        )
+
+    @classmethod
+    def of_plan(cls, plan: Plan, lidar_ahead_m: float) -> Self:
+        """A plan's first 3 s on the wire: as the engines themselves read it, positions of the rear axle.
+
+        Args:
+            plan: The planner's.
+            lidar_ahead_m: Lidar origin ahead of the rear axle.
+
+        Returns:
+            The answer.
+        """
+        boxes, futures = _forecasts_in_ego(plan, lidar_ahead_m)
+        nothing = np.empty(0)
+        return cls(headed(plan, lidar_ahead_m)[:, :2], boxes, (), nothing, nothing, futures)
+
+    def encoded(self) -> bytes:
+        """The body; lists that are empty are null, because the client refuses empty ones. `ValueError` for NaN."""
+        aux: dict[str, Floats | tuple[str, ...]] = {
+            "objects_in_bev": self.objects,
+            "object_classes": self.classes,
+            "object_scores": self.scores,
+            "object_ids": self.ids,
+            "future_trajs": self.futures,
+        }
+        said = {name: np.asarray(values).tolist() if len(values) else None for name, values in aux.items()}
+        return encoded({"trajectory": self.trajectory.tolist(), _AUX: said})
+
+    def plan(self, frame: PlanFrame = PlanFrame.EGO) -> Plan:
+        """What can be driven of it. Of a third column, which the engine's own code hardly uses, nothing is kept.
+
+        Args:
+            frame: Frame of the model's answers: that of the protocol, or ``lidar``, as forks of VAD answer.
+
+        Raises:
+            WireError: If there are too few waypoints, too many, or NaN or infinity among them.
+        """
+        columns = self.trajectory.shape[1] if self.trajectory.ndim == 2 else 0
+        waypoints = self.trajectory[:, :2].copy() if columns == 3 else self.trajectory
+        try:
+            return Plan(waypoints, frame, forecasts=self._forecasts())
+        except InputError as error:
+            raise WireError(str(error)) from error
+
+    def _forecasts(self) -> Forecasts | None:
+        """What it expects of others, where that can be told: the wire has no probabilities, all modes count alike."""
+        agents = len(self.objects)
+        if not agents or len(self.futures) != agents or self.futures.shape[2] < PLAN_STEPS or not self.futures.shape[1]:
+            return None
+        trajectories = self.objects[:, None, None, :2] + self.futures[:, :, :PLAN_STEPS]
+        sound = np.isfinite(trajectories).all() and np.isfinite(self.objects).all()
+        if not sound or not (self.objects[:, 2:4] > 0.0).all():
+            return None
+        modes = self.futures.shape[1]
+        return Forecasts(self.objects, trajectories, np.full((agents, modes), 1.0 / modes))
+
+
+def _listed(aux: dict[str, Any], name: str, shape: tuple[int, ...]) -> Floats:
+    """An optional list; 0 in the shape is any length. A list without elements has one axis, as for the client."""
+    if aux.get(name) is None:
+        return np.empty(shape)
+    found = numbers_of(aux[name], f"{_AUX}.{name}")
+    wrong = found.ndim != len(shape) or any(
+        wanted not in (0, given) for wanted, given in zip(shape, found.shape, strict=True)
+    )
+    if wrong:
+        said = " x ".join("N" if not length else str(length) for length in shape)
+        raise WireError(f"{_AUX}.{name} must be {said} numbers, or null where there are none")
+    return found
+
+
+def _forecasts_in_ego(plan: Plan, lidar_ahead_m: float) -> tuple[Floats, Floats]:
+    """(A, 5) boxes and (A, M, 6, 2) ways from their centres, of a plan's forecasts, in the ego frame."""
+    found = plan.forecasts
+    if found is None or not len(found.boxes):
+        return np.empty((0, _BOX_COLUMNS)), np.empty((0, 0, 0, 2))
+    boxes = np.array(found.boxes, np.float64)
+    ways = np.asarray(found.trajectories, np.float64) - boxes[:, None, None, :2]
+    if plan.frame is PlanFrame.LIDAR:
+        boxes[:, :2] = points_in_ego(boxes[:, :2], lidar_ahead_m)
+        boxes[:, 4] -= np.pi / 2
+        ways = np.stack([ways[..., 1], -ways[..., 0]], axis=-1)
+    return boxes, ways

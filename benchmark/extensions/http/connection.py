@@ -1,0 +1,206 @@
+"""One request and its answer over HTTP: a connection of its own, a deadline over all of it, a bound on its size.
+
+Nothing is ever sent twice. What goes wrong is one of a closed list: nobody answers or the other side went away half-way
+(`PlannerAwayError`), it answers too late (`PlannerLateError`), or it is no such server (`PlannerGoneError`).
+"""
+
+import contextlib
+import socket
+import threading
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from benchmark.planning import PlannerAwayError, PlannerGoneError, PlannerLateError
+from benchmark.untrusted.files import one_line
+from benchmark.untrusted.limits import WIRE_ANSWER, in_words
+
+if TYPE_CHECKING:
+    import httpx2
+
+CONNECT_S: Final = 5.0
+ALIVE_S: Final = 30.0
+"""So long may the first answer take."""
+_JSON: Final = "application/json"
+_AGENT: Final = "challenger-bench"
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """An answer.
+
+    Attributes:
+        status: Of HTTP.
+        body: Its bytes.
+    """
+
+    status: int
+    body: bytes
+
+    @property
+    def is_page(self) -> bool:
+        """Whether it is a web page."""
+        return self.body[:256].lstrip().lower().startswith((b"<!doctype", b"<html"))
+
+    @property
+    def said(self) -> str:
+        """Its beginning, fit for a sentence."""
+        return one_line(self.body[:400].decode("utf-8", "replace").strip(), 200) or "nothing"
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """Asks one server.
+
+    Attributes:
+        url: ``http://HOST:PORT``.
+        what: What the user calls it, for sentences: "the model server".
+        deadline_s: How long one request may take, from connecting to its last byte.
+    """
+
+    url: str
+    what: str
+    deadline_s: float
+
+    def get(self, path: str, deadline_s: float | None = None) -> Reply:
+        """Ask for something; errors as of `post`."""
+        return self._exchange("GET", path, None, deadline_s)
+
+    def post(self, path: str, body: bytes, deadline_s: float | None = None) -> Reply:
+        """Send JSON, once.
+
+        Args:
+            path: Below the server's address.
+            body: JSON.
+            deadline_s: How long it may take, if not as long as anything.
+
+        Returns:
+            The answer, whatever its status.
+
+        Raises:
+            PlannerAwayError: If nobody listens there, or the other side went away before it had answered.
+            PlannerLateError: If it takes too long.
+            PlannerGoneError: If what answers does not speak HTTP, or answers more than there may be.
+        """
+        return self._exchange("POST", path, body, deadline_s)
+
+    def wait(self, seconds: float) -> None:
+        """Wait until something answers ``/alive``; any answer will do, as for NeuroNCAP.
+
+        Args:
+            seconds: How long at most; measured by a clock that runs forward.
+
+        Raises:
+            PlannerAwayError: If nothing does.
+        """
+        until = time.monotonic() + seconds
+        while True:
+            try:
+                self.get("/alive", max(min(CONNECT_S, until - time.monotonic()), 0.1))
+                return
+            except (PlannerAwayError, PlannerLateError):
+                if time.monotonic() >= until:
+                    raise
+            time.sleep(0.1)
+
+    def _exchange(self, method: str, path: str, body: bytes | None, deadline_s: float | None) -> Reply:
+        import httpx2
+
+        seconds = self.deadline_s if deadline_s is None else deadline_s
+        where = f"{self.what} at {self.url}"
+        # Neither proxies nor passwords of the environment have any business here.
+        limits = httpx2.Timeout(seconds, connect=min(CONNECT_S, seconds))
+        # Limits are of each read alone, and what drips in byte by byte would never be late.
+        watch = _Watch(seconds)
+        try:
+            # Plain HTTP: loading certificates for every request would take longer than the request.
+            with watch, httpx2.Client(trust_env=False, verify=False, follow_redirects=False, timeout=limits) as client:
+                client.headers["user-agent"] = _AGENT
+                # Nothing that would have to be unpacked: the bound is on what arrives.
+                del client.headers["accept-encoding"]
+                headers = {} if body is None else {"content-type": _JSON}
+                seen = {"trace": watch.connected}
+                with client.stream(
+                    method, f"{self.url}{path}", content=body, headers=headers, extensions=seen
+                ) as response:
+                    reply = Reply(response.status_code, self._body(response, path))
+            # A body without a length ends where its connection is cut, and looks whole.
+            if watch.cut:
+                raise self._late(path, seconds)
+            return reply
+        except httpx2.TimeoutException as error:
+            if isinstance(error, httpx2.ConnectTimeout):
+                raise PlannerAwayError(f"{where} cannot be reached; start it, and name where it listens") from error
+            raise self._late(path, seconds) from error
+        except httpx2.ConnectError as error:
+            raise PlannerAwayError(
+                f"nobody answers at {self.url} ({one_line(error, 80)}); start {self.what}, then the same command again"
+            ) from error
+        except httpx2.TransportError as error:
+            if watch.cut:
+                raise self._late(path, seconds) from error
+            left = "disconnected" in str(error) or "closed" in str(error)
+            if left or not isinstance(error, httpx2.RemoteProtocolError):
+                raise self._left(path, error) from error
+            raise PlannerGoneError(
+                f"{where} does not answer {path} as a web server would ({one_line(error, 80)}); name another address"
+            ) from error
+        except httpx2.HTTPError as error:
+            raise PlannerGoneError(f"{where} cannot be asked for {path} ({one_line(error, 80)})") from error
+
+    def _body(self, response: "httpx2.Response", path: str) -> bytes:
+        """All of an answer, within the bound."""
+        parts: list[bytes] = []
+        size = 0
+        for part in response.iter_raw():
+            size += len(part)
+            if size > WIRE_ANSWER.file_bytes:
+                raise PlannerGoneError(
+                    f"{self.what} at {self.url} answers {path} with more than {in_words(WIRE_ANSWER.file_bytes)}; that "
+                    "is no answer of this protocol, name another address"
+                )
+            parts.append(part)
+        return b"".join(parts)
+
+    def _late(self, path: str, seconds: float) -> PlannerLateError:
+        return PlannerLateError(
+            f"{self.what} at {self.url} did not answer {path} within {seconds:g} s; it hangs or is slow, look at its "
+            "own output"
+        )
+
+    def _left(self, path: str, error: Any) -> PlannerAwayError:
+        return PlannerAwayError(
+            f"{self.what} at {self.url} went away before it had answered {path} ({one_line(error, 80)}); look at its "
+            "own output, start it, then the same command again: what is finished is kept"
+        )
+
+
+class _Watch:
+    """Cuts a connection whose time is over, whatever it is doing then.
+
+    Attributes:
+        cut: Whether it did.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self.cut = False
+        self._socket: socket.socket | None = None
+        self._timer = threading.Timer(seconds, self._over)
+        self._timer.daemon = True
+
+    def __enter__(self) -> None:
+        self._timer.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._timer.cancel()
+
+    def connected(self, event: str, info: dict[str, Any]) -> None:
+        """Called by the HTTP library with all that it does; what is looked for is the socket."""
+        if event == "connection.connect_tcp.complete":
+            self._socket = info["return_value"].get_extra_info("socket")
+
+    def _over(self) -> None:
+        self.cut = True
+        if self._socket is not None:
+            with contextlib.suppress(OSError):
+                self._socket.shutdown(socket.SHUT_RDWR)

@@ -1,0 +1,178 @@
+"""A planner behind HTTP: whatever serves ``/alive``, ``/reset`` and ``/infer`` as the forks for NeuroNCAP do.
+
+The protocol has no identity. What is kept of a planner goes by the name that the user gives it, or by its address.
+"""
+
+import sys
+from typing import Any, Final
+
+from benchmark.extensions.http.address import Address
+from benchmark.extensions.http.answers import ModelAnswer
+from benchmark.extensions.http.connection import ALIVE_S, Connection, Reply
+from benchmark.extensions.http.images import ImageFormat
+from benchmark.extensions.http.observed import request_of
+from benchmark.extensions.http.values import WireError
+from benchmark.planning import Observation, Plan, PlanFrame, PlannerGoneError, PlannerLateError, SceneInfo
+from benchmark.runs.code_identity import outside_identity
+from benchmark.untrusted.files import one_line
+from benchmark.untrusted.json_text import parse_json
+from benchmark.untrusted.limits import WIRE_ANSWER
+
+DEADLINE_S: Final = 120.0
+"""Of one request."""
+RETURN_S: Final = 60.0
+"""So long is waited for a server that went away half-way: networks take long to load."""
+RESET_BODY: Final = b"{}"
+_OPTION: Final = "--model"
+_BUSY: Final = (408, 503, 504)
+_LEAST_ERROR: Final = 400
+_LEAST_FAILURE: Final = 500
+
+
+class ModelFailedError(Exception):
+    """The model behind the server answered no plan: it failed, and the sentence says how."""
+
+
+class HttpPlanner:
+    """A planner that is asked over HTTP.
+
+    Attributes:
+        name: Shown in tables.
+        settings: Part of its identity.
+        address: Where it is.
+        form: How pictures are sent.
+        frame: Frame of its answers.
+    """
+
+    def __init__(
+        self, address: Address, form: ImageFormat, deadline_s: float, frame: PlanFrame = PlanFrame.EGO
+    ) -> None:
+        """Nothing is asked yet.
+
+        Args:
+            address: Where it is.
+            form: How pictures are sent.
+            deadline_s: How long a request may take.
+            frame: Frame of its answers; the protocol's is ``ego``.
+        """
+        self.name = address.name
+        self.settings: dict[str, Any] = {**address.settings, "image_format": form.value}
+        if frame is not PlanFrame.EGO:
+            self.settings["frame"] = frame.value
+        self.address = address
+        self.form = form
+        self.frame = frame
+        self._connection = Connection(address.url, "the model server", deadline_s)
+        self._told = False
+
+    def reset(self, scene: SceneInfo) -> None:
+        """Forget the previous scene; of the new one the protocol says nothing.
+
+        Raises:
+            PlannerGoneError: If nobody answers, or what answers is no model server.
+            PlannerLateError: If it takes too long.
+        """
+        reply = self._connection.post("/reset", RESET_BODY)
+        self._require_server(reply, "/reset")
+        if reply.status >= _LEAST_FAILURE:
+            raise ModelFailedError(f"{self._who} failed to reset (status {reply.status}): {_detail(reply)}")
+
+    def plan(self, observation: Observation) -> Plan:
+        """Ask for a plan, once.
+
+        Args:
+            observation: The next sample, with six pictures.
+
+        Returns:
+            The plan, in the frame of its answers.
+
+        Raises:
+            InputError: If a picture is missing.
+            PlannerGoneError: If nobody answers, or what answers is no model server.
+            PlannerLateError: If it takes too long.
+            ModelFailedError: If it answers anything that NeuroNCAP would not take, or that is no plan.
+        """
+        reply = self._connection.post("/infer", request_of(observation, self.form).encoded())
+        try:
+            answer = ModelAnswer.read(reply.body)
+        except WireError as error:
+            self._require_server(reply, "/infer")
+            said = f"status {reply.status}: {_detail(reply)}" if reply.status >= _LEAST_ERROR else str(error)
+            raise ModelFailedError(f"{self._who} answered no plan ({said})") from error
+        if reply.status >= _LEAST_ERROR and not self._told:
+            self._told = True
+            print(
+                f"{self._who} answers plans with status {reply.status}; like NeuroNCAP, the status is passed over",
+                file=sys.stderr,
+            )
+        try:
+            return answer.plan(self.frame)
+        except WireError as error:
+            raise ModelFailedError(f"{self._who} answered what cannot be driven: {error}") from error
+
+    def come_back(self) -> None:
+        """Wait for a server that went away (`benchmark.planning.RemotePlanner`)."""
+        print(f"{self._who} went away; waiting {RETURN_S:g} s at most for it to come back", file=sys.stderr, flush=True)
+        self._connection.wait(RETURN_S)
+
+    def require_alive(self) -> None:
+        """Refuse an address where nobody answers; any answer to ``/alive`` will do, as for NeuroNCAP.
+
+        Raises:
+            PlannerGoneError: If nobody does.
+        """
+        self._connection.get("/alive", ALIVE_S)
+
+    @property
+    def _who(self) -> str:
+        return f"the model server at {self.address.url}"
+
+    def _require_server(self, reply: Reply, path: str) -> None:
+        """Tell a server that cannot be meant from a model that failed."""
+        if reply.status in _BUSY:
+            raise PlannerLateError(f"{self._who} was too busy for {path} (status {reply.status}): {_detail(reply)}")
+        if reply.is_page:
+            raise PlannerGoneError(
+                f"{self._who} answers {path} with a web page (status {reply.status}); that is no model server, name "
+                "another address"
+            )
+        if _LEAST_ERROR <= reply.status < _LEAST_FAILURE:
+            raise PlannerGoneError(
+                f"{self._who} refuses {path} (status {reply.status}: {_detail(reply)}); it speaks another version of "
+                f"NeuroNCAP's protocol, wants other pictures (--image-format), or is something else"
+            )
+
+
+def http_planner(
+    address: str,
+    *,
+    image_format: str = ImageFormat.TORCH,
+    deadline_s: float = DEADLINE_S,
+    frame: str = PlanFrame.EGO,
+) -> HttpPlanner:
+    """The planner at an address.
+
+    Args:
+        address: ``http://HOST:PORT`` or ``NAME=http://HOST:PORT``.
+        image_format: ``torch``, as NeuroNCAP sends pictures, or ``png``.
+        deadline_s: How long a request may take.
+        frame: Frame of its answers: ``ego``, as the protocol has it, or ``lidar``.
+
+    Returns:
+        It; nothing is asked yet.
+
+    Raises:
+        InputError: If it is no address.
+    """
+    return HttpPlanner(Address.of(address, _OPTION), ImageFormat(image_format), deadline_s, PlanFrame(frame))
+
+
+@outside_identity
+def _detail(reply: Reply) -> str:
+    """What a server says of an error, without the object that frameworks put around it."""
+    try:
+        value = parse_json(reply.body, WIRE_ANSWER)
+    except ValueError:
+        return reply.said
+    detail = value.get("detail") if isinstance(value, dict) else None
+    return one_line(detail, 300) if isinstance(detail, str) else reply.said

@@ -1,0 +1,121 @@
+"""What ``/infer`` is asked: one observation on the wire. Keys, their order and their shapes are NeuroNCAP's."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+from benchmark.extensions.http.values import WireError, matrix_of, member, pose_of, whole_number
+from benchmark.geometry import Floats
+from benchmark.untrusted.files import one_line
+from benchmark.untrusted.json_text import parse_json
+from benchmark.untrusted.limits import WIRE_REQUEST, Limits
+
+CAMERAS: Final = ("CAM_FRONT", "CAM_FRONT_LEFT", "CAM_FRONT_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT")
+"""In the order of the wire, which is not that of our tables."""
+CANBUS: Final = 16
+"""Position 3, rotation w x y z, acceleration 3, rotation rate 3, velocity 3."""
+_LATEST_US: Final = 1 << 53
+_COMMANDS: Final = 2
+"""0 right, 1 left, 2 straight."""
+_BODY: Final = "the request"
+
+
+@dataclass(frozen=True, slots=True)
+class InferRequest:
+    """One observation as the wire has it.
+
+    Attributes:
+        images: Text of each of the six cameras: base64 of a file (`benchmark.extensions.http.images`).
+        ego2world: (4, 4) pose of the rear axle.
+        canbus: (16,) see `CANBUS`.
+        timestamp: Microseconds.
+        command: 0 right, 1 left, 2 straight.
+        camera2image: (3, 3) pinhole matrix of each camera, pixels.
+        camera2ego: (4, 4) pose of each camera.
+        lidar2ego: (4, 4) pose of LIDAR_TOP.
+    """
+
+    images: Mapping[str, str]
+    ego2world: Floats
+    canbus: Floats
+    timestamp: int
+    command: int
+    camera2image: Mapping[str, Floats]
+    camera2ego: Mapping[str, Floats]
+    lidar2ego: Floats
+
+    def encoded(self) -> bytes:
+        """The body, as Python's ``json`` writes it."""
+        return encoded(
+            {
+                "images": dict(self.images),
+                "ego2world": self.ego2world.tolist(),
+                "canbus": self.canbus.tolist(),
+                "timestamp": self.timestamp,
+                "command": self.command,
+                "calibration": {
+                    "camera2image": {name: matrix.tolist() for name, matrix in self.camera2image.items()},
+                    "camera2ego": {name: matrix.tolist() for name, matrix in self.camera2ego.items()},
+                    "lidar2ego": self.lidar2ego.tolist(),
+                },
+            }
+        )
+
+    @classmethod
+    def read(cls, body: bytes) -> Self:
+        """Read a body.
+
+        Args:
+            body: What was posted.
+
+        Returns:
+            The request; its images are texts still. Members that the protocol does not have are passed over.
+
+        Raises:
+            WireError: If it is no JSON, a member is missing or cannot be what it says.
+        """
+        value = parsed(body, WIRE_REQUEST, _BODY)
+        images, calibration = member(value, "images", _BODY), member(value, "calibration", _BODY)
+        inside, outside = (member(calibration, name, "calibration") for name in ("camera2image", "camera2ego"))
+        texts = {name: member(images, name, "images") for name in CAMERAS}
+        for name, text in texts.items():
+            if not isinstance(text, str):
+                raise WireError(f"images.{name} is {type(text).__name__}, not base64 text")
+        return cls(
+            images=texts,
+            ego2world=pose_of(member(value, "ego2world", _BODY), "ego2world"),
+            canbus=matrix_of(member(value, "canbus", _BODY), (CANBUS,), "canbus"),
+            timestamp=whole_number(member(value, "timestamp", _BODY), _LATEST_US, "timestamp"),
+            command=whole_number(member(value, "command", _BODY), _COMMANDS, "command"),
+            camera2image={name: _pinhole(inside, name) for name in CAMERAS},
+            camera2ego={
+                name: pose_of(member(outside, name, "camera2ego"), f"calibration.camera2ego.{name}") for name in CAMERAS
+            },
+            lidar2ego=pose_of(member(calibration, "lidar2ego", "calibration"), "calibration.lidar2ego"),
+        )
+
+
+def encoded(value: Any) -> bytes:
+    """JSON as Python's ``json`` writes it, with spaces; raises `ValueError` for NaN and infinity."""
+    return json.dumps(value, allow_nan=False).encode()
+
+
+def parsed(body: bytes, limits: Limits, what: str) -> Any:
+    """The value of a body.
+
+    Raises:
+        WireError: If it is no JSON, or more than the limits allow.
+    """
+    try:
+        return parse_json(body, limits)
+    except ValueError as error:
+        raise WireError(f"{what} is no JSON that can be read ({one_line(error, 120)})") from error
+
+
+def _pinhole(matrices: Any, name: str) -> Floats:
+    where = f"calibration.camera2image.{name}"
+    found = matrix_of(member(matrices, name, "camera2image"), (3, 3), where)
+    if found[0, 0] <= 0.0 or found[1, 1] <= 0.0 or found[2].tolist() != [0.0, 0.0, 1.0]:
+        raise WireError(f"{where} is no pinhole matrix: focal lengths above zero, last row 0 0 1")
+    return found

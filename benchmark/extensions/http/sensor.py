@@ -1,0 +1,248 @@
+"""A sensor over HTTP: driven worlds as a renderer for NeuroNCAP shows them (NeuRAD's server, any that speaks alike).
+
+A renderer shows one recorded scene, and in it the actors that it knows, where it is told. It is told anew at every
+planning instant, because the others may react; nobody's future goes on the wire.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.errors import InputError
+from benchmark.extensions.http.address import Address
+from benchmark.extensions.http.connection import ALIVE_S, Connection, Reply
+from benchmark.extensions.http.images import TENSOR_FLAG, ImageFormat, image_from, picture_from
+from benchmark.extensions.http.observed import camera_pose
+from benchmark.extensions.http.renderer import MovedActor, RendererActor, actors_in, moved, picture_wanted
+from benchmark.extensions.http.requests import CAMERAS
+from benchmark.extensions.http.values import WireError
+from benchmark.geometry import Floats, quaternion_from_yaw, transform_matrix
+from benchmark.planning import CameraView, PlannerGoneError, PlannerLateError
+from benchmark.scene import Camera, Scene
+from benchmark.untrusted.wire_images import TensorRefused
+
+DEADLINE_S: Final = 120.0
+"""Of one request."""
+_AHEAD_US: Final = 500_000
+"""So far do tracks go on as they did last: renderers need a step after now, and nobody's future is told."""
+_OTHER_SCENE_US: Final = 1_000_000
+_BASE64: Final = frozenset(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/")
+_LEAST_ERROR: Final = 400
+
+
+@dataclass(frozen=True, slots=True)
+class HttpSensor:
+    """A renderer's server.
+
+    Attributes:
+        address: Where it is.
+        tensors: Whether saved tensors are read. Then it is asked exactly as NeuroNCAP asks, else for PNG.
+        deadline_s: How long a request may take.
+    """
+
+    address: Address
+    tensors: bool = False
+    deadline_s: float = DEADLINE_S
+
+    @property
+    def name(self) -> str:
+        """Part of the name of what was measured."""
+        return self.address.name
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """What is known of its pictures: the protocol has neither a name nor a version of who draws."""
+        form = ImageFormat.TORCH if self.tensors else ImageFormat.PNG
+        return {"protocol": "neuroncap", "image_format": form.value, **self.address.settings}
+
+    def require_alive(self) -> None:
+        """Refuse an address where nobody answers; raises `InputError`."""
+        _reply(lambda: self._connection.get("/alive", ALIVE_S))
+
+    def look(self, scene: Scene) -> "HttpLook":
+        """Make ready for a scene.
+
+        Raises:
+            InputError: If nobody answers, it is no renderer, or it shows another scene.
+        """
+        cameras = {camera.name: camera for camera in scene.cameras}
+        missing = [name for name in CAMERAS if name not in cameras]
+        if missing:
+            raise InputError(
+                f"scene {scene.name} has no {missing[0]}, and a renderer for NeuroNCAP is asked for "
+                f"{', '.join(CAMERAS)}; drive a data set with these cameras, calibrated"
+            )
+        said = self.asked("/get_actors")
+        try:
+            known = {actor.uuid: actor for actor in actors_in(said)}
+        except WireError as error:
+            raise _wrong(self.address, f"{error}") from error
+        self._require_same(scene, known)
+        return HttpLook(self, tuple(cameras[name] for name in CAMERAS), scene.adversaries, frozenset(known))
+
+    def asked(self, path: str, body: bytes | None = None) -> bytes:
+        """What the renderer answers. Here, unlike with plans, an error cannot hold what was asked for.
+
+        Args:
+            path: Below its address.
+            body: JSON to post; nothing is posted without it.
+
+        Returns:
+            The answer's bytes.
+
+        Raises:
+            InputError: If nobody answers, or with an error or a web page.
+        """
+        reply = _reply(lambda: self._connection.get(path) if body is None else self._connection.post(path, body))
+        if reply.status >= _LEAST_ERROR or reply.is_page:
+            page = ", a web page" if reply.is_page else f": {reply.said}"
+            raise _wrong(self.address, f"it answers {path} with status {reply.status}{page}")
+        return reply.body
+
+    @property
+    def _connection(self) -> Connection:
+        return Connection(self.address.url, "the renderer", self.deadline_s)
+
+    def _require_same(self, scene: Scene, known: Mapping[str, RendererActor]) -> None:
+        """Refuse a renderer that shows another scene, or cannot show who threatens the ego in this one."""
+        strange = sorted(set(known) - set(scene.agents.ids))
+        if strange:
+            raise _wrong(
+                self.address,
+                f"it shows actor {strange[0]}, which scene {scene.name} has not; choose the scene that it shows with "
+                "--scenes",
+            )
+        first, last = int(scene.timestamps_us[0]) - _OTHER_SCENE_US, int(scene.timestamps_us[-1]) + _OTHER_SCENE_US
+        for actor in known.values():
+            if actor.timestamps[-1] < first or actor.timestamps[0] > last:
+                raise _wrong(
+                    self.address,
+                    f"its actor {actor.uuid} is there from {actor.timestamps[0]} to {actor.timestamps[-1]} us, outside "
+                    f"of scene {scene.name}; choose the scene that it shows with --scenes",
+                )
+        unknown = [name for name in scene.adversaries if name not in known]
+        if unknown:
+            raise _wrong(
+                self.address,
+                f"it does not know {unknown[0]}, the adversary of scene {scene.name}, and would show an empty road; "
+                "drive scenes whose adversaries it knows",
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class HttpLook:
+    """A scene that a renderer shows.
+
+    Attributes:
+        sensor: The renderer.
+        cameras: The rig, in the order of the wire.
+        adversaries: Who threatens the ego.
+        known: Whom the renderer can move.
+    """
+
+    sensor: HttpSensor
+    cameras: tuple[Camera, ...]
+    adversaries: tuple[str, ...]
+    known: frozenset[str]
+
+    def views(self, driven: Scene) -> dict[str, CameraView]:
+        """Pictures of now: everybody whom the renderer knows is put where they are, then six cameras look.
+
+        Args:
+            driven: The world as driven; its last frame is now.
+
+        Returns:
+            Views by camera name.
+
+        Raises:
+            InputError: If the renderer does not answer, answers anything but a picture, or one of another size.
+        """
+        now = len(driven.timestamps_us) - 1
+        time_us = int(driven.timestamps_us[now])
+        self.sensor.asked("/update_actors", moved(moved_actors(driven, self.known, self.adversaries)))
+        pose = transform_matrix(driven.ego.rotation[now], driven.ego.position[now])
+        return {camera.name: self._view(camera, pose, time_us) for camera in self.cameras}
+
+    def _view(self, camera: Camera, pose: Floats, time_us: int) -> CameraView:
+        form = None if self.sensor.tensors else ImageFormat.PNG.value
+        body = picture_wanted(pose @ camera_pose(camera), time_us, camera.name, form)
+        pixels = self._picture(self.sensor.asked("/render_image", body), camera.name)
+        if pixels.shape[:2] != (camera.height, camera.width):
+            raise _wrong(
+                self.sensor.address,
+                f"its picture of {camera.name} has {pixels.shape[1]} x {pixels.shape[0]} pixels, and the calibration "
+                f"is of {camera.width} x {camera.height}; let it draw at that size",
+            )
+        return CameraView(camera, Path(camera.name), time_us, pose.copy(), partial(_copy, pixels))
+
+    def _picture(self, body: bytes, camera: str) -> NDArray[np.uint8]:
+        """A picture: bare base64 of a file, as NeuroNCAP has it, or the file itself."""
+        tensors, address = self.sensor.tensors, self.sensor.address
+        try:
+            if body[:16] and set(body[:16]) <= _BASE64:
+                return image_from(body, f"the picture of {camera}", tensors=tensors)
+            return picture_from(body, f"the picture of {camera}", tensors=tensors)
+        except TensorRefused as refused:
+            raise _wrong(address, f"{refused}; add {TENSOR_FLAG} if you trust it") from refused
+        except WireError as error:
+            raise _wrong(address, str(error)) from error
+
+
+def moved_actors(driven: Scene, known: frozenset[str], adversaries: tuple[str, ...]) -> list[MovedActor]:
+    """Where those whom a renderer knows are, up to now, and half a second on as they went last.
+
+    Args:
+        driven: The world as driven; its last frame is now.
+        known: Whom the renderer knows; whoever is not there now is left out, and so vanishes.
+        adversaries: Who threatens the ego.
+
+    Returns:
+        In the order of the scene.
+    """
+    agents, found = driven.agents, []
+    for row, uuid in enumerate(agents.ids):
+        if uuid not in known or not agents.valid[row, -1]:
+            continue
+        # The last stretch without a gap: what was before it is seen no more.
+        gaps = np.flatnonzero(~agents.valid[row])
+        frames = slice(int(gaps[-1]) + 1 if len(gaps) else 0, None)
+        times, places, yaws = driven.timestamps_us[frames], agents.position[row, frames], agents.yaw[row, frames]
+        step = places[-1] - places[-2] if len(times) > 1 else np.zeros(3)
+        share = _AHEAD_US / int(times[-1] - times[-2]) if len(times) > 1 else 0.0
+        poses = [
+            transform_matrix(quaternion_from_yaw(yaw), place)
+            for yaw, place in zip([*yaws, yaws[-1]], [*places, places[-1] + share * step], strict=True)
+        ]
+        length, width, height = agents.size[row].tolist()
+        found.append(
+            MovedActor(
+                timestamps=np.append(times, times[-1] + _AHEAD_US),
+                poses=np.array(poses),
+                dims=np.array([width, length, height]),
+                uuid=uuid,
+                is_target=uuid in adversaries,
+            )
+        )
+    return found
+
+
+def _reply(ask: Callable[[], Reply]) -> Reply:
+    """An answer; a renderer that is away is no planner that went away."""
+    try:
+        return ask()
+    except (PlannerGoneError, PlannerLateError) as error:
+        raise InputError(str(error)) from error
+
+
+def _wrong(address: Address, what: str) -> InputError:
+    return InputError(f"the renderer at {address.url} does not fit: {what}")
+
+
+def _copy(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A picture that its reader may change."""
+    return pixels.copy()

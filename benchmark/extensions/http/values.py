@@ -1,0 +1,100 @@
+"""Numbers from the wire: of the shape that is asked for, finite where they must be, and no truth values among them."""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from benchmark.geometry import Floats
+from benchmark.untrusted.files import one_line
+
+FARTHEST_M: Final = 1e8
+"""Of a position; maps end long before."""
+_ROTATION_TOLERANCE: Final = 1e-3
+"""Calibrations are single precision at times."""
+
+
+class WireError(Exception):
+    """What came over the wire is not what the protocol says; the sentence says what, and where."""
+
+
+def numbers_of(value: Any, where: str) -> Floats:
+    """Any rectangular nesting of lists of numbers.
+
+    Args:
+        value: From JSON.
+        where: For the message.
+
+    Returns:
+        (...) the numbers; NaN and infinity stay.
+
+    Raises:
+        WireError: If it is ragged, holds anything but numbers, or numbers that are no floating-point ones.
+    """
+    _require_numbers(value, where)
+    try:
+        return np.array(value, np.float64)
+    except (ValueError, OverflowError, TypeError) as error:
+        raise WireError(f"{where} is no rectangular list of numbers ({one_line(error, 80)})") from error
+
+
+def matrix_of(value: Any, shape: tuple[int, ...], where: str) -> Floats:
+    """Finite numbers of one shape.
+
+    Raises:
+        WireError: If they are anything else.
+    """
+    found = numbers_of(value, where)
+    if found.shape != shape:
+        raise WireError(f"{where} has the shape {_said(found.shape)}, not {_said(shape)}")
+    if not np.isfinite(found).all():
+        raise WireError(f"{where} has NaN or infinity in it")
+    return found
+
+
+def pose_of(value: Any, where: str) -> Floats:
+    """(4, 4) rigid motion.
+
+    Raises:
+        WireError: If it is none: its rotation none, its last row another, or farther away than any map.
+    """
+    found = matrix_of(value, (4, 4), where)
+    turn = found[:3, :3]
+    # Only numbers that cannot overflow are multiplied.
+    sound = np.abs(turn).max() < 2.0 and np.abs(turn @ turn.T - np.eye(3)).max() < _ROTATION_TOLERANCE
+    if not sound or np.linalg.det(turn) < 0.0 or np.abs(found[3] - [0.0, 0.0, 0.0, 1.0]).max() > _ROTATION_TOLERANCE:
+        raise WireError(f"{where} is no pose: four rows, a rotation and a translation, then 0 0 0 1")
+    if np.abs(found[:3, 3]).max() > FARTHEST_M:
+        raise WireError(f"{where} is {np.abs(found[:3, 3]).max():.3g} m away")
+    return found
+
+
+def whole_number(value: Any, most: int, where: str) -> int:
+    """A whole number from 0 on; raises `WireError` for anything else."""
+    if type(value) is not int or not 0 <= value <= most:
+        raise WireError(f"{where} must be a whole number from 0 to {most}, not {one_line(repr(value), 40)}")
+    return value
+
+
+def member(value: Any, name: str, where: str) -> Any:
+    """A member of an object; raises `WireError` if there is none."""
+    if not isinstance(value, dict):
+        raise WireError(f"{where} is no object of JSON")
+    if name not in value:
+        raise WireError(f"{where} has no {name}")
+    return value[name]
+
+
+def _require_numbers(value: Any, where: str) -> None:
+    """Only lists and numbers: what numpy would make numbers of texts and truth values for is refused."""
+    waiting = [value]
+    while waiting:
+        each = waiting.pop()
+        if type(each) is list:
+            waiting += each
+        elif type(each) not in (int, float):
+            raise WireError(f"{where} holds {one_line(repr(each), 40)}, which is no number")
+
+
+def _said(shape: Sequence[int]) -> str:
+    return " x ".join(map(str, shape)) or "a single number"

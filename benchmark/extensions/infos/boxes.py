@@ -1,0 +1,130 @@
+"""Annotated boxes of a scene as arrays: what they are at a sample, how fast they move, where they go."""
+
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import DETECTION_CLASS_OF_CATEGORY
+from benchmark.datasets.tables import Row
+from benchmark.extensions.infos.frames import SensorFrame, tilted_angle
+from benchmark.extensions.infos.scene_rows import SceneRows
+from benchmark.geometry import Bools, Floats, rotation_matrix
+
+Indices = NDArray[np.int64]
+
+NO_BOX: Final = -1
+_LONGEST_GAP_S: Final = 1.5
+"""Between two boxes that a velocity is taken from, on each side."""
+
+
+@dataclass(frozen=True, slots=True)
+class SceneBoxes:
+    """All A annotations of a scene, in the order of the file.
+
+    Attributes:
+        rows: Their rows.
+        position: (A, 3) centres, global.
+        size: (A, 3) width, length, height.
+        rotation: (A, 3, 3) to the global axes.
+        time_us: (A,) times of their samples.
+        prev: (A,) index of the same object's box before, -1 for none.
+        next: (A,) and after.
+    """
+
+    rows: tuple[Row, ...]
+    position: Floats
+    size: Floats
+    rotation: Floats
+    time_us: NDArray[np.int64]
+    prev: Indices
+    next: Indices
+
+    @classmethod
+    def of(cls, rows: SceneRows) -> Self:
+        """All annotations of a scene."""
+        found = tuple(rows.annotations.values())
+        index = {row["token"]: number for number, row in enumerate(found)}
+        time_us = {row["token"]: row["timestamp"] for row in rows.samples}
+
+        def column(name: str, width: int) -> Floats:
+            return np.array([row[name] for row in found], np.float64).reshape(len(found), width)
+
+        def linked(name: str) -> Indices:
+            return np.array([index[row[name]] if row[name] else NO_BOX for row in found], np.int64)
+
+        return cls(
+            rows=found,
+            position=column("translation", 3),
+            size=column("size", 3),
+            rotation=rotation_matrix(column("rotation", 4)),
+            time_us=np.array([time_us[row["sample_token"]] for row in found], np.int64),
+            prev=linked("prev"),
+            next=linked("next"),
+        )
+
+    def following(self, boxes: Indices, steps: int) -> Indices:
+        """The next annotations of objects, however far away in time.
+
+        Args:
+            boxes: (N,) where to begin.
+            steps: K, how many.
+
+        Returns:
+            (N, K) indices, -1 from where a track ends.
+        """
+        found = np.full((len(boxes), steps), NO_BOX)
+        at = boxes
+        for step in range(steps):
+            at = np.where(at == NO_BOX, NO_BOX, self.next[at])
+            found[:, step] = at
+        return found
+
+    def velocity(self, boxes: Indices) -> Floats:
+        """Global velocities from the boxes before and after, as nuscenes-devkit takes them.
+
+        Args:
+            boxes: (N,).
+
+        Returns:
+            (N, 3) m/s; NaN for objects with one box and across gaps of more than 1.5 s a side.
+        """
+        before = np.where(self.prev[boxes] == NO_BOX, boxes, self.prev[boxes])
+        after = np.where(self.next[boxes] == NO_BOX, boxes, self.next[boxes])
+        seconds = 1e-6 * self.time_us[after] - 1e-6 * self.time_us[before]
+        sides = (before != boxes).astype(np.int64) + (after != boxes)
+        known: Bools = (sides > 0) & (seconds <= _LONGEST_GAP_S * sides)
+        moved = self.position[after] - self.position[before]
+        seconds = np.where(known, seconds, 1.0)
+        return np.where(known[:, None], moved / seconds[:, None], np.nan)
+
+
+def annotation_keys(scene: SceneRows, boxes: SceneBoxes, here: Indices, lidar: SensorFrame) -> dict[str, Any]:
+    """What all three repositories say of the N boxes of a sample.
+
+    Args:
+        scene: The scene.
+        boxes: Its annotations.
+        here: (N,) those of the sample, in the order of the file.
+        lidar: Its lidar.
+
+    Returns:
+        ``gt_boxes`` (N, 7) with width, length, height and the tilted angle, ``gt_names``, ``gt_velocity`` (N, 2), the
+        two counts of points and ``valid_flag``. Lists of nothing become floats there, as numpy makes them.
+    """
+    rows = [boxes.rows[number] for number in here]
+    angle = tilted_angle(lidar.local_rotation(boxes.rotation[here]))
+    centre = lidar.local(boxes.position[here])
+    velocity = boxes.velocity(here)
+    velocity[:, 2] = 0.0
+    categories = [scene.categories[row["instance_token"]] for row in rows]
+    lidar_points, radar_points = ([row[f"num_{kind}_pts"] for row in rows] for kind in ("lidar", "radar"))
+    return {
+        "gt_boxes": np.concatenate([centre, boxes.size[here], angle[:, None]], axis=1),
+        "gt_names": np.array([DETECTION_CLASS_OF_CATEGORY.get(name, name) for name in categories]),
+        "gt_velocity": (velocity @ lidar.rotation)[:, :2],
+        "num_lidar_pts": np.array(lidar_points),
+        "num_radar_pts": np.array(radar_points),
+        "valid_flag": np.array([sum(points) > 0 for points in zip(lidar_points, radar_points)], np.bool_),
+    }

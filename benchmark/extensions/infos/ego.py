@@ -1,0 +1,137 @@
+"""The recorded drive: where the lidar has been and goes, the command that follows from it, what the car measures."""
+
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+import numpy as np
+
+from benchmark.constants import COMMAND_LATERAL_M, EGO_LENGTH_M, EGO_WHEELBASE_M, EGO_WIDTH_M, PLAN_STEP_S, PLAN_STEPS
+from benchmark.extensions.infos.can_messages import CanMessages
+from benchmark.extensions.infos.frames import SensorFrame, roll
+from benchmark.extensions.infos.scene_rows import SceneRows
+from benchmark.geometry import Floats
+
+HISTORY_STEPS: Final = 2
+_RIGHT, _LEFT, _STRAIGHT = range(3)
+_LEFT_HAND_TRAFFIC: Final = "singapore"
+STATUS_VALUES: Final = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """The ego at all S samples of a scene, in time order.
+
+    Attributes:
+        frames: Its lidar.
+        origin: (S, 3) lidar origins, global.
+        place: Index by token of the sample.
+        times_us: (S,).
+    """
+
+    frames: tuple[SensorFrame, ...]
+    origin: Floats
+    place: dict[str, int]
+    times_us: tuple[int, ...]
+
+    @classmethod
+    def of(cls, rows: SceneRows) -> Self:
+        """Raises `InputError` if a sample has no lidar."""
+        frames = tuple(rows.frame(rows.lidar(sample)) for sample in rows.in_time)
+        return cls(
+            frames=frames,
+            origin=np.array([frame.origin for frame in frames]),
+            place={sample["token"]: number for number, sample in enumerate(rows.in_time)},
+            times_us=tuple(sample["timestamp"] for sample in rows.in_time),
+        )
+
+    def path(self, at: int) -> dict[str, Floats]:
+        """Two steps back and six ahead, in the lidar frame of a sample.
+
+        Args:
+            at: Index of the sample.
+
+        Returns:
+            ``gt_ego_his_trajs`` (2, 2) offsets, the older first; ``gt_ego_fut_trajs`` (6, 2) offsets, 0 after the end
+            of the scene; ``gt_ego_fut_masks`` (6,); ``gt_ego_fut_cmd`` (3,) right, left or straight.
+        """
+        last = len(self.frames) - 1
+        planar = self.frames[at].local(self.origin)[:, :2]
+        ahead = planar[[min(at + step, last) for step in range(PLAN_STEPS + 1)]]
+        command = np.zeros(3)
+        command[_command(float(ahead[-1, 0]))] = 1.0
+        steps = np.diff(planar, axis=0) if last else np.zeros((1, 2))
+        return {
+            # What was before the recording is made up: the step after it once more.
+            "gt_ego_his_trajs": steps[[max(at - back, 0) for back in range(HISTORY_STEPS, 0, -1)]],
+            "gt_ego_fut_trajs": np.diff(ahead, axis=0),
+            "gt_ego_fut_masks": np.array([float(at + step <= last) for step in range(1, PLAN_STEPS + 1)]),
+            "gt_ego_fut_cmd": command,
+        }
+
+    def features(self, at: int, path: dict[str, Floats], can: CanMessages, location: str) -> Floats:
+        """VAD's nine numbers of the ego at a sample.
+
+        Times are taken for half a second apart whatever they are, and the angle is a roll (`roll`), so that on flat
+        roads the car seems to drive along the y axis and never to turn.
+
+        Args:
+            at: Index of the sample.
+            path: What `path` says of it.
+            can: Messages of the scene.
+            location: Where it is.
+
+        Returns:
+            (9,) velocity, acceleration, rate of the angle, length and width of the car, speed, curvature.
+        """
+        first = max(at - 1, 0)
+        poses = [self.frames[number].pose for number in (first, min(first + 1, len(self.frames) - 1))]
+        speed = np.linalg.norm(poses[1][1][:2] - poses[0][1][:2]) / PLAN_STEP_S
+        angles = [float(roll(rotation)) for rotation, _ in poses]
+        ahead = float(roll(self.frames[at].pose[0])) + np.pi / 2
+        measured = can.nearest(self.times_us[at])
+        if measured is None:
+            travelled = path["gt_ego_his_trajs"][-1] + path["gt_ego_fut_trajs"][0]
+            forward, curvature = float(np.linalg.norm(travelled)), 0.0
+        else:
+            forward, steering = measured.velocity[0], measured.steering
+            sign = -1.0 if location.startswith(_LEFT_HAND_TRAFFIC) else 1.0
+            curvature = 2 * sign * steering / EGO_WHEELBASE_M
+        return np.array(
+            [
+                speed * np.cos(ahead),
+                speed * np.sin(ahead),
+                *can.vector(self.times_us[at])[7:9],
+                (angles[1] - angles[0]) / PLAN_STEP_S,
+                EGO_LENGTH_M,
+                EGO_WIDTH_M,
+                forward,
+                curvature,
+            ]
+        )
+
+
+def _command(lateral_m: float) -> int:
+    if lateral_m >= COMMAND_LATERAL_M:
+        return _RIGHT
+    return _LEFT if lateral_m <= -COMMAND_LATERAL_M else _STRAIGHT
+
+
+def ego_status(can: CanMessages, time_us: int) -> Floats:
+    """SparseDrive's ten numbers of the ego.
+
+    Args:
+        can: Messages of the scene.
+        time_us: Time of the sample.
+
+    Returns:
+        (10,) acceleration, rotation rate, velocity, steering angle; zeros where any of them is missing.
+    """
+    found = can.nearest(time_us)
+    if found is None:
+        return np.zeros(STATUS_VALUES)
+    return np.array([*found.acceleration, *found.rotation_rate, *found.velocity, found.steering])
+
+
+def in_single_precision(values: dict[str, Any]) -> dict[str, Any]:
+    """Arrays as they are stored: cast at the very end."""
+    return {name: np.asarray(value, np.float32) for name, value in values.items()}

@@ -1,0 +1,324 @@
+"""Exporting info files, start to end: scenes of a split, their infos, what is cured, the files.
+
+Nothing is written before all of it is computed.
+"""
+
+import pickle
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final
+
+import shapely
+
+from benchmark.datasets.map_layers import expansion_file, read_road_map
+from benchmark.datasets.schema import FaultList, Refusal
+from benchmark.datasets.split_names import evaluated_split, read_splits, scenes_of_split
+from benchmark.datasets.tables import find_version, variant_folders
+from benchmark.errors import InputError
+from benchmark.extensions.infos import cures
+from benchmark.extensions.infos.boxes import SceneBoxes
+from benchmark.extensions.infos.can_messages import OFFICIAL_NAME, CanMessages
+from benchmark.extensions.infos.ego import Drive
+from benchmark.extensions.infos.making import Info, SceneSources, is_level, scene_infos
+from benchmark.extensions.infos.map_lines import MapLines
+from benchmark.extensions.infos.order import shifts_us
+from benchmark.extensions.infos.repositories import (
+    TEST,
+    Part,
+    Repository,
+    official_training_scenes,
+    repository,
+    require_version,
+)
+from benchmark.extensions.infos.scene_rows import InfoTables, SceneRows
+from benchmark.extensions.infos.standing_in import StandIn, missing_cities
+from benchmark.machine.progress import Count, progress
+from benchmark.machine.storage import read_json, write_bytes, write_json
+
+CONVERTED_PREFIX: Final = "./data/nuscenes/"
+"""What the converters' file names begin with, called as their documentation says."""
+PROTOCOL: Final = 2
+"""Of pickles, as the official converters write them."""
+
+
+@dataclass(frozen=True, slots=True)
+class InfoSettings:
+    """What is exported, for whom.
+
+    Attributes:
+        repository: ``uniad``, ``vad`` or ``sparsedrive`` (DiffusionDrive reads the same).
+        version: Version folder; needed only where a root has several.
+        split: Split; where none is named ``val`` if the root has it, else its only one.
+        as_converted: Exactly what the converter would write of the whole root: nothing cured, nothing refused that it
+            accepts.
+        root_as: Where the root is for the code that will read the files, if not where it is here.
+    """
+
+    repository: str
+    version: str | None = None
+    split: str | None = None
+    as_converted: bool = False
+    root_as: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What was written.
+
+    Attributes:
+        files: Number of infos by path.
+        departures: Where they are otherwise than the converter's.
+        not_cured: What else to know of an evaluation with them.
+    """
+
+    files: dict[Path, int]
+    departures: tuple[cures.Departure, ...] = ()
+    not_cured: tuple[str, ...] = ()
+
+
+@dataclass
+class InfoFiles:
+    """Infos of a root before they are written.
+
+    Attributes:
+        version: Version folder.
+        parts: Infos by file.
+        departures: As in `Exported`.
+        not_cured: As in `Exported`.
+    """
+
+    version: str
+    parts: dict[Part, list[Info]] = field(default_factory=dict)
+    departures: list[cures.Departure] = field(default_factory=list)
+    not_cured: list[str] = field(default_factory=list)
+
+
+def export_infos(root: Path, to: Path, settings: InfoSettings) -> Exported:
+    """Write info files, and beside them what official code needs and what is departed from.
+
+    Args:
+        root: Root of a data set, or a folder of variant roots, each of which gets a folder of its own.
+        to: Folder to write to.
+        settings: What, for whom.
+
+    Returns:
+        What was written.
+
+    Raises:
+        InputError: If there is no such data set or split, or it holds something that official code would fail at or
+            see nothing of.
+    """
+    reader = repository(settings.repository)
+    variants = variant_folders(root)
+    roots = {to / name: root / name for name in variants} or {to: root}
+    each = {target: _settings_for(target.name, settings) if variants else settings for target in roots}
+    made = {target: info_files(source, reader, each[target]) for target, source in roots.items()}
+    folders = {} if settings.as_converted else {
+        target: _folder_for(reader, roots[target], target, found, each[target]) for target, found in made.items()
+    }  # fmt: skip
+    files: dict[Path, int] = {}
+    for target, found in made.items():
+        files |= _write(target, reader, found)
+    for target, folder in folders.items():
+        folder.write()
+        _write_departures(target, reader, made[target])
+    departures = tuple(departure for found in made.values() for departure in found.departures)
+    return Exported(
+        files, departures, tuple(dict.fromkeys(said for found in made.values() for said in found.not_cured))
+    )
+
+
+def info_files(root: Path, reader: Repository, settings: InfoSettings) -> InfoFiles:
+    """Infos of one root; arguments and errors as in `export_infos`, which writes them."""
+    version = find_version(root, settings.version)
+    require_version(version, str(root))
+    if settings.as_converted:
+        if settings.split is not None:
+            raise InputError("--as-converted takes the whole root, as the converters do; leave --split out")
+        return _Converting(root, version, reader, settings).files()
+    return _Curing(root, version, reader, settings).files()
+
+
+class _Converting:
+    """What a converter writes of a root."""
+
+    def __init__(self, root: Path, version: str, reader: Repository, settings: InfoSettings) -> None:
+        self.root, self.reader, self.settings = root, reader, settings
+        self.found = InfoFiles(version)
+        cured = not settings.as_converted
+        self.tables = InfoTables(root, version, Refusal(folder=root / version) if cured else FaultList())
+        self.prefix = CONVERTED_PREFIX if settings.root_as is None else f"{settings.root_as.rstrip('/')}/"
+        self._maps: dict[str, MapLines] = {}
+
+    def files(self) -> InfoFiles:
+        """All infos."""
+        training = official_training_scenes(self.found.version)
+        self._put([row["name"] for row in self.tables.scenes], lambda name: "train" if name in training else "val")
+        if self.found.version == TEST:
+            self.found.parts = {"test": self.found.parts["train"]}
+        return self.found
+
+    def _put(self, names: Sequence[str], part_of: Callable[[str], Part]) -> None:
+        """Make the infos of scenes and put them into files, each in the order of the sample table."""
+        numbered: list[tuple[int, Part, Info]] = []
+        scenes = progress(
+            self.tables.of_scenes(frozenset(names)), total=len(names), label="infos", count=Count("scene")
+        )
+        for rows in scenes:
+            part = part_of(rows.name)
+            numbered += [(number, part, info) for number, info in zip(rows.sample_numbers, self._scene(rows))]
+        self.found.parts = {"train": [], "val": []}
+        frame = 0
+        for _, part, info in sorted(numbered, key=lambda entry: entry[0]):
+            if self.reader.has_can_bus:
+                info["frame_idx"] = frame
+                frame = frame + 1 if info["next"] else 0
+            self.found.parts[part].append(info)
+
+    def _scene(self, rows: SceneRows) -> list[Info]:
+        if self.reader.name == "vad" and len(rows.samples) < 2:
+            raise InputError(f"{rows.name} has a single sample, which VAD's converter fails at; leave the scene out")
+        cures.require_cameras(rows)
+        sources = SceneSources(
+            rows=rows,
+            boxes=SceneBoxes.of(rows),
+            drive=Drive.of(rows),
+            can=self._can_bus(rows),
+            map_lines=self._map(rows) if self.reader.name == "sparsedrive" else None,
+            prefix=self.prefix,
+            category_numbers=self._category_numbers(),
+            default_visibility=None if self.settings.as_converted else cures.DEFAULT_VISIBILITY,
+        )
+        return list(scene_infos(self.reader, self.found.version, sources))
+
+    def _can_bus(self, rows: SceneRows) -> CanMessages:
+        return CanMessages.read(self.root, rows.name, as_converted=self.settings.as_converted)
+
+    def _category_numbers(self) -> dict[str, int]:
+        return self.tables.category_numbers
+
+    def _map(self, rows: SceneRows) -> MapLines:
+        if rows.location not in self._maps:
+            path = expansion_file(self.root, rows.location)
+            if path is None:
+                raise InputError(
+                    f"{rows.name} lies in {rows.location}, and {self.root} has no maps/expansion/{rows.location}.json, "
+                    "which map elements are made of; fetch the map expansion or make it again"
+                )
+            self._maps[rows.location] = MapLines(path)
+        return self._maps[rows.location]
+
+
+class _Curing(_Converting):
+    """The same with what official code trips on cured, and refused where it cannot be."""
+
+    def __init__(self, root: Path, version: str, reader: Repository, settings: InfoSettings) -> None:
+        super().__init__(root, version, reader, settings)
+        here = settings.root_as if settings.root_as is not None else str(root.resolve())
+        self.prefix = f"{here.rstrip('/')}/"
+        self._times: list[tuple[str, int, int]] = []
+        self._infos: dict[str, list[Info]] = {}
+        if not Path(here).is_absolute():
+            raise InputError(f"--root-as {here} must be an absolute path; it is what files are named by")
+        self._seen = cures.Seen()
+        self._surroundings: dict[str, shapely.Geometry] = {}
+
+    def files(self) -> InfoFiles:
+        """Infos of the split, all in the file that official configurations evaluate."""
+        split, names = self._split()
+        self._put(names, lambda _: "val")
+        shifts = shifts_us(self._times)
+        for name, shift in shifts.items():
+            cures.shift_times(self._infos[name], shift)
+        if self.found.version == TEST:
+            self.found.parts = {"test": self.found.parts["val"]}
+        self.found.departures = self._departures(split, names, shifts)
+        self.found.not_cured = cures.not_cured(self.reader, self._seen)
+        return self.found
+
+    def _split(self) -> tuple[str, tuple[str, ...]]:
+        present = [scene["name"] for scene in self.tables.scenes]
+        custom = read_splits(self.root, self.found.version)
+        provenance = self.root / self.found.version / "challenger.json"
+        said = read_json(provenance) if provenance.is_file() else None
+        built_as = said.get("split") if isinstance(said, dict) else None
+        split = self.settings.split or evaluated_split(present, custom, where=str(self.root), built_as=built_as)
+        return split, scenes_of_split(split, present, custom, where=str(self.root), built_as=built_as)
+
+    def _scene(self, rows: SceneRows) -> list[Info]:
+        cures.require_cameras(rows)
+        cures.require_usable(self.root, self.reader, rows)
+        infos = super()._scene(rows)
+        times = [sample["timestamp"] for sample in rows.samples]
+        self._times.append((rows.name, min(times), max(times)))
+        self._infos[rows.name] = infos
+        seen = self._seen
+        seen.sizes.update((row["width"], row["height"]) for row in rows.data.values() if row["width"])
+        seen.without_points += sum(row["num_lidar_pts"] == 0 for row in rows.annotations.values())
+        if not self._can_bus(rows).pose:
+            seen.without_can_bus.append(rows.name)
+        unknown = sum(not is_level(row["visibility_token"]) for row in rows.annotations.values())
+        if unknown:
+            seen.without_visibility[rows.name] = unknown
+        if self.reader.name == "uniad":
+            seen.off_the_map += self._samples_off_the_map(rows)
+        return infos
+
+    def _samples_off_the_map(self, rows: SceneRows) -> int:
+        """Samples with no drivable area around the lidar; where there is some, there are edges of it."""
+        if rows.location not in self._surroundings:
+            path = expansion_file(self.root, rows.location)
+            area = read_road_map(path).drivable_area if path is not None else shapely.MultiPolygon()
+            shapely.prepare(area)
+            self._surroundings[rows.location] = area
+        places = shapely.points(Drive.of(rows).origin[:, :2])
+        return int((~shapely.dwithin(self._surroundings[rows.location], places, cures.AROUND_M)).sum())
+
+    def _category_numbers(self) -> dict[str, int]:
+        return cures.category_numbers(super()._category_numbers())
+
+    def _departures(self, split: str, names: Sequence[str], shifts: dict[str, int]) -> list[cures.Departure]:
+        training = official_training_scenes(self.found.version)
+        others = len(self.tables.scenes) - len(names)
+        found = [cures.paths(self.prefix), *cures.in_val_file(split, training & set(names), others)]
+        refused = {name for name in names if not OFFICIAL_NAME.fullmatch(name)} - set(self._seen.without_can_bus)
+        if refused:
+            found.append(cures.read_can_bus(self.reader, refused))
+        if shifts:
+            found.append(cures.shifted(shifts))
+        if self.reader.name == "vad":
+            found += cures.numbered(super()._category_numbers())
+        if self.reader.name == "uniad" and self._seen.without_visibility:
+            found.append(cures.seen_in_full(self._seen.without_visibility))
+        cities = missing_cities(self.root)
+        if cities:
+            found.append(cures.empty_maps(cities))
+        return found
+
+
+def _settings_for(variant: str, settings: InfoSettings) -> InfoSettings:
+    """Settings of one of several roots that lie side by side."""
+    return settings if settings.root_as is None else replace(settings, root_as=f"{settings.root_as}/{variant}")
+
+
+def _folder_for(reader: Repository, root: Path, to: Path, found: InfoFiles, settings: InfoSettings) -> StandIn:
+    """VAD looks for its info files in the root, the others beside it."""
+    beside = [reader.file_name(found.version, part) for part in found.parts] if reader.name == "vad" else []
+    return StandIn.of(root, to, found.version, root_as=settings.root_as, beside=beside)
+
+
+def _write(to: Path, reader: Repository, found: InfoFiles) -> dict[Path, int]:
+    files = {}
+    for part, infos in found.parts.items():
+        path = to / reader.file_name(found.version, part)
+        content = {"infos": infos, "metadata": {"version": found.version}}
+        write_bytes(path, pickle.dumps(content, protocol=PROTOCOL))
+        files[path] = len(infos)
+    return files
+
+
+def _write_departures(to: Path, reader: Repository, found: InfoFiles) -> None:
+    departures = [departure.as_json() for departure in found.departures]
+    said = {"for": reader.title, "departures": departures, "not_cured": found.not_cured}
+    write_json(to / f"{reader.name}_departures.json", said)

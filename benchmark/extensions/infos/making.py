@@ -1,0 +1,219 @@
+"""The infos of one scene, key by key in the order of each repository's converter."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from benchmark.datasets.tables import Row
+from benchmark.errors import InputError
+from benchmark.extensions.infos.boxes import Indices, SceneBoxes, annotation_keys
+from benchmark.extensions.infos.can_messages import CanMessages
+from benchmark.extensions.infos.ego import Drive, ego_status, in_single_precision
+from benchmark.extensions.infos.frames import SensorFrame
+from benchmark.extensions.infos.futures import in_own_frame, offsets_from_own_frame, vad_futures
+from benchmark.extensions.infos.map_lines import MapLines
+from benchmark.extensions.infos.repositories import TEST, Repository, RepositoryName
+from benchmark.extensions.infos.scene_rows import SceneRows
+from benchmark.extensions.infos.sensors import camera_infos, sweep_infos
+
+Info = dict[str, Any]
+
+_UNIAD_SECONDS: Final = 8
+_SPARSEDRIVE_SECONDS: Final = 6
+_FUTURE_SAMPLES: Final = 6
+
+
+@dataclass(frozen=True)
+class SceneSources:
+    """All that the infos of a scene are made of.
+
+    Attributes:
+        rows: Its rows.
+        boxes: Its annotations.
+        drive: Its ego.
+        can: Its CAN bus messages.
+        map_lines: The map of its city, where the repository's infos hold one.
+        prefix: What stands before file names.
+        category_numbers: What VAD calls categories, by name.
+        default_visibility: What stands for a visibility that is not known; ``None`` refuses it.
+    """
+
+    rows: SceneRows
+    boxes: SceneBoxes
+    drive: Drive
+    can: CanMessages
+    map_lines: MapLines | None
+    prefix: str
+    category_numbers: Mapping[str, int]
+    default_visibility: int | None
+
+
+@dataclass(frozen=True)
+class _Moment:
+    """A sample: its row, its place in the scene, its lidar's row and frame, its boxes in the order of the file."""
+
+    sample: Row
+    at: int
+    data: Row
+    lidar: SensorFrame
+    here: Indices
+
+
+def scene_infos(repository: Repository, version: str, sources: SceneSources) -> Iterator[Info]:
+    """Infos of a scene in the order of the sample table, ``frame_idx`` left at 0 for whoever puts scenes together.
+
+    Args:
+        repository: For whom.
+        version: Version folder; infos of v1.0-test have no annotations.
+        sources: What they are made of.
+
+    Yields:
+        Infos.
+
+    Raises:
+        InputError: If there is something that the converter itself would fail at.
+    """
+    rows = sources.rows
+    index = {row["token"]: number for number, row in enumerate(sources.boxes.rows)}
+    for sample in rows.samples:
+        at = sources.drive.place[sample["token"]]
+        here = np.array([index[row["token"]] for row in rows.annotations_of.get(sample["token"], ())], np.int64)
+        moment = _Moment(sample, at, rows.lidar(sample), sources.drive.frames[at], here)
+        yield {
+            **_shared_keys(repository, sources, moment),
+            **_BEFORE_BOXES[repository.name](sources, moment),
+            **({} if version == TEST else _annotations(repository, sources, moment)),
+        }
+
+
+def _shared_keys(repository: Repository, sources: SceneSources, moment: _Moment) -> Info:
+    rows, sample = sources.rows, moment.sample
+    mount = rows.mounts[moment.data["calibrated_sensor_token"]]
+    pose = rows.poses[moment.data["ego_pose_token"]]
+    in_scene = {"prev": sample["prev"], "next": sample["next"], "can_bus": sources.can.vector(sample["timestamp"])}
+    return {
+        "lidar_path": sources.prefix + moment.data["filename"],
+        "token": sample["token"],
+        **({**in_scene, "frame_idx": 0} if repository.has_can_bus else {}),
+        "sweeps": sweep_infos(rows, moment.data, moment.lidar, sources.prefix),
+        "cams": camera_infos(rows, sample, moment.lidar, sources.prefix),
+        "scene_token": sample["scene_token"],
+        "lidar2ego_translation": mount["translation"],
+        "lidar2ego_rotation": mount["rotation"],
+        "ego2global_translation": pose["translation"],
+        "ego2global_rotation": pose["rotation"],
+        "timestamp": sample["timestamp"],
+    }
+
+
+def _vad_before_boxes(sources: SceneSources, moment: _Moment) -> Info:
+    ahead = len(sources.rows.samples) - 1 - moment.at
+    return {"fut_valid_flag": ahead >= _FUTURE_SAMPLES, "map_location": sources.rows.location}
+
+
+def _sparsedrive_before_boxes(sources: SceneSources, moment: _Moment) -> Info:
+    assert sources.map_lines is not None
+    return {"map_location": sources.rows.location, "map_annos": sources.map_lines.around(moment.lidar)}
+
+
+_BEFORE_BOXES: Final[Mapping[RepositoryName, Callable[[SceneSources, _Moment], Info]]] = {
+    "uniad": lambda sources, moment: {},
+    "vad": _vad_before_boxes,
+    "sparsedrive": _sparsedrive_before_boxes,
+}
+
+
+def _annotations(repository: Repository, sources: SceneSources, moment: _Moment) -> Info:
+    found = annotation_keys(sources.rows, sources.boxes, moment.here, moment.lidar)
+    further = _OF_BOXES[repository.name](sources, moment, found)
+    found["gt_boxes"] = _boxes_for(repository.name, found["gt_boxes"])
+    return {**found, **further}
+
+
+def _boxes_for(name: RepositoryName, boxes: Any) -> Any:
+    """(N, 7) boxes as a repository's version of mmdet3d wants them, or as it believes that it does."""
+    if name == "sparsedrive":
+        return boxes[:, [0, 1, 2, 4, 3, 5, 6]]
+    if name == "vad":
+        return np.concatenate([boxes[:, :6], -boxes[:, 6:] - np.pi / 2], axis=1)
+    return boxes
+
+
+def _instances(sources: SceneSources, moment: _Moment) -> Sequence[str]:
+    return [str(sources.boxes.rows[number]["instance_token"]) for number in moment.here]
+
+
+def _of_uniad(sources: SceneSources, moment: _Moment, _: Info) -> Info:
+    tokens = _instances(sources, moment)
+    future, there = in_own_frame(sources.boxes, moment.here, _UNIAD_SECONDS)
+    levels = [sources.boxes.rows[number]["visibility_token"] for number in moment.here]
+    return {
+        "gt_inds": np.array([sources.rows.instance_numbers[token] for token in tokens]),
+        "gt_ins_tokens": np.array(tokens),
+        "fut_traj": future,
+        "fut_traj_valid_mask": np.repeat(there[..., None], 2, axis=-1).astype(np.float64),
+        "visibility_tokens": np.array([_visibility(sources, moment, level) for level in levels]),
+    }
+
+
+def is_level(visibility: str) -> bool:
+    """Whether a visibility is a number, as UniAD's converter takes for granted."""
+    return visibility.isascii() and visibility.isdigit()
+
+
+def _visibility(sources: SceneSources, moment: _Moment, level: str) -> int:
+    if is_level(level):
+        return int(level)
+    if sources.default_visibility is not None:
+        return sources.default_visibility
+    raise InputError(
+        f"{sources.rows.name}, sample {moment.sample['token']}: the visibility {level!r} of a box is no number, which "
+        "UniAD's converter fails at; leave out --as-converted"
+    )
+
+
+def _of_vad(sources: SceneSources, moment: _Moment, found: Info) -> Info:
+    path = sources.drive.path(moment.at)
+    boxes, names = found["gt_boxes"], [sources.rows.categories[token] for token in _instances(sources, moment)]
+    categories = np.array([sources.category_numbers[name] for name in names], np.float64)
+    features = [boxes[:, :2], boxes[:, 6:], found["gt_velocity"], boxes[:, 3:6], categories[:, None]]
+    futures = vad_futures(sources.boxes, moment.here, moment.lidar)
+    ego = sources.drive.features(moment.at, path, sources.can, sources.rows.location)
+    return in_single_precision(
+        {
+            "gt_agent_fut_trajs": futures["gt_agent_fut_trajs"],
+            "gt_agent_fut_masks": futures["gt_agent_fut_masks"],
+            "gt_agent_lcf_feat": np.concatenate(features, axis=1),
+            "gt_agent_fut_yaw": futures["gt_agent_fut_yaw"],
+            "gt_agent_fut_goal": futures["gt_agent_fut_goal"],
+            **path,
+            "gt_ego_lcf_feat": ego,
+        }
+    )
+
+
+def _of_sparsedrive(sources: SceneSources, moment: _Moment, _: Info) -> Info:
+    offsets, there = offsets_from_own_frame(sources.boxes, moment.here, moment.lidar, _SPARSEDRIVE_SECONDS)
+    path = sources.drive.path(moment.at)
+    return {
+        "instance_inds": [sources.rows.instance_numbers[token] for token in _instances(sources, moment)],
+        **in_single_precision(
+            {
+                "gt_agent_fut_trajs": offsets,
+                "gt_agent_fut_masks": there,
+                "gt_ego_fut_trajs": path["gt_ego_fut_trajs"],
+                "gt_ego_fut_masks": path["gt_ego_fut_masks"],
+                "gt_ego_fut_cmd": path["gt_ego_fut_cmd"],
+                "ego_status": ego_status(sources.can, moment.sample["timestamp"]),
+            }
+        ),
+    }
+
+
+_OF_BOXES: Final[Mapping[RepositoryName, Callable[[SceneSources, _Moment, Info], Info]]] = {
+    "uniad": _of_uniad,
+    "vad": _of_vad,
+    "sparsedrive": _of_sparsedrive,
+}

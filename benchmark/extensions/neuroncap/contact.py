@@ -1,0 +1,116 @@
+"""Who the ego touches, as NeuroNCAP's code asks it: the first of the list whose box meets the ego's."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import shapely
+
+from benchmark.extensions.neuroncap.actors import FURTHER_VEHICLES, HIT_CLASSES, Actor
+from benchmark.extensions.neuroncap.car import Car
+from benchmark.extensions.neuroncap.poses import heading_of
+from benchmark.extensions.neuroncap.switches import Switches
+from benchmark.geometry import Floats, box_corners, boxes_overlap
+
+_ROOM_M: Final = 1.0
+"""That the search radius has beyond the diagonals of both boxes."""
+
+
+@dataclass(frozen=True, slots=True)
+class EgoMoment:
+    """The ego at one instant.
+
+    Attributes:
+        time_us: Time.
+        pose: (4, 4) rear axle to global.
+        speed: m/s along the heading.
+    """
+
+    time_us: int
+    pose: Floats
+    speed: float
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """The first touch of a run.
+
+    Attributes:
+        index: Of the actor in the engine's list.
+        uuid: Of the actor.
+        time_us: When.
+        iou: Shared area of the two boxes over their joint area.
+        ego_velocity: (3,) m/s.
+        actor_velocity: (3,) m/s.
+        is_target: Whether the scenario is about that actor.
+    """
+
+    index: int
+    uuid: str
+    time_us: int
+    iou: float
+    ego_velocity: Floats
+    actor_velocity: Floats
+    is_target: bool
+
+    def impact_speed(self, switches: Switches) -> float:
+        """Size of the difference of velocities, m/s; with ``impact_norm`` as paper in the plane."""
+        difference = self.ego_velocity - self.actor_velocity
+        return float(np.linalg.norm(difference if switches.impact_norm == "code" else difference[:2]))
+
+
+def box_of(pose: Floats, length: float, width: float, ahead: float = 0.0) -> Floats:
+    """(5,) box of a (4, 4) pose, its centre so far ahead of it."""
+    centre = pose[:2, 3] + ahead * pose[:2, 0]
+    return np.array([*centre, length, width, heading_of(pose)])
+
+
+def can_be_hit(kind: str, switches: Switches) -> bool:
+    """Whether actors of a class count."""
+    return kind in HIT_CLASSES or (switches.classes == "paper" and kind in FURTHER_VEHICLES)
+
+
+def touched(ego: EgoMoment, actors: Sequence[Actor], car: Car, switches: Switches) -> Contact | None:
+    """The first actor of the list that the ego's box meets; touching counts.
+
+    Args:
+        ego: The ego.
+        actors: In the engine's order.
+        car: Its box.
+        switches: Readings.
+
+    Returns:
+        The contact, or ``None``.
+    """
+    own = box_of(ego.pose, car.length_m, car.width_m, car.box_ahead_m)
+    for index, actor in enumerate(actors):
+        if not can_be_hit(actor.kind, switches) or not actor.is_there(ego.time_us):
+            continue
+        if switches.contact_prefilter == "code" and _is_far(ego, actor, car):
+            continue
+        width, length = actor.size[:2].tolist()
+        other = box_of(actor.pose_at(ego.time_us), length, width)
+        if bool(boxes_overlap(own, other)):
+            return Contact(
+                index=index,
+                uuid=actor.uuid,
+                time_us=ego.time_us,
+                iou=_iou(own, other),
+                ego_velocity=ego.pose[:3, 0] * ego.speed,
+                actor_velocity=actor.velocity_at(ego.time_us),
+                is_target=actor.is_target,
+            )
+    return None
+
+
+def _is_far(ego: EgoMoment, actor: Actor, car: Car) -> bool:
+    """Whether the published code leaves an actor out: by distance from the rear axle in space."""
+    reach = 0.5 * np.hypot(car.length_m, car.width_m) + 0.5 * np.linalg.norm(actor.size) + _ROOM_M
+    return bool(np.linalg.norm(actor.position_at(ego.time_us) - ego.pose[:3, 3]) > reach)
+
+
+def _iou(first: Floats, second: Floats) -> float:
+    one, other = shapely.polygons(box_corners(np.stack([first, second])))
+    shared = shapely.area(shapely.intersection(one, other))
+    return float(shared / (shapely.area(one) + shapely.area(other) - shared))

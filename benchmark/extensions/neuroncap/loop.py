@@ -1,0 +1,287 @@
+"""NeuroNCAP's loop as pure steps: a world and a plan give the next world; no clock, no input, no output.
+
+One step is half a second of whole microseconds. In it the order is fixed:
+
+1. the state before this one is checked for contact, at its own pose or at ten instants on the way to it; the first
+   contact ends the run, and the plan is dropped;
+2. while priming, the next recorded frame is taken; afterwards the car drives.
+
+So a state is checked one step late, as in the published code, and the last one that was planned from by `finished`.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from benchmark.constants import PLAN_STEPS
+from benchmark.extensions.neuroncap.actors import Actor
+from benchmark.extensions.neuroncap.car import Car
+from benchmark.extensions.neuroncap.command import command_at
+from benchmark.extensions.neuroncap.contact import Contact, EgoMoment, touched
+from benchmark.extensions.neuroncap.future import future_hits, future_moments
+from benchmark.extensions.neuroncap.plan_path import usable_waypoints
+from benchmark.extensions.neuroncap.poses import pose_between
+from benchmark.extensions.neuroncap.recording import Recording, Singles
+from benchmark.extensions.neuroncap.staging import Staged
+from benchmark.extensions.neuroncap.switches import Switches
+from benchmark.extensions.neuroncap.vehicle import STEP_US, DrivenStep, Vehicle, driven
+from benchmark.geometry import Floats
+from benchmark.planning import Command
+
+_INSTANTS: Final = 10
+"""Of contact within a step."""
+_INSTANT_US: Final = STEP_US // _INSTANTS
+_STEP_S: Final = STEP_US / 1e6
+_NO_TIME_S: Final = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """The ego at a planning instant.
+
+    Attributes:
+        time_us: Time.
+        pose: (4, 4) rear axle to global.
+        canbus: (16,) CAN row.
+        is_driven: Whether the engine drove there; otherwise it is a frame of the recording.
+    """
+
+    time_us: int
+    pose: Floats
+    canbus: Singles
+    is_driven: bool
+
+    @property
+    def speed(self) -> np.float32:
+        """Size of the planar velocity that the CAN row has, m/s, in its precision."""
+        return np.float32(np.linalg.norm(self.canbus[13:15]))
+
+    def moment(self, switches: Switches) -> EgoMoment:
+        """The ego as contact sees it."""
+        return EgoMoment(self.time_us, self.pose, float(self.impact_speed(switches)))
+
+    def impact_speed(self, switches: Switches) -> np.float32:
+        """Speed along the heading that counts at a contact: that of the centre, or of the rear axle."""
+        return self.speed if switches.impact_speed_of_ego == "code" else np.float32(self.canbus[13])
+
+
+@dataclass(frozen=True, slots=True)
+class Engine:
+    """What does not change during a run.
+
+    Attributes:
+        recording: The recorded scene.
+        path: (F, 3) its path.
+        actors: All actors, in the engine's order.
+        start_frame: Frame of the first state.
+        end_us: No state from here on is planned from.
+        priming_steps: Steps in which the ego is the recorded one.
+        switches: Readings.
+        car: Numbers of the car.
+        check_futures: Whether plans are laid out against the future too.
+    """
+
+    recording: Recording
+    path: Floats
+    actors: tuple[Actor, ...]
+    start_frame: int
+    end_us: int
+    priming_steps: int
+    switches: Switches
+    car: Car
+    check_futures: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        recording: Recording,
+        run: Staged,
+        *,
+        priming_steps: int,
+        renderer_knows: frozenset[str],
+        switches: Switches,
+        check_futures: bool = False,
+    ) -> "Engine":
+        """An engine for one run.
+
+        Args:
+            recording: The recorded scene.
+            run: Its start, end and actors.
+            priming_steps: Steps in which the ego is the recorded one.
+            renderer_knows: Recorded actors that the renderer can show: with a scenario they are gone unless it lists
+                them. The published code lets actors that the renderer does not know stand where they were.
+            switches: Readings.
+            check_futures: Whether plans are laid out against the future too.
+
+        Returns:
+            The engine.
+        """
+        others = recording.actors
+        if run.actors:
+            others = tuple(actor for actor in others if actor.uuid not in renderer_knows)
+        return cls(
+            recording=recording,
+            path=recording.path,
+            actors=(*others, *run.actors),
+            start_frame=run.start_frame,
+            end_us=run.end_us,
+            priming_steps=priming_steps,
+            switches=switches,
+            car=Car.of(switches),
+            check_futures=check_futures,
+        )
+
+    def frame(self, number: int) -> State:
+        """A recorded frame as a state."""
+        recording = self.recording
+        return State(int(recording.times[number]), recording.poses[number], recording.canbus[number], False)
+
+
+@dataclass(frozen=True, slots=True)
+class Waiting:
+    """A state that is not checked yet.
+
+    Attributes:
+        before: The state before it, ``None`` for the first.
+        state: It.
+        plan: What was planned from it, ``None`` where nothing was.
+    """
+
+    before: State | None
+    state: State
+    plan: Floats | None
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """A run at a planning instant.
+
+    Attributes:
+        step: Number of the state, from 0.
+        state: The ego now.
+        vehicle: The car since it drives itself.
+        before: The state one step ago.
+        waiting: The state one step ago with its plan, not checked yet.
+        checked: States checked.
+        contact: What ended the run.
+        future_hits: How many checked plans touch somebody at 0.5, 1.0 .. 3.0 s.
+        last: Sub-steps of the latest step, if it was driven.
+    """
+
+    step: int
+    state: State
+    vehicle: Vehicle | None = None
+    before: State | None = None
+    waiting: Waiting | None = None
+    checked: int = 0
+    contact: Contact | None = None
+    future_hits: tuple[int, ...] = (0,) * PLAN_STEPS
+    last: DrivenStep | None = None
+
+
+def begin(engine: Engine) -> World:
+    """The world at the start frame."""
+    return World(step=0, state=engine.frame(engine.start_frame))
+
+
+def goes_on(engine: Engine, world: World) -> bool:
+    """Whether a plan is wanted: nobody was touched as far as is known, and time is left."""
+    return world.contact is None and world.state.time_us < engine.end_us
+
+
+def command_of(engine: Engine, world: World) -> Command:
+    """The driving command of a world's state."""
+    return command_at(world.state.pose, float(world.state.speed), engine.path, engine.switches)
+
+
+def step(engine: Engine, world: World, plan: ArrayLike) -> World:
+    """Half a second.
+
+    Args:
+        engine: The run.
+        world: A world that `goes_on`.
+        plan: (1 to 6, 2) waypoints, x forward and y left of the rear axle, metres, 0.5 s apart; while priming it is not
+            driven.
+
+    Returns:
+        The next world; the same state with a contact if the state before turned out to touch somebody.
+
+    Raises:
+        UnusablePlanError: If the plan has no numbers to drive by.
+    """
+    world = _checked(engine, world)
+    if world.contact is not None:
+        return world
+    waypoints = np.asarray(usable_waypoints(plan, engine.switches), np.float64)
+    waiting = Waiting(world.before, world.state, waypoints)
+    state, vehicle, last = _advanced(engine, world, plan)
+    return replace(
+        world, step=world.step + 1, state=state, vehicle=vehicle, before=world.state, waiting=waiting, last=last
+    )
+
+
+def finished(engine: Engine, world: World) -> World:
+    """The world after its last state was checked; with ``last_state`` as paper also the state that was reached."""
+    world = _checked(engine, world)
+    if world.contact is None and engine.switches.last_state == "paper":
+        world = _checked(engine, replace(world, waiting=Waiting(world.before, world.state, None)))
+    return world
+
+
+def _advanced(engine: Engine, world: World, plan: ArrayLike) -> tuple[State, Vehicle | None, DrivenStep | None]:
+    if world.step < engine.priming_steps:
+        return engine.frame(engine.start_frame + world.step + 1), None, None
+    state, switches = world.state, engine.switches
+    vehicle = world.vehicle
+    if vehicle is None:
+        frame = engine.priming_steps + (engine.start_frame if switches.steering_index == "paper" else 0)
+        wheel = float(engine.recording.steering_wheel[frame])
+        vehicle = Vehicle.start(state.pose, state.canbus, wheel, switches)
+    last = driven(vehicle, plan, state.time_us, engine.car, switches)
+    row = last.vehicle.canbus(engine.car, switches)
+    return State(state.time_us + STEP_US, last.vehicle.pose, row, True), last.vehicle, last
+
+
+def _checked(engine: Engine, world: World) -> World:
+    """The world with the waiting state checked, if there is one."""
+    waiting = world.waiting
+    if waiting is None:
+        return world
+    switches, contact = engine.switches, None
+    for moment in moments(waiting.before, waiting.state, switches):
+        contact = touched(moment, engine.actors, engine.car, switches)
+        if contact is not None:
+            break
+    hits = world.future_hits
+    if engine.check_futures and waiting.plan is not None and len(waiting.plan) == PLAN_STEPS:
+        state = waiting.state
+        future = future_moments(state.time_us, state.pose, waiting.plan, switches)
+        found = future_hits(future, engine.actors, engine.car, switches)
+        hits = tuple(count + hit for count, hit in zip(hits, found))
+    return replace(world, waiting=None, checked=world.checked + 1, contact=contact, future_hits=hits)
+
+
+def moments(before: State | None, state: State, switches: Switches) -> list[EgoMoment]:
+    """Instants at which a state is checked: its own, or ten on the way to it.
+
+    Args:
+        before: The state before it.
+        state: It.
+        switches: With ``first_gap`` as paper, there are ten on the way to the first driven state too.
+
+    Returns:
+        In order of time.
+    """
+    on_the_way = before is not None and state.is_driven and (before.is_driven or switches.first_gap == "paper")
+    if before is None or not on_the_way:
+        return [state.moment(switches)]
+    found = []
+    for instant in range(1, _INSTANTS + 1):
+        fraction = instant * _INSTANT_US / 1e6 / (_STEP_S + _NO_TIME_S)
+        first, second = before.impact_speed(switches), state.impact_speed(switches)
+        speed = np.float32(first + np.float32(instant / _INSTANTS) * np.float32(second - first))
+        pose = pose_between(before.pose, state.pose, fraction)
+        found.append(EgoMoment(before.time_us + instant * _INSTANT_US, pose, float(speed)))
+    return found

@@ -1,0 +1,144 @@
+"""What NeuroNCAP's tracker follows: a plan as poses every 0.1 s, with the speeds and curvatures fitted to them.
+
+Steps of the published code (nuPlan's): knots at the plan's waypoints, linear in between; speed and curvature by
+regularised least squares.
+"""
+
+import functools
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from benchmark.constants import PLAN_STEPS
+from benchmark.dynamics.reference_path import fitted_curvature
+from benchmark.extensions.neuroncap.switches import Switches
+from benchmark.geometry import Floats, wrap_angle
+
+Waypoints = NDArray[np.floating[Any]]
+"""(N, 2 or more), in single or double precision."""
+SUBSTEP_S: Final = 0.1
+SUBSTEP_US: Final = 100_000
+WAYPOINT_US: Final = 500_000
+NEAREST_M: Final = 1.0
+"""Waypoints nearer than this are skipped; a last one nearer than this means stopping."""
+_JERK_PENALTY: Final = 1e-6
+_CURVATURE_RATE_PENALTY: Final = 1e-5
+
+
+class UnusablePlanError(ValueError):
+    """A plan that the engine cannot drive: the planner failed, and nothing is scored."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanPath:
+    """A plan every 0.1 s; M displacements.
+
+    Attributes:
+        start_us: Time of the first pose.
+        poses: (M + 1, 3) x, y, heading in the frame of the plan.
+        speed: (M,) m/s of each displacement.
+        curvature: (M,) 1/m of each displacement.
+    """
+
+    start_us: int
+    poses: Floats
+    speed: Floats
+    curvature: Floats
+
+    def at(self, profile: Floats, seconds: float | list[float]) -> Floats:
+        """A profile between the starts of displacements, constant beyond them.
+
+        Args:
+            profile: (M,) `speed` or `curvature`.
+            seconds: Times since 1970, whose rounding (2.4e-7 s) is the published code's.
+
+        Returns:
+            The values at those times.
+        """
+        starts = (self.start_us + SUBSTEP_US * np.arange(len(profile))) / 1e6
+        return np.asarray(np.interp(seconds, starts, profile))
+
+
+def usable_waypoints(plan: ArrayLike, switches: Switches) -> Waypoints:
+    """A plan as the engine takes it.
+
+    Args:
+        plan: (N, 2 or more), x forward and y left of the rear axle, metres, 0.5 s apart.
+        switches: Whether it is rounded to single precision.
+
+    Returns:
+        The same numbers.
+
+    Raises:
+        UnusablePlanError: If there are not 1 to 6 waypoints, or some are not finite.
+    """
+    try:
+        # What is too large for single precision becomes infinite, and is refused as such.
+        with np.errstate(over="ignore"):
+            waypoints: Waypoints = np.array(plan, np.float32 if switches.float32 == "code" else np.float64)
+    except (TypeError, ValueError):
+        raise UnusablePlanError("the plan is no table of numbers") from None
+    if waypoints.ndim != 2 or not 1 <= len(waypoints) <= PLAN_STEPS or waypoints.shape[1] < 2:
+        raise UnusablePlanError(f"a plan has 1 to {PLAN_STEPS} waypoints of x and y, this one is {waypoints.shape}")
+    if not np.isfinite(waypoints).all():
+        raise UnusablePlanError("the plan has NaN or infinity in it")
+    return waypoints
+
+
+def means_stopping(waypoints: Waypoints) -> bool:
+    """Whether a plan ends less than 1 m away; columns beyond x and y count, as in the published code."""
+    return bool(np.linalg.norm(waypoints[-1]) < NEAREST_M)
+
+
+def path_of(waypoints: Waypoints, plan_us: int, start_us: int) -> PlanPath:
+    """The path that a plan describes.
+
+    Args:
+        waypoints: From `usable_waypoints`, the last one not near.
+        plan_us: Time that the plan was made for; waypoint i is 0.5 (i + 1) s later.
+        start_us: Time at which the path leaves the origin of the plan's frame, less than 0.5 s later.
+
+    Returns:
+        The path.
+    """
+    kept = np.linalg.norm(waypoints, axis=1) >= NEAREST_M
+    times = np.concatenate([[start_us], plan_us + WAYPOINT_US * (1 + np.flatnonzero(kept))])
+    knots = np.zeros((len(times), 3))
+    knots[1:, :2] = waypoints[kept, :2]
+    knots[1:, 2] = _headings(waypoints)[kept]
+    knots[:, 2] = np.unwrap(knots[:, 2])
+    asked = np.arange(start_us, int(times[-1]) + 1, SUBSTEP_US) - start_us
+    poses = np.column_stack([np.interp(asked, times - start_us, column) for column in knots.T])
+    poses[:, 2] = wrap_angle(poses[:, 2])
+    step, heading = np.diff(poses, axis=0), poses[:-1, 2]
+    speed = _speed_fit(len(step)) @ (step[:, 0] * np.cos(heading) + step[:, 1] * np.sin(heading))
+    turns = wrap_angle(step[:, 2])
+    penalty = _CURVATURE_RATE_PENALTY / SUBSTEP_S**2
+    curvature = fitted_curvature(SUBSTEP_S * speed[:, None], turns[:, None], penalty)[:, 0]
+    return PlanPath(start_us, poses, speed, curvature)
+
+
+def _headings(waypoints: Waypoints) -> Floats:
+    """(N,) direction from the waypoint before (the origin before the first) to the one after.
+
+    In single precision they pass through cosine and sine, as rotations do in the published code.
+    """
+    points = np.concatenate([np.zeros_like(waypoints[:1, :2]), waypoints[:, :2], waypoints[-1:, :2]])
+    chord = points[2:] - points[:-2]
+    precision = chord.dtype
+    chord = chord.astype(np.float64)
+    heading = np.arctan2(chord[:, 1], chord[:, 0]).astype(precision).astype(np.float64)
+    if precision == np.float64:
+        return np.asarray(heading)
+    sin, cos = np.sin(heading).astype(precision), np.cos(heading).astype(precision)
+    return np.asarray(np.arctan2(sin, cos, dtype=np.float64))
+
+
+@functools.cache
+def _speed_fit(count: int) -> Floats:
+    """(M, M) matrix from displacements to speeds: least squares with a small penalty on second differences."""
+    bends = np.diff(np.eye(count), n=2, axis=0) / SUBSTEP_S
+    normal = SUBSTEP_S**2 * np.eye(count) + _JERK_PENALTY * bends.T @ bends
+    return np.asarray(np.linalg.inv(normal) * SUBSTEP_S)

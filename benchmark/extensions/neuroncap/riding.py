@@ -1,0 +1,356 @@
+"""NeuroNCAP's engine as a ride: any scene of any split, with its own adversary as the target actor.
+
+A scene as it is is driven as the published code drives one without a scenario file: from its first frame, one primed
+step, its own actors. With scenarios, of ours or NeuroNCAP's own, it is driven once for each family. The planner's
+motion is what the engine reports; its command is the engine's.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from benchmark.closed_loop.recorded import recorded_motion
+from benchmark.closed_loop.riding import (
+    TICK_US,
+    Motion,
+    NeuroncapScore,
+    RecordedCan,
+    Ride,
+    Touch,
+    UndrivablePlanError,
+    require_room,
+)
+from benchmark.extensions.neuroncap.actors import Actor, Integers
+from benchmark.extensions.neuroncap.contact import box_of
+from benchmark.extensions.neuroncap.from_data import annotations_of, has_can_bus, recording_of
+from benchmark.extensions.neuroncap.loop import (
+    Engine,
+    State,
+    World,
+    begin,
+    command_of,
+    finished,
+    goes_on,
+    step,
+)
+from benchmark.extensions.neuroncap.own_scenarios import own_scenarios
+from benchmark.extensions.neuroncap.plan_path import SUBSTEP_US, UnusablePlanError
+from benchmark.extensions.neuroncap.poses import heading_of
+from benchmark.extensions.neuroncap.recording import Recording, actors_of
+from benchmark.extensions.neuroncap.scenarios import Scenario, official_scenarios
+from benchmark.extensions.neuroncap.score import reference_speed, score_of
+from benchmark.extensions.neuroncap.staging import Cast, staged
+from benchmark.extensions.neuroncap.switches import Switches
+from benchmark.geometry import Floats, transform_matrix
+from benchmark.interactions.tracks import Tracks
+from benchmark.pdm.motion import headed
+from benchmark.planning import Command, Plan
+from benchmark.scene import Scene
+
+_ACCELERATION, _RATE, _VELOCITY = slice(7, 10), slice(10, 13), slice(13, 16)
+"""Of a CAN row of the engine."""
+_FEWEST_TICKS: Final = 4
+RECORDED, OWN, OFFICIAL = "recorded", "own", "official"
+SCENARIOS: Final = (RECORDED, OWN, OFFICIAL)
+WITHOUT_SCENARIO: Final = Scenario()
+"""What the published code drives where there is no scenario file."""
+_COLUMNS: Final = [0, 1, 2, 3, 4, 6, 5]
+"""Of a car of the engine, in the order of a motion's ego."""
+
+
+@dataclass(frozen=True, slots=True)
+class NeuroncapRides:
+    """Makes rides of NeuroNCAP's engine.
+
+    Attributes:
+        switches: Readings.
+        scenarios: ``recorded``: scenes as they are; ``own`` or ``official``: with scenarios, by family.
+    """
+
+    switches: Switches
+    scenarios: str = RECORDED
+
+    @property
+    def draws(self) -> bool:
+        """Whether two runs can differ."""
+        return self.scenarios != RECORDED
+
+    def families(self, read: Callable[[], tuple[Scene, RecordedCan]]) -> tuple[str, ...]:
+        """Scenarios of a scene."""
+        if self.scenarios == RECORDED:
+            return ("",)
+        scene, can = read()
+        return tuple(scenarios_of(scene.name, recording_for(scene, can, self.switches), self.scenarios))
+
+    def after_together(self, rides: Sequence[Ride], plans: Sequence[Plan]) -> list[Ride | UndrivablePlanError]:
+        """Half a second of several rides, one after the other: this engine knows one car."""
+        return [_after(ride, plan) for ride, plan in zip(rides, plans, strict=True)]
+
+    def begin(self, scene: Scene, run: int, can: RecordedCan, family: str = "") -> "NeuroncapRide":
+        """The ride at its first planning instant.
+
+        Raises:
+            InputError: If the scene is too short to be driven and scored.
+        """
+        require_room(scene, _FEWEST_TICKS)
+        recording = recording_for(scene, can, self.switches)
+        scenario = WITHOUT_SCENARIO
+        if family:
+            recording = replace(recording, actors=tuple(replace(each, is_target=False) for each in recording.actors))
+            scenario = scenarios_of(scene.name, recording, self.scenarios)[family]
+        drawn = staged(scenario, run, recording.times, Cast.of(recording.actors), self.switches)
+        engine = Engine.of(
+            recording,
+            drawn,
+            priming_steps=scenario.priming_steps,
+            renderer_knows=frozenset(actor.uuid for actor in recording.actors),
+            switches=self.switches,
+        )
+        # A run that could not be scored at its end is refused before anybody plans.
+        reference_speed(recording, engine.start_frame, _target(engine), self.switches)
+        world = begin(engine)
+        frame, crowd = int(scene.keyframes[engine.start_frame]), Crowd.of(scene, engine)
+        return NeuroncapRide(scene, engine, world, crowd, crowd.around(recorded_motion(scene, frame, frame)))
+
+
+@dataclass(frozen=True, slots=True)
+class NeuroncapRide:
+    """See `benchmark.closed_loop.riding.Ride`.
+
+    Attributes:
+        scene: The scene.
+        engine: What does not change.
+        world: The run now.
+        crowd: Where the scene's agents are at any time.
+        motion: Everything so far.
+    """
+
+    scene: Scene
+    engine: Engine
+    world: World
+    crowd: "Crowd"
+    motion: Motion
+
+    @property
+    def start(self) -> int:
+        """Keyframe of the first planning instant."""
+        return self.engine.start_frame
+
+    @property
+    def primed(self) -> int:
+        """Planning instants at which the ego is the recorded one."""
+        return self.engine.priming_steps + 1
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether a plan is wanted."""
+        return goes_on(self.engine, self.world)
+
+    @property
+    def command(self) -> Command:
+        """The engine's own."""
+        return command_of(self.engine, self.world)
+
+    @property
+    def can(self) -> Floats:
+        """(9,) the engine's own row."""
+        row = np.asarray(self.world.state.canbus, np.float64)
+        return np.concatenate([row[_VELOCITY], row[_ACCELERATION], row[_RATE]])
+
+    @property
+    def adversary(self) -> None:
+        """Its actors never react."""
+        return
+
+    @property
+    def passed(self) -> tuple[Touch, ...]:
+        """Every contact ends a run."""
+        return ()
+
+    @property
+    def touch(self) -> Touch | None:
+        """The first contact."""
+        contact, car = self.world.contact, self.engine.car
+        if contact is None:
+            return None
+        agent = self.scene.agents.ids.index(contact.uuid)
+        moment = self.motion.at(contact.time_us)
+        pose = transform_matrix([np.cos(moment[2] / 2), 0.0, 0.0, np.sin(moment[2] / 2)], [*moment[:2], 0.0])
+        actor = self.engine.actors[contact.index]
+        width, length = actor.size[:2].tolist()
+        return Touch(
+            time_us=contact.time_us,
+            agent=agent,
+            ego=box_of(pose, car.length_m, car.width_m, car.box_ahead_m),
+            ego_speed=float(np.linalg.norm(contact.ego_velocity)),
+            other=box_of(actor.pose_at(contact.time_us), length, width),
+            other_velocity=contact.actor_velocity[:2],
+        )
+
+    def after(self, plan: Plan) -> "NeuroncapRide":
+        """Half a second later; raises `UndrivablePlanError`."""
+        waypoints = headed(plan, float(self.scene.lidar.translation[0]))[:, :2]
+        try:
+            world = step(self.engine, self.world, waypoints)
+        except UnusablePlanError as error:
+            raise UndrivablePlanError(str(error)) from error
+        if world.state is self.world.state:
+            return replace(self, world=world)
+        if world.last is None:
+            last = int(self.scene.keyframes[self.engine.start_frame + world.step])
+            later = self.crowd.around(recorded_motion(self.scene, last - self._frames_before(last) + 1, last))
+        else:
+            later = self.crowd.motion(*_driven(self.world.state, world))
+        return replace(self, world=world, motion=self.motion.then(later))
+
+    def _frames_before(self, frame: int) -> int:
+        """Frames since the last instant of the motion."""
+        return frame - int(np.searchsorted(self.scene.timestamps_us, self.motion.times_us[-1]))
+
+    def finished(self) -> "NeuroncapRide":
+        """The same with its last state checked."""
+        return replace(self, world=finished(self.engine, self.world))
+
+    def neuroncap_score(self) -> NeuroncapScore:
+        """The engine's score of a finished ride."""
+        found = score_of(self.engine, self.world)
+        score = None if np.isnan(found.score) else found.score
+        return NeuroncapScore(score, found.impact_speed, found.reference_speed)
+
+
+def scenarios_of(name: str, recording: Recording, which: str) -> dict[str, Scenario]:
+    """Scenarios of a scene by family.
+
+    Args:
+        name: Of the scene; the official ones are for scenes of nuScenes.
+        recording: The scene.
+        which: ``own`` or ``official``.
+
+    Returns:
+        None where it has none.
+    """
+    if which == OWN:
+        return own_scenarios(recording)
+    return {
+        each.family: each.scenario
+        for each in official_scenarios()
+        if each.evaluated and name == f"scene-{each.sequence}"
+    }
+
+
+def recording_for(scene: Scene, can: RecordedCan, switches: Switches) -> Recording:
+    """What the engine reads of a scene; the scene's first adversary is its target.
+
+    Args:
+        scene: The scene.
+        can: What the car measured, and where the files of it are.
+        switches: Which classes are kept.
+
+    Returns:
+        The recording: from the files of the CAN bus where there are any, else from what observations say.
+
+    Raises:
+        InputError: If the files are broken.
+    """
+    if can.root is not None and has_can_bus(scene.name, can.root):
+        recording = recording_of(scene, can.root, switches)
+    else:
+        recording = _observed(scene, can, switches)
+    target = scene.adversaries[0] if scene.adversaries else None
+    return replace(
+        recording, actors=tuple(replace(actor, is_target=actor.uuid == target) for actor in recording.actors)
+    )
+
+
+def _observed(scene: Scene, can: RecordedCan, switches: Switches) -> Recording:
+    """A recording without files of a CAN bus: motion is that of observations, derived from poses if need be."""
+    frames, rows = scene.keyframes, can.motion
+    times = scene.timestamps_us[frames]
+    position, rotation = scene.ego.position[frames], scene.ego.rotation[frames]
+    canbus = np.concatenate([position, rotation, rows[:, 3:6], rows[:, 6:9], rows[:, 0:3]], axis=1)
+    return Recording(
+        times=times,
+        poses=np.array([transform_matrix(turn, place) for turn, place in zip(rotation, position, strict=True)]),
+        canbus=canbus.astype(np.float32),
+        steering_wheel=can.steering_wheel_rad.astype(np.float32),
+        actors=actors_of(annotations_of(scene), times, switches),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Crowd:
+    """Where the scene's agents are: as the engine has them, and as recorded where it does not know them.
+
+    Attributes:
+        scene: The scene.
+        tracks: Everybody as recorded.
+        actors: The engine's, by agent.
+        gone: Agents that the recording has and the run has not.
+    """
+
+    scene: Scene
+    tracks: Tracks
+    actors: dict[int, Actor]
+    gone: tuple[int, ...]
+
+    @classmethod
+    def of(cls, scene: Scene, engine: Engine) -> "Crowd":
+        """The agents of a run."""
+        place = {name: number for number, name in enumerate(scene.agents.ids)}
+        there = {place[each.uuid]: each for each in engine.actors}
+        gone = (place[each.uuid] for each in engine.recording.actors)
+        return cls(scene, Tracks.of_scene(scene), there, tuple(agent for agent in gone if agent not in there))
+
+    def around(self, motion: Motion) -> Motion:
+        """A piece of the recorded ego's motion, with everybody else as they are in this run."""
+        return self.motion(motion.times_us, motion.ego)
+
+    def motion(self, times_us: Integers, ego: Floats) -> Motion:
+        """A piece of motion, whose last instant is a planning instant.
+
+        Args:
+            times_us: (F,) microseconds.
+            ego: (F, 7) the ego then.
+
+        Returns:
+            It, with everybody else.
+        """
+        seconds = (times_us - self.scene.timestamps_us[0]) * 1e-6
+        boxes, present = self.tracks.agents_at(seconds)
+        position = np.concatenate([boxes[..., :2], self._heights(seconds)[..., None]], axis=-1)
+        yaw = boxes[..., 4].copy()
+        present = present & (seconds <= self.tracks.seconds[-1])
+        present[list(self.gone)] = False
+        for agent, actor in self.actors.items():
+            for row, time_us in enumerate(times_us.tolist()):
+                present[agent, row] = actor.is_there(time_us)
+                pose = actor.pose_at(time_us)
+                position[agent, row], yaw[agent, row] = pose[:3, 3], heading_of(pose)
+        return Motion(times_us, ego, position, yaw, present, np.array([len(times_us) - 1]))
+
+    def _heights(self, seconds: Floats) -> Floats:
+        """(N, F) heights of box centres at times, those of the nearest frame."""
+        frame = np.clip(np.searchsorted(self.tracks.seconds, seconds), 0, len(self.tracks.seconds) - 1)
+        return np.asarray(self.scene.agents.position[:, frame, 2])
+
+
+def _driven(before: State, world: World) -> tuple[Integers, Floats]:
+    """The five sub-steps of a step: times and (5, 7) the ego."""
+    assert world.last is not None
+    states = world.last.states
+    times = before.time_us + SUBSTEP_US * np.arange(1, len(states) + 1)
+    assert int(times[-1]) == before.time_us + TICK_US
+    return times, states[:, _COLUMNS]
+
+
+def _after(ride: Ride, plan: Plan) -> Ride | UndrivablePlanError:
+    try:
+        return ride.after(plan)
+    except UndrivablePlanError as error:
+        return error
+
+
+def _target(engine: Engine) -> Actor | None:
+    return next((actor for actor in engine.actors if actor.is_target), None)

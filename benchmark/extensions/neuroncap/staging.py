@@ -1,0 +1,220 @@
+"""A scenario on stage: where a run starts, and what its actors do, from the run's index alone."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Final, Self
+
+import numpy as np
+
+from benchmark.errors import InputError
+from benchmark.extensions.neuroncap.actors import Actor, Integers
+from benchmark.extensions.neuroncap.draws import Draw, Draws
+from benchmark.extensions.neuroncap.poses import pose_between
+from benchmark.extensions.neuroncap.scenarios import STEP_S, Scenario, ScenarioActor
+from benchmark.extensions.neuroncap.switches import Switches
+from benchmark.geometry import Floats
+
+_UP: Final = np.array([0.0, 0.0, 1.0])
+_NO_TIME_S: Final = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Cast:
+    """Whom the renderer can show.
+
+    Attributes:
+        kinds: Class of each, by instance token.
+        sizes: (3,) width, length, height of each, metres, in single precision as renderers have them.
+        tracks: The renderer's own track of each that a scenario may ask for as ``optimized``.
+    """
+
+    kinds: Mapping[str, str]
+    sizes: Mapping[str, Floats]
+    tracks: Mapping[str, Actor]
+
+    @classmethod
+    def of(cls, actors: Iterable[Actor]) -> Self:
+        """A renderer that was made from a recording: it shows all its actors, in single precision like NeuRAD."""
+        tracks = {actor.uuid: _single(actor) for actor in actors}
+        kinds = {uuid: track.kind for uuid, track in tracks.items()}
+        return cls(kinds, {uuid: track.size for uuid, track in tracks.items()}, tracks)
+
+
+def _single(actor: Actor) -> Actor:
+    size, poses = (np.asarray(values.astype(np.float32), np.float64) for values in (actor.size, actor.poses))
+    return replace(actor, size=size, poses=poses)
+
+
+@dataclass(frozen=True, slots=True)
+class Staged:
+    """One run of a scenario.
+
+    Attributes:
+        start_frame: Frame at which it starts.
+        end_us: Time at which it ends.
+        actors: Of the scenario, in the order drawn.
+        draws: All draws, in order.
+        dim_scale: What sizes were multiplied by, or ``None``.
+        sizes: The renderer's sizes as the next run finds them.
+    """
+
+    start_frame: int
+    end_us: int
+    actors: tuple[Actor, ...]
+    draws: tuple[Draw, ...]
+    dim_scale: float | None
+    sizes: Mapping[str, Floats]
+
+
+def staged(
+    scenario: Scenario, run: int, times: Integers, cast: Cast, switches: Switches, *, jitter: bool = True
+) -> Staged:
+    """Set up one run.
+
+    Args:
+        scenario: What is drawn from.
+        run: Its index, which is the seed.
+        times: (F,) stamps of the recording's frames, microseconds.
+        cast: Whom the renderer can show.
+        switches: Readings.
+        jitter: Whether actors are moved and shuffled; who they are is drawn all the same, and so is the start.
+
+    Returns:
+        The run.
+
+    Raises:
+        InputError: If the recording is too short, or an actor is not in it.
+    """
+    draws, start = None, scenario.start_frame
+    if scenario.start_jitter:
+        draws = Draws(run)
+        start = max(0, start + draws.integers(-scenario.start_jitter, scenario.start_jitter + 1))
+    if start + scenario.priming_steps >= len(times) or scenario.start_frame >= len(times):
+        raise InputError(
+            f"a run from frame {start} with {scenario.priming_steps} primed steps needs more than the {len(times)} "
+            "frames of this recording"
+        )
+    end = int(times[start]) + int(scenario.duration_s * 1e6)
+    if not scenario.actors:
+        return Staged(start, end, (), tuple(draws.made if draws else ()), None, cast.sizes)
+    if draws is None or switches.start_jitter_stream == "code":
+        draws = draws.seeded_again(run) if draws else Draws(run)
+    scale = 1.0 + draws.uniform(scenario.dim_jitter) if scenario.dim_jitter and jitter else None
+    stage = _Stage(times, cast, _asked_seconds(scenario, start, times, switches), scale, jitter, switches)
+    order = draws.permutation(len(scenario.actors)) if jitter else range(len(scenario.actors))
+    actors, groups = [], set()
+    for index in order:
+        each = scenario.actors[index]
+        if each.exclusive_group is not None:
+            if each.exclusive_group in groups:
+                continue
+            groups.add(each.exclusive_group)
+        actors.append(_actor(each, draws, stage))
+    # The published code scales the renderer's sizes where they are, so that they grow from run to run.
+    scaled = {actor.uuid: actor.size for actor in actors} if scale and switches.dims_jitter == "code" else {}
+    own = {uuid for each in scenario.actors if each.size is not None for uuid in each.uuids}
+    kept = {uuid: size for uuid, size in scaled.items() if uuid not in own}
+    return Staged(start, end, tuple(actors), tuple(draws.made), scale, {**cast.sizes, **kept})
+
+
+@dataclass(frozen=True, slots=True)
+class _Stage:
+    """What all actors of a run share: frames, whom there is, when they have poses, and how they are drawn."""
+
+    times: Integers
+    cast: Cast
+    seconds: Floats
+    scale: float | None
+    jitter: bool
+    switches: Switches
+
+
+def _asked_seconds(scenario: Scenario, start: int, times: Integers, switches: Switches) -> Floats:
+    """Seconds since the first frame at which actors have poses."""
+    if switches.time_step_of_actors == "code":
+        since_start = np.linspace(0.0, scenario.duration_s, int(2 * scenario.duration_s))
+    else:
+        since_start = STEP_S * np.arange(int(scenario.duration_s / STEP_S) + 1)
+    first = scenario.start_frame if switches.actor_window == "code" else start
+    return np.asarray(since_start + (int(times[first]) - int(times[0])) / 1e6)
+
+
+def _actor(actor: ScenarioActor, draws: Draws, stage: _Stage) -> Actor:
+    uuid, cast = actor.uuids[draws.choice(len(actor.uuids)) if actor.drawn else 0], stage.cast
+    if uuid not in cast.kinds or uuid not in cast.sizes:
+        raise InputError(f"the scenario asks for {uuid}, which is no instance of this recording")
+    size = np.asarray(cast.sizes[uuid] if actor.size is None else actor.size, np.float64)
+    if stage.scale is not None:
+        size = np.asarray(size.astype(np.float32) * np.float32(stage.scale), np.float64)
+    if actor.mode == "optimized":
+        if uuid not in cast.tracks:
+            raise InputError(f"the scenario asks for the renderer's own track of {uuid}, and there is none")
+        poses = _recorded_poses(cast.tracks[uuid], stage.seconds, int(stage.times[0]))
+    else:
+        poses = _own_poses(actor, uuid, float(size[2]), draws, stage)
+    # Truncated, so that stamps end in ...599999.
+    stamps = np.trunc(stage.seconds * 1e6).astype(np.int64) + int(stage.times[0])
+    return Actor(uuid, cast.kinds[uuid], size, stamps, poses, actor.is_target)
+
+
+def _own_poses(actor: ScenarioActor, uuid: str, height: float, draws: Draws, stage: _Stage) -> Floats:
+    """(T, 4, 4) poses of the scenario's own track, moved as drawn; the order of the draws is the official one."""
+    assert actor.times is not None and actor.positions is not None
+    positions, times, yaw = actor.positions.copy(), actor.times, actor.initial_yaw
+    jitter = actor.jitter if stage.jitter else None
+    if jitter is not None:
+        draw = draws.uniform if jitter.uniform else draws.normal
+        if jitter.angle is not None:
+            cos, sin = np.cos(jitter.angle), np.sin(jitter.angle)
+            if jitter.longitudinal is not None:
+                positions[:, :2] += draw(jitter.longitudinal) * np.array([cos, sin])
+            if jitter.lateral is not None:
+                positions[:, :2] += draw(jitter.lateral) * np.array([sin, -cos])
+        if jitter.yaw is not None:
+            yaw += draw(jitter.yaw)
+        if jitter.times is not None and stage.switches.jitter_times == "paper":
+            moved = [draw(limit) if limit else 0.0 for limit in jitter.times[: len(times)]]
+            times = times + np.pad(moved, (0, len(times) - len(moved)))
+    if uuid in actor.flipped:
+        yaw += np.pi
+    positions[:, 2] += 0.5 * height
+    return _poses_along(_along(times, positions, stage.seconds), yaw)
+
+
+def _along(times: Floats, positions: Floats, seconds: Floats) -> Floats:
+    """(T, 3) piecewise linear positions that go on beyond the ends as they came."""
+    piece = np.clip(np.searchsorted(times, seconds) - 1, 0, len(times) - 2)
+    slope = (positions[piece + 1] - positions[piece]) / (times[piece + 1] - times[piece])[:, None]
+    return np.asarray(positions[piece] + (seconds - times[piece])[:, None] * slope)
+
+
+def _poses_along(positions: Floats, yaw: float) -> Floats:
+    """(T, 4, 4) poses that look along their next step, the last as the one before; with a heading where they stand."""
+    poses = np.tile(np.eye(4), (len(positions), 1, 1))
+    poses[:, :3, 3] = positions
+    steps = np.diff(positions, axis=0)
+    for index, step in enumerate(steps):
+        poses[index, :3, :3] = _looking_along(step, yaw)
+    if len(poses) > 1:
+        poses[-1, :3, :3] = poses[-2, :3, :3]
+    return poses
+
+
+def _looking_along(step: Floats, yaw: float) -> Floats:
+    length = float(np.linalg.norm(step))
+    forward = step / length if length > 0 else _UP
+    left = np.cross(_UP, forward)
+    if not np.linalg.norm(left) > 0:
+        return np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+    left = left / np.linalg.norm(left)
+    return np.column_stack([forward, left, np.cross(forward, left)])
+
+
+def _recorded_poses(track: Actor, seconds: Floats, first_us: int) -> Floats:
+    """(T, 4, 4) the renderer's own track; beyond its ends the nearest pose stays."""
+    known = (track.times - first_us) / 1e6
+    right = np.searchsorted(known, seconds)
+    left, right = np.clip(right - 1, 0, len(known) - 1), np.clip(right, 0, len(known) - 1)
+    fraction = (seconds - known[left]) / (known[right] - known[left] + _NO_TIME_S)
+    fraction = np.where(left == right, 0.0, fraction)
+    return np.array([pose_between(track.poses[a], track.poses[b], float(f)) for a, b, f in zip(left, right, fraction)])

@@ -1,0 +1,198 @@
+"""NeuroNCAP's car: half a second of a plan in five sub-steps of tracker and kinematic bicycle.
+
+Explicit Euler without lags. The published code mixes single and double precision; switch ``float32`` repeats where it
+rounds, which costs 1e-4 m at map coordinates. Functions of angles are rounded from double precision: single ones differ
+in their last digit from one numerical library to the next.
+"""
+
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from benchmark.extensions.neuroncap.car import Car
+from benchmark.extensions.neuroncap.plan_path import (
+    SUBSTEP_S,
+    SUBSTEP_US,
+    PlanPath,
+    means_stopping,
+    path_of,
+    usable_waypoints,
+)
+from benchmark.extensions.neuroncap.switches import Switches
+from benchmark.extensions.neuroncap.tracker import LARGEST_ACCELERATION, STOPPING_GAIN, Tracked, asked_for
+from benchmark.geometry import Floats, quaternion_from_yaw, transform_matrix, wrap_angle
+
+SUBSTEPS: Final = 5
+STEP_US: Final = SUBSTEPS * SUBSTEP_US
+_STEERING_RATIO: Final = 16.0
+"""Of the steering wheel to the wheels."""
+_LARGEST_STEERING_RAD: Final = np.pi / 3
+_GRAVITY: Final = 9.8
+_ACCELERATION_X, _YAW_RATE, _VELOCITY_X = 7, 12, 13
+"""Columns of a CAN row."""
+_single = np.float32
+
+
+@dataclass(frozen=True, slots=True)
+class Vehicle:
+    """State of the car; values that the published code has in single precision are such numbers here.
+
+    Attributes:
+        x: Rear axle, global, metres.
+        y: The same.
+        heading: Radians.
+        speed: m/s, may become negative.
+        acceleration: m/s^2.
+        steering: Angle of the wheels, radians.
+        yaw_rate: rad/s.
+        yaw_acceleration: rad/s^2.
+        steering_rate: rad/s.
+        fresh: Whether it has not moved yet: its pose is still in single precision.
+    """
+
+    x: float
+    y: float
+    heading: float
+    speed: float
+    acceleration: float
+    steering: float
+    yaw_rate: float
+    yaw_acceleration: float = 0.0
+    steering_rate: float = 0.0
+    fresh: bool = True
+
+    @classmethod
+    def start(cls, pose: Floats, canbus: NDArray[np.float32], steering_wheel_rad: float, switches: Switches) -> Self:
+        """The car as it is when it begins to drive itself.
+
+        Args:
+            pose: (4, 4) rear axle to global.
+            canbus: (16,) row of the state.
+            steering_wheel_rad: Angle of the steering wheel.
+            switches: Whether the pose is rounded to single precision.
+
+        Returns:
+            The car.
+        """
+        rounded = switches.float32 == "code"
+        at = np.asarray(np.asarray(pose, _single) if rounded else pose, np.float64)
+        heading = float(np.arctan2(at[1, 0], at[0, 0]))
+        return cls(
+            x=float(at[0, 3]),
+            y=float(at[1, 3]),
+            heading=float(_single(heading)) if rounded else heading,
+            speed=float(canbus[_VELOCITY_X]),
+            acceleration=float(canbus[_ACCELERATION_X]),
+            steering=float(steering_wheel_rad) / _STEERING_RATIO,
+            yaw_rate=float(canbus[_YAW_RATE]),
+        )
+
+    @property
+    def columns(self) -> tuple[float, ...]:
+        """x, y, heading, speed, acceleration, steering angle, yaw rate, yaw acceleration, steering rate."""
+        moved = (self.x, self.y, self.heading, self.speed, self.acceleration, self.steering)
+        return (*moved, self.yaw_rate, self.yaw_acceleration, self.steering_rate)
+
+    @property
+    def pose(self) -> Floats:
+        """(4, 4) rear axle to global; flat on the ground at height 0."""
+        return transform_matrix(quaternion_from_yaw(np.array(self.heading)), [self.x, self.y, 0.0])
+
+    def canbus(self, car: Car, switches: Switches) -> NDArray[np.float32]:
+        """(16,) row as the engine reports it: position, rotation w x y z, acceleration, rotation rate, velocity."""
+        turn, change, ahead = self.yaw_rate, self.yaw_acceleration, car.centre_ahead_m
+        if switches.can_acceleration == "code":
+            along, across = self.acceleration + ahead * (turn**2 + change), 0.0
+        else:
+            along, across = self.acceleration - ahead * turn**2, ahead * change
+        rotation = quaternion_from_yaw(np.array(self.heading)).tolist()
+        velocity = (self.speed, ahead * turn, 0.0)
+        return np.array([self.x, self.y, 0.0, *rotation, along, across, _GRAVITY, 0.0, 0.0, turn, *velocity], _single)
+
+
+@dataclass(frozen=True, slots=True)
+class DrivenStep:
+    """Half a second of driving.
+
+    Attributes:
+        vehicle: The car at its end.
+        states: (5, 9) `Vehicle.columns` after each sub-step.
+        commands: (5, 2) acceleration after the limit and steering rate.
+        unlimited: (5, 2) the same before the limit.
+    """
+
+    vehicle: Vehicle
+    states: Floats
+    commands: Floats
+    unlimited: Floats
+
+
+def driven(vehicle: Vehicle, plan: ArrayLike, time_us: int, car: Car, switches: Switches) -> DrivenStep:
+    """Follow a plan for half a second.
+
+    Args:
+        vehicle: The car now.
+        plan: (1 to 6, 2) x forward and y left of the rear axle now, metres, 0.5 s apart.
+        time_us: Time now.
+        car: Its numbers.
+        switches: Readings.
+
+    Returns:
+        The motion.
+
+    Raises:
+        UnusablePlanError: If the plan has no numbers to drive by.
+    """
+    waypoints = usable_waypoints(plan, switches)
+    stopping, reinserted = means_stopping(waypoints), switches.reinsertion == "code"
+    path: PlanPath | None = None
+    origin, states, commands, unlimited = vehicle, [], [], []
+    for number in range(SUBSTEPS):
+        now_us = time_us + number * SUBSTEP_US
+        if stopping:
+            asked = -STOPPING_GAIN * vehicle.speed, 0.0
+        else:
+            if path is None or reinserted:
+                path = path_of(waypoints, time_us, now_us)
+            pose = np.zeros(3) if reinserted else _seen_from(origin, vehicle)
+            seen = Tracked(pose, vehicle.speed, vehicle.steering, car.wheelbase_m)
+            asked = asked_for(path, now_us, seen, clip_first=switches.acceleration_clip == "paper")
+        limited = float(np.clip(asked[0], -LARGEST_ACCELERATION, LARGEST_ACCELERATION))
+        vehicle = _moved(vehicle, limited, asked[1], car, rounded=switches.float32 == "code")
+        states.append(vehicle.columns)
+        commands.append((limited, asked[1]))
+        unlimited.append(asked)
+    return DrivenStep(vehicle, np.array(states), np.array(commands), np.array(unlimited))
+
+
+def _seen_from(origin: Vehicle, vehicle: Vehicle) -> Floats:
+    """(3,) pose of a car in the frame of another."""
+    dx, dy = vehicle.x - origin.x, vehicle.y - origin.y
+    cos, sin = np.cos(origin.heading), np.sin(origin.heading)
+    turned = float(wrap_angle(np.array(vehicle.heading - origin.heading)))
+    return np.array([dx * cos + dy * sin, dy * cos - dx * sin, turned])
+
+
+def _moved(now: Vehicle, acceleration: float, steering_rate: float, car: Car, *, rounded: bool) -> Vehicle:
+    """One explicit step of the bicycle; all that it reads is of before the step."""
+    turned = SUBSTEP_S * now.speed * np.tan(now.steering) / car.wheelbase_m
+    if rounded and now.fresh:
+        # The first sub-step is in single precision: its grid is 1.2e-4 m wide at coordinates over 1024.
+        forward = _single(SUBSTEP_S) * _single(now.speed)
+        x = float(_single(now.x) + forward * _single(np.cos(now.heading)))
+        y = float(_single(now.y) + forward * _single(np.sin(now.heading)))
+        new_heading = float(_single(wrap_angle(np.array(now.heading + turned))))
+    else:
+        x = now.x + SUBSTEP_S * now.speed * float(np.cos(now.heading))
+        y = now.y + SUBSTEP_S * now.speed * float(np.sin(now.heading))
+        new_heading = float(wrap_angle(np.array(now.heading + turned)))
+    speed = now.speed + SUBSTEP_S * acceleration
+    if rounded:
+        acceleration = float((_single(acceleration) - _single(now.acceleration)) + _single(now.acceleration))
+        speed = float(_single(now.speed) + _single(SUBSTEP_S) * _single(acceleration))
+    steering = float(np.clip(now.steering + SUBSTEP_S * steering_rate, -_LARGEST_STEERING_RAD, _LARGEST_STEERING_RAD))
+    yaw_rate = float(speed * np.tan(steering) / car.wheelbase_m)
+    change = (yaw_rate - now.yaw_rate) / SUBSTEP_S
+    return Vehicle(x, y, new_heading, speed, acceleration, steering, yaw_rate, change, steering_rate, fresh=False)

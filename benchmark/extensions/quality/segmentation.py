@@ -1,0 +1,134 @@
+"""SAM 2 from transformers: a subject is followed through one camera's video, from a box around it.
+
+The library's own preparation of images needs torchvision, so that it stands here: resize to the network's square,
+ImageNet's mean and deviation, boxes scaled alike.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from benchmark.extensions.quality.pretrained import load_pretrained
+from benchmark.geometry import Bools
+
+Box = tuple[float, float, float, float]
+"""Left, top, right, bottom, pixels."""
+_MEAN: Final = (0.485, 0.456, 0.406)
+_DEVIATION: Final = (0.229, 0.224, 0.225)
+_BOX_CORNERS: Final = (2, 3)
+"""What SAM 2 calls the upper left and the lower right corner of a box among its points."""
+_KEPT_FEATURES: Final = 64
+"""Frames whose image features are kept for the other subjects of a video."""
+
+
+class Segmenter:
+    """SAM 2 with its weights.
+
+    Args:
+        folder: Weights of ``facebook/sam2.1-hiera-large``, or another size of SAM 2 for video.
+        device: Where it runs.
+    """
+
+    def __init__(self, folder: Path, device: torch.device) -> None:
+        self.network: Any = load_pretrained("Sam2VideoModel", folder, device)
+        self.device = device
+
+    @property
+    def side_px(self) -> int:
+        """Side of the square that frames are brought to."""
+        side = self.network.config.prompt_encoder_config.image_size
+        return int(side if isinstance(side, int) else side[0])
+
+    def open(self, frames: Sequence[NDArray[np.uint8]]) -> "VideoSegments":
+        """Prepare a video.
+
+        Args:
+            frames: (height, width, 3) RGB each, all of one size.
+
+        Returns:
+            The video, in which subjects can be followed.
+        """
+        return VideoSegments(self, frames)
+
+
+class VideoSegments:
+    """One video. Subjects are followed one at a time: what one is does not depend on which others there are.
+
+    Args:
+        segmenter: The network.
+        frames: (height, width, 3) RGB each, all of one size.
+    """
+
+    def __init__(self, segmenter: Segmenter, frames: Sequence[NDArray[np.uint8]]) -> None:
+        from transformers.models.sam2_video.modeling_sam2_video import Sam2VideoInferenceSession
+
+        self._segmenter = segmenter
+        self._height, self._width = frames[0].shape[:2]
+        video = torch.stack([prepared_frame(frame, segmenter.side_px) for frame in frames])
+        self._session: Any = Sam2VideoInferenceSession(
+            video=video,
+            video_height=self._height,
+            video_width=self._width,
+            inference_device=segmenter.device,
+            inference_state_device=segmenter.device,
+            video_storage_device="cpu",
+            dtype=torch.float32,
+            max_vision_features_cache_size=_KEPT_FEATURES,
+        )
+
+    def begin(self, frame: int, box: Box) -> Bools:
+        """Forget the last subject and begin with another one.
+
+        Args:
+            frame: Where it is seen.
+            box: Around it.
+
+        Returns:
+            (height, width) its mask there.
+        """
+        session, side = self._session, self._segmenter.side_px
+        session.reset_tracking_data()
+        scale = torch.tensor([side / self._width, side / self._height])
+        corners = torch.tensor(box, dtype=torch.float32).reshape(1, 1, 2, 2) * scale
+        labels = torch.tensor(_BOX_CORNERS, dtype=torch.int32).reshape(1, 1, 2)
+        subject = session.obj_id_to_idx(1)
+        session.add_point_inputs(subject, frame, {"point_coords": corners, "point_labels": labels})
+        session.obj_with_new_inputs = [1]
+        return self.follow(frame)
+
+    @torch.inference_mode()
+    def follow(self, frame: int) -> Bools:
+        """The subject's mask in a frame; frames are asked for one after the other.
+
+        Args:
+            frame: The frame after the last one.
+
+        Returns:
+            (height, width), empty where the network does not see the subject.
+        """
+        logits: Tensor = self._segmenter.network(self._session, frame_idx=frame).pred_masks
+        size = (self._height, self._width)
+        whole = functional.interpolate(logits.float().reshape(1, 1, *logits.shape[-2:]), size, mode="bilinear")
+        return np.asarray((whole[0, 0] > 0).cpu())
+
+
+def prepared_frame(frame: NDArray[np.uint8], side_px: int) -> Tensor:
+    """A frame as SAM 2 wants it.
+
+    Args:
+        frame: (height, width, 3) RGB.
+        side_px: Side of the network's square; proportions are not kept.
+
+    Returns:
+        (3, side, side).
+    """
+    pixels = torch.tensor(frame, dtype=torch.float32).permute(2, 0, 1)[None]
+    resized = functional.interpolate(pixels, (side_px, side_px), mode="bilinear", antialias=True)[0].round()
+    mean, deviation = (torch.tensor(values)[:, None, None] for values in (_MEAN, _DEVIATION))
+    return (resized / 255 - mean) / deviation

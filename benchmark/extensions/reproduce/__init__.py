@@ -1,0 +1,1 @@
+"""Official weights beside their published numbers."""

@@ -1,0 +1,183 @@
+"""What an inspector is shown of each scene, and what they say of it."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from benchmark.datasets.reviewed import record_verdicts, scene_tokens
+from benchmark.datasets.roots import DataSet
+from benchmark.errors import InputError
+from benchmark.machine.storage import content_seed
+from benchmark.records.review import checked_verdict, read_review
+from benchmark.records.scenes import SheetCamera
+from benchmark.report.birdseye import SceneFromAbove
+from benchmark.report.canvas import png
+from benchmark.scene import Scene
+from benchmark.scene_pages.making import sheet_to_draw
+from benchmark.scene_pages.pictures import PicturedFrame, adversary_edges, layout, mosaic, pictured_frames, with_files
+
+_ABOVE_PX: Final = 460
+_EXTENT_M: Final = 30.0
+_CELL_WIDTH_PX: Final = 480
+_KEPT: Final = 3
+"""Scenes that are held: the one that is looked at, the one before, and the next."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """One scene made ready to be drawn."""
+
+    scene: Scene
+    above: SceneFromAbove
+    frames: tuple[PicturedFrame, ...]
+    cells: tuple[SheetCamera, ...]
+
+
+def drawn_for_inspection(names: Sequence[str], count: int | None, seed: int) -> tuple[str, ...]:
+    """Some of the scenes, drawn by seed as the paper's random subset; in their order.
+
+    Args:
+        names: All of them.
+        count: How many; ``None`` for all.
+        seed: Of the draw.
+
+    Returns:
+        The names.
+    """
+    if count is None or count >= len(names):
+        return tuple(names)
+    drawn = set(sorted(names, key=lambda name: content_seed("inspection", name, seed))[:count])
+    return tuple(name for name in names if name in drawn)
+
+
+class Inspection:
+    """The scenes of one sitting, their pictures and their verdicts; may be asked from several threads."""
+
+    def __init__(self, data: DataSet, names: Sequence[str], inspector: str = "") -> None:
+        """Look up what there is already.
+
+        Args:
+            data: The data set, beside whose root verdicts are recorded.
+            names: Scenes to look at, in this order.
+            inspector: Who looks, if they want to be named.
+
+        Raises:
+            InputError: If the file of verdicts is damaged.
+        """
+        self.data, self.names, self.inspector = data, tuple(names), inspector
+        self._tokens = scene_tokens(data.root, data.version)
+        self._shown: OrderedDict[str, _Shown] = OrderedDict()
+        self._lock = threading.Lock()
+        self._facts = data.scene_facts(self.names)
+        read_review(data.root)
+
+    def state(self) -> dict[str, Any]:
+        """All scenes with the verdicts that stand, as JSON values."""
+        verdicts = read_review(self.data.root)
+        rows = []
+        for name in self.names:
+            said = verdicts.get(name)
+            stands = said is not None and said.token == self._tokens[name]
+            rows.append(
+                {
+                    "name": name,
+                    "verdict": said.verdict if said is not None and stands else None,
+                    "reason": said.reason if said is not None and stands else "",
+                    "source": self._facts[name].source,
+                    "manoeuvre": self._facts[name].manoeuvre,
+                }
+            )
+        return {"data": self.data.name, "root": str(self.data.root), "inspector": self.inspector, "scenes": rows}
+
+    def describe(self, index: int) -> dict[str, Any]:
+        """One scene: when its pictures were taken, and where adversaries are in them.
+
+        Raises:
+            InputError: If there is no such scene, or it is broken.
+        """
+        with self._lock:
+            shown = self._ready(index)
+            start_us = int(shown.scene.timestamps_us[0])
+            times = [(int(shown.scene.timestamps_us[each.frame]) - start_us) / 1e6 for each in shown.frames]
+            edges = [adversary_edges(shown.scene, shown.cells, each.views) for each in shown.frames]
+        return {
+            "name": self.names[index],
+            "description": shown.scene.description,
+            "seconds": times,
+            "width": max((cell.left + cell.width for cell in shown.cells), default=0),
+            "height": max((cell.top + cell.height for cell in shown.cells), default=0),
+            "cameras": [cell.model_dump(mode="json") for cell in shown.cells],
+            "edges": [[segment for of_camera in each.values() for segment in of_camera] for each in edges],
+            "adversaries": len(shown.scene.adversaries),
+        }
+
+    def cameras(self, index: int, place: int) -> bytes:
+        """All cameras at one sample, as WebP.
+
+        Raises:
+            InputError: If there is no such scene or sample, or an image is broken.
+        """
+        with self._lock:
+            shown = self._ready(index)
+            if not shown.cells:
+                raise InputError(f"scene {self.names[index]} has no images")
+            return mosaic(shown.cells, self._frame(shown, place).views)
+
+    def above(self, index: int, place: int) -> bytes:
+        """The scene from above at one sample, as PNG.
+
+        Raises:
+            InputError: If there is no such scene or sample, or it is broken.
+        """
+        with self._lock:
+            shown = self._ready(index)
+            frame = self._frame(shown, place).frame
+            picture, _ = shown.above.draw(frame, width_px=_ABOVE_PX, height_px=_ABOVE_PX, extent_m=_EXTENT_M)
+            return png(picture)
+
+    def record(self, index: int, verdict: Any, reason: Any) -> None:
+        """Record what the inspector says of a scene.
+
+        Args:
+            index: Of the scene.
+            verdict: ``accepted``, ``rejected``, or ``None`` to take back what was said.
+            reason: Why, one line.
+
+        Raises:
+            InputError: If there is no such scene, the verdict is none, a rejection has no reason, or it cannot be
+                written.
+        """
+        name = self._name(index)
+        said = None
+        if verdict is not None:
+            stored = {"verdict": verdict, "reason": reason, "inspector": self.inspector, "token": self._tokens[name]}
+            said = checked_verdict(stored, f"the verdict on {name}")
+        with self._lock:
+            record_verdicts(self.data.root, {name: said})
+
+    def _name(self, index: int) -> str:
+        if not 0 <= index < len(self.names):
+            raise InputError(f"there is no scene number {index}; there are {len(self.names)}")
+        return self.names[index]
+
+    def _frame(self, shown: _Shown, place: int) -> PicturedFrame:
+        if not 0 <= place < len(shown.frames):
+            raise InputError(f"scene {shown.scene.name} has no picture number {place}")
+        return shown.frames[place]
+
+    def _ready(self, index: int) -> _Shown:
+        name = self._name(index)
+        if name in self._shown:
+            self._shown.move_to_end(name)
+            return self._shown[name]
+        scene = self.data.scene(name)
+        videos = with_files(name, self.data.videos(name, sweeps=False))
+        frames = pictured_frames(scene, videos, {}) if videos else ()
+        cells = layout({camera: views[0].camera for camera, views in videos.items()}, _CELL_WIDTH_PX)
+        unseen = tuple(PicturedFrame(int(frame), {}) for frame in scene.keyframes)
+        self._shown[name] = _Shown(scene, SceneFromAbove(sheet_to_draw(scene)), frames or unseen, cells)
+        if len(self._shown) > _KEPT:
+            self._shown.popitem(last=False)
+        return self._shown[name]

@@ -1,0 +1,237 @@
+"""What the plans of a submitted record give, computed anew, against what the record says, field by field."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+from pydantic import BaseModel
+
+from benchmark.closed_loop.engines import rides_as
+from benchmark.closed_loop.scoring import VERSION as DRIVE_SCORING
+from benchmark.datasets.annotation_counts import AnnotationCount
+from benchmark.datasets.scene_facts import with_truth
+from benchmark.errors import InputError
+from benchmark.extensions.submissions.findings import Level, Said
+from benchmark.pdm.definition import DEFINITION, VERSION
+from benchmark.protocols import PROTOCOLS
+from benchmark.protocols.touched import ADVERSARY_S, HIT_ADVERSARY, TOUCHED, TOUCHED_ADVERSARY
+from benchmark.records.drives import DriveRecord, columns_of
+from benchmark.records.drives import summarise as summarise_drives
+from benchmark.records.row_schema import DrivingRow, OutcomeRow, SampleRow
+from benchmark.records.run import RunRecord, summarise
+from benchmark.records.run_schema import Summary, TruthFacts
+from benchmark.report.words import counted
+from benchmark.runs.drive_rows import with_labels
+from benchmark.runs.reading import SceneReading, truths_of
+from benchmark.runs.redriving import driven_again
+from benchmark.runs.rescoring import require_same_data, rows_judged_anew
+from benchmark.runs.vocabulary import unjudged
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
+SAME_M_S: Final = 0.01
+"""Speeds that are this close are the same: processors differ in the last bits of a fit."""
+_LATER: Final = frozenset(
+    {
+        "recorded_adversary",
+        "recorded",
+        "before_mask",
+        "left_out",
+        TOUCHED,
+        TOUCHED_ADVERSARY,
+        HIT_ADVERSARY,
+        ADVERSARY_S,
+    }
+)
+"""Columns and facts of verdicts that records of the same protocol version need not have yet."""
+_LATER_COUNTS: Final = frozenset({"mask_removed_steps", "mask_removed_for_adversary"})
+"""Counts of a summary that may be null in older records."""
+_UNSAID: Final = frozenset({"columns", "value"})
+"""Fields that nobody who reads a table has heard of."""
+_RESCORE: Final = "run challenger-bench rescore"
+
+
+def protocols_of(record: RunRecord) -> Iterator[Said]:
+    """Whether a run was judged by everybody who judges every run, in this version of them.
+
+    Args:
+        record: The record.
+
+    Yields:
+        Findings.
+    """
+    unknown = sorted(set(record.run.protocols) - set(PROTOCOLS))
+    if unknown:
+        yield Level.ERROR, f"is judged by {', '.join(unknown)}, which this version does not know; {_RESCORE}"
+    if record.stale_protocols:
+        yield Level.ERROR, f"is judged by other versions of {', '.join(record.stale_protocols)}; {_RESCORE}"
+    if record.missing_protocols:
+        yield Level.ERROR, f"is not judged by {', '.join(record.missing_protocols)}; {_RESCORE}"
+    if record.summary.driving is not None and record.summary.driving.version != VERSION:
+        yield Level.ERROR, f"is judged by another version of {DEFINITION}; {_RESCORE}"
+
+
+def run_anew(record: RunRecord, data: "DataSet") -> Iterator[Said]:
+    """Whether the data set and the plans give what a run record says.
+
+    Args:
+        record: The record, of scenes that the data set has.
+        data: The data set.
+
+    Yields:
+        Findings.
+
+    Raises:
+        InputError: If the data set is another one, or the rows are not of its samples.
+    """
+    run = record.run
+    require_same_data(record.directory, run, data)
+    if mixed := next((row for row in record.rows if (row.status == "ok") != (row.plan is not None)), None):
+        yield Level.ERROR, f"says {mixed.status!r} of sample {mixed.sample_token} of {mixed.scene} against its own plan"
+        return
+    names = tuple(name for name in run.protocols if name in PROTOCOLS and name not in record.stale_protocols)
+    anew: list[SampleRow] = []
+    truths: dict[str, TruthFacts] = {}
+    counts = AnnotationCount.together(list(data.annotation_counts(run.scenes).values()))
+    for scene in run.scenes:
+        reading = SceneReading(data, scene)
+        anew += rows_judged_anew(record, reading, names, unjudged(counts, names))
+        truths[scene] = reading.truth_facts
+    if len(anew) != len(record.rows):
+        yield Level.ERROR, f"has {counted(len(record.rows), 'sample')}, its scenes have {len(anew)}; run eval again"
+        return
+    different = [row for row, computed in zip(record.rows, anew) if not _says_the_same(row, computed, names)]
+    if different:
+        first = different[0]
+        yield (
+            Level.ERROR,
+            f"says other verdicts than its plans have on {len(different)} of {counted(len(anew), 'sample')}, first on "
+            f"sample {first.sample_token} of {first.scene}; {_RESCORE}",
+        )
+    scored = [row for row, computed in zip(record.rows, anew) if not _drives_the_same(row.driving, computed.driving)]
+    if scored and _driving_is_of_now(record.summary):
+        yield (
+            Level.ERROR,
+            f"claims other driving scores than its plans give, first on sample {scored[0].sample_token} of "
+            f"{scored[0].scene}; {_RESCORE}",
+        )
+    for scene, facts in run.scene_facts.items():
+        if facts.truth is not None and facts.truth != truths[scene]:
+            yield Level.ERROR, f"says of the truth of {scene} what the data set does not hold; {_RESCORE}"
+            return
+    versions, facts_here = (
+        {name: run.protocols[name] for name in names},
+        with_truth(data.scene_facts(run.scenes), truths),
+    )
+    yield from _summary_anew(record.summary, summarise(anew, versions, seed=run.seed, scene_facts=facts_here), names)
+
+
+def drives_anew(record: DriveRecord, data: "DataSet") -> Iterator[Said]:
+    """Whether the stored plans drive, score and sum up to what a record of drives says.
+
+    Args:
+        record: The record, of scenes that the data set has.
+        data: The data set.
+
+    Yields:
+        Findings.
+
+    Raises:
+        InputError: If the data set is another one, or the plans lead elsewhere than the record says.
+    """
+    facts, measured = record.facts, record.facts.measured
+    if facts.data.fingerprint != data.fingerprint():
+        raise InputError(f"was driven on other content of {facts.data.name} than {data.root} holds; run drive again")
+    if facts.scoring != DRIVE_SCORING:
+        yield (
+            Level.ERROR,
+            f"is scored by version {facts.scoring}, this one is {DRIVE_SCORING}; run the same drive again",
+        )
+        return
+    driven = {(row.scene, row.family, row.run) for row in record.rows}
+    if len(driven) != len(record.rows) or {row.scene for row in record.rows} != set(facts.scenes):
+        yield Level.ERROR, "has a drive twice, or scenes without one; run the same drive again"
+        return
+    maker = rides_as(measured)
+    truths = truths_of(data, facts.scenes)
+    for row in record.rows:
+        if [row] != with_labels([driven_again(maker, data.scene(row.scene), data, row)], truths):
+            yield Level.ERROR, f"claims other scores than its plans give on {row.scene}, run {row.run}; drive again"
+            return
+    found = summarise_drives(record.rows, facts.scene_facts, seed=facts.seed)
+    claimed = record.summary.model_copy(update={"columns": columns_of(record)})
+    if said := _first_difference(claimed, found):
+        yield Level.ERROR, f"claims {said} in its summary; run the same drive again"
+
+
+def _says_the_same(row: SampleRow, computed: SampleRow, protocols: Sequence[str]) -> bool:
+    judged = {"outcomes", "disagreements", "driving", "place", "speed_m_s"}
+    return (
+        row.model_dump(exclude=judged) == computed.model_dump(exclude=judged)
+        and _same_circumstances(row, computed)
+        and all(_same_verdict(row.outcomes.get(name), computed.outcomes.get(name)) for name in protocols)
+        and all(row.disagreements.get(name) == computed.disagreements.get(name) for name in protocols)
+    )
+
+
+def _same_circumstances(said: SampleRow, computed: SampleRow) -> bool:
+    """Whether a row says the place and speed that the data have; an older one says neither."""
+    if said.speed_m_s is None or computed.speed_m_s is None:
+        return said.place is None or said.place == computed.place
+    return said.place == computed.place and abs(said.speed_m_s - computed.speed_m_s) <= SAME_M_S
+
+
+def _same_verdict(said: OutcomeRow | None, computed: OutcomeRow | None) -> bool:
+    """Whether two verdicts are equal; a record that was written before a column was kept cannot have it."""
+    if said is None or computed is None:
+        return said is computed
+    steps = {name: column for name, column in computed.steps.items() if name in said.steps or name not in _LATER}
+    facts = {name: fact for name, fact in computed.facts.items() if name in said.facts or name not in _LATER}
+    return said == computed.model_copy(update={"steps": steps, "facts": facts})
+
+
+def _drives_the_same(said: DrivingRow | None, computed: DrivingRow | None) -> bool:
+    """Whether two verdicts are equal; a record that was written before whom plans touch was kept cannot have it."""
+    if said is None or computed is None or said.hit_adversary is not None:
+        return said == computed
+    unsaid = {"hit", "first_contact_s", "hit_adversary", "adversary_contact_s"}
+    return said.model_dump(exclude=unsaid) == computed.model_dump(exclude=unsaid)
+
+
+def _driving_is_of_now(summary: Summary) -> bool:
+    return summary.driving is None or summary.driving.version == VERSION
+
+
+def _summary_anew(claimed: Summary, found: Summary, protocols: Sequence[str]) -> Iterator[Said]:
+    """Every field of a summary; protocols that this version cannot judge with are left to `protocols_of`."""
+    for name in protocols:
+        if name not in claimed.protocols:
+            yield Level.ERROR, f"has no rates under {name}; {_RESCORE}"
+        elif said := _first_difference(claimed.protocols[name], found.protocols[name], may_lack=_LATER_COUNTS):
+            yield Level.ERROR, f"claims {said} under {name}; {_RESCORE}"
+    if others := sorted(set(claimed.protocols) - set(protocols) - set(PROTOCOLS)):
+        yield Level.ERROR, f"has rates under {', '.join(others)}, which no protocol here gives; {_RESCORE}"
+    if claimed.driving is None and found.driving is not None:
+        yield Level.ERROR, f"has no driving scores; {_RESCORE}"
+    elif _driving_is_of_now(claimed) and (said := _first_difference(claimed.driving, found.driving)):
+        yield Level.ERROR, f"claims other driving scores than its plans give: {said}; {_RESCORE}"
+    totals = {"schema_version", "protocols", "driving"}
+    if said := _first_difference(claimed.model_dump(exclude=totals), found.model_dump(exclude=totals)):
+        yield Level.ERROR, f"claims {said}; {_RESCORE}"
+
+
+def _first_difference(said: Any, found: Any, *, may_lack: frozenset[str] = frozenset(), at: str = "") -> str:
+    """The first value that is not the same, in words: where, what is said, what is right; empty if there is none."""
+    if isinstance(said, BaseModel):
+        said = said.model_dump()
+    if isinstance(found, BaseModel):
+        found = found.model_dump()
+    if isinstance(said, Mapping) and isinstance(found, Mapping):
+        for name in dict.fromkeys([*found, *said]):
+            if name in may_lack and said.get(name) is None:
+                continue
+            place = at if name in _UNSAID else f"{at} {name}".strip()
+            if different := _first_difference(said.get(name), found.get(name), may_lack=may_lack, at=place):
+                return different
+        return ""
+    return "" if said == found else f"{at} = {said}, and its plans give {found}"

@@ -1,0 +1,128 @@
+"""Judgements of the scenes of a data set: those that lie beside its tables, and those of the others, made when asked.
+
+What is read of a data set is linear between 2 Hz keyframes, so that those that are made here know less than those of
+whoever generated the scenes (`SceneJudgement.tracks`).
+"""
+
+import functools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from benchmark.datasets.judged import stored_judgements
+from benchmark.datasets.roots import DataSet
+from benchmark.fairness.scenes import TracksAtHand, judge_scene
+from benchmark.geometry import Floats
+from benchmark.machine.workers import Executor
+from benchmark.records.attempts import reports_of
+from benchmark.records.judgement import SceneJudgement
+from benchmark.scene import Scene
+
+MOVED_M: Final = 0.1
+"""An object that is further than this from every recorded one at some keyframe was generated."""
+
+Launches = Mapping[str, int]
+
+
+def judge_data(
+    data: DataSet, names: Sequence[str], executor: Executor, recordings: DataSet | None = None
+) -> dict[str, tuple[SceneJudgement, ...]]:
+    """What is said of scenes of a data set.
+
+    Args:
+        data: The data set.
+        names: Scenes of it.
+        executor: Where those are judged that nobody judged yet; nothing depends on it.
+        recordings: What its scenes were made from, where it is at hand: by it the adversaries of a data set that does
+            not name them are found.
+
+    Returns:
+        Judgements by scene name, in the order of the names.
+
+    Raises:
+        InputError: If a scene is broken, or workers are lost.
+    """
+    stored = stored_judgements(data.root, data.version)
+    missing = [name for name in names if name not in stored]
+
+    def scenes() -> Iterator[tuple[Scene, Launches]]:
+        for name in missing:
+            scene = adversarial_scene(data, name, recordings)
+            yield scene, launches_of(data, scene)
+
+    made = executor.map(_judged, scenes(), total=len(missing), label="judging scenes")
+    found = {**stored, **dict(zip(missing, made, strict=True))}
+    return {name: found[name] for name in names}
+
+
+def adversarial_scene(data: DataSet, name: str, recordings: DataSet | None) -> Scene:
+    """A scene that says who its adversaries are, as far as anybody can.
+
+    Args:
+        data: The data set.
+        name: Of the scene.
+        recordings: What it was made from, if at hand.
+
+    Returns:
+        The scene; where the data set does not name adversaries, those that no recording has.
+    """
+    scene = data.scene(name)
+    source = data.scene_facts([name])[name].source
+    if scene.adversaries or recordings is None or source not in recordings.scene_names(None):
+        return scene
+    return functools.reduce(_marked, generated_agents(scene, recordings.scene(source)), scene)
+
+
+def launches_of(data: DataSet, scene: Scene) -> dict[str, int]:
+    """Launch frames of a scene's adversaries by identifier, where the data set says when: of several the earliest.
+
+    It lists launches as they were planned and adversaries as they stand in the scene: whose is whose is not said.
+    """
+    made = ((data.provenance() or {}).get("scenes") or {}).get(scene.name, {})
+    reports = reports_of(made.get("report")) if isinstance(made, dict) else []
+    launches: list[Any] = [each.get("launch_frame") for each in reports]
+    frames = [each for each in launches if type(each) is int and 0 <= each < len(scene.timestamps_us)]
+    known = frames and len(frames) == len(launches) == len(scene.adversaries)
+    return dict.fromkeys(scene.adversaries, min(frames)) if known else {}
+
+
+def generated_agents(scene: Scene, recorded: Scene) -> tuple[int, ...]:
+    """Who in a scene does not do what anybody did in the recording.
+
+    Args:
+        scene: Made from the recording.
+        recorded: The recording.
+
+    Returns:
+        Indices of vehicles that at some keyframe are further than 0.1 m from each recorded object; nobody if the two
+        have no keyframe times in common.
+    """
+    mine, theirs = _keyframe_times(scene), _keyframe_times(recorded)
+    _, here, there = np.intersect1d(mine, theirs, return_indices=True)
+    places, known = scene.annotations.position[:, here, :2], scene.annotations.valid[:, here]
+    others = np.where(recorded.annotations.valid[:, there, None], recorded.annotations.position[:, there, :2], np.inf)
+    moved = []
+    for agent, category in enumerate(scene.agents.categories):
+        if not category.startswith("vehicle.") or not len(here):
+            continue
+        away = np.hypot(*np.moveaxis(others - places[agent], -1, 0)).min(axis=0, initial=np.inf)
+        if (away[known[agent]] > MOVED_M).any():
+            moved.append(agent)
+    return tuple(moved)
+
+
+def _marked(scene: Scene, agent: int) -> Scene:
+    return replace(scene, adversaries=(*scene.adversaries, scene.agents.ids[agent]))
+
+
+def _keyframe_times(scene: Scene) -> Floats:
+    """Microseconds since the first keyframe: copies may have other dates."""
+    at = scene.timestamps_us[scene.keyframes]
+    return np.asarray(at - at[0])
+
+
+def _judged(work: tuple[Scene, Launches]) -> tuple[SceneJudgement, ...]:
+    scene, launches = work
+    return judge_scene(scene, TracksAtHand(generated=False, launches=launches))

@@ -1,0 +1,281 @@
+"""Motion features of recorded and generated tracks, both through the same 2 Hz keyframes.
+
+``docs/realism.md``, "Tracks" and "Features". Recorded tracks are annotated at 2 Hz and linear between keyframes, so
+that differences at any higher rate are zero inside and spikes at the keyframes; a generated track is smooth. Both are
+therefore read at the keyframes, smoothed and splined alike.
+"""
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.signal import savgol_filter
+
+from benchmark.fairness.road_edge import RoadEdge
+from benchmark.geometry import Bools, Floats, box_gap
+from benchmark.interactions.contacts import time_to_contact
+from benchmark.interactions.tracks import Tracks
+
+FEATURES: Final = (
+    "speed",
+    "acceleration_along",
+    "acceleration_across",
+    "jerk_along",
+    "yaw_rate",
+    "yaw_acceleration",
+    "gap",
+    "ttc",
+)
+ROAD_EDGE: Final = "road_edge"
+"""The ninth feature, of scenes with a map."""
+FEWEST_KEYFRAMES: Final = 5
+SHORTEST_M: Final = 5.0
+"""Runs that move less say nothing about driving."""
+SAMPLE_S: Final = 0.1
+LARGEST_GAP_M: Final = 40.0
+LONGEST_TTC_S: Final = 8.0
+TTC_WITHIN_M: Final = 60.0
+_WINDOW, _ORDER = 5, 2
+_VELOCITY_REACH_S: Final = 0.25
+
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One stretch of keyframes of an agent that counts.
+
+    Attributes:
+        agent: Index of the agent.
+        times: (S,) seconds of the samples.
+        values: (S,) of each of `FEATURES`, and of `ROAD_EDGE` with a map, by name.
+    """
+
+    agent: int
+    times: Floats
+    values: dict[str, Floats]
+
+
+@dataclass(frozen=True, slots=True)
+class SplinedMotion:
+    """The smoothed motion of one agent at S samples.
+
+    Attributes:
+        boxes: (S, 5) its rectangles.
+        velocity: (S, 2) m/s.
+        values: The features that need nobody else, by name.
+    """
+
+    boxes: Floats
+    velocity: Floats
+    values: dict[str, Floats]
+
+
+def runs_of(
+    tracks: Tracks,
+    keyframes: Integers,
+    agent: int,
+    *,
+    between: tuple[float, float] | None = None,
+    road: RoadEdge | None = None,
+) -> list[Run]:
+    """All runs of one agent.
+
+    Args:
+        tracks: Everybody; the ego is one of those that the agent keeps its distance to.
+        keyframes: (K,) indices of the annotated frames, rising.
+        agent: Index of the agent.
+        between: Keyframes outside these times do not count; for the adversarial stretch of an adversary.
+        road: Where the road ends, for `ROAD_EDGE`.
+
+    Returns:
+        Those that count, in order of time.
+    """
+    return list(_runs(Surroundings.of(tracks), keyframes, agent, between, road))
+
+
+def recorded_runs(
+    tracks: Tracks,
+    keyframes: Integers,
+    category: str,
+    *,
+    without: Collection[int] = (),
+    road: RoadEdge | None = None,
+) -> list[Run]:
+    """All runs of all agents of a category: what a scene gives to the reference.
+
+    Args:
+        tracks: Everybody, as recorded.
+        keyframes: (K,) indices of the annotated frames, rising.
+        category: nuScenes category name.
+        without: Indices of agents that are not as recorded.
+        road: Where the road ends, for `ROAD_EDGE`.
+
+    Returns:
+        The runs, by agent and time. The ego is left out: another instrument measured it.
+    """
+    around = Surroundings.of(tracks)
+    return [
+        run
+        for agent, name in enumerate(tracks.categories)
+        if name == category and agent not in without
+        for run in _runs(around, keyframes, agent, None, road)
+    ]
+
+
+def stretches(valid: Bools, centres: Floats) -> list[slice]:
+    """Runs of keyframes that count.
+
+    Args:
+        valid: (K,) whether the agent is there at each keyframe.
+        centres: (K, 2) metres.
+
+    Returns:
+        Slices of at least 5 keyframes along which the agent moves 5 m or more.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], valid, [False]]).astype(np.int8)))
+    found = []
+    for start, stop in edges.reshape(-1, 2).tolist():
+        length = np.hypot(*np.diff(centres[start:stop], axis=0).T).sum()
+        if stop - start >= FEWEST_KEYFRAMES and length >= SHORTEST_M:
+            found.append(slice(start, stop))
+    return found
+
+
+def splined(times: Floats, boxes: Floats, samples: Floats) -> SplinedMotion:
+    """Smooth the keyframes of a run and differentiate.
+
+    Args:
+        times: (K,) seconds of the keyframes.
+        boxes: (K, 5) rectangles there.
+        samples: (S,) seconds.
+
+    Returns:
+        The motion at the samples.
+    """
+    poses = np.column_stack([boxes[:, :2], np.unwrap(boxes[:, 4])])
+    smooth = savgol_filter(poses, _WINDOW, _ORDER, axis=0, mode="interp")
+    curve = CubicSpline(times, smooth, bc_type="natural")
+    place, first, second = curve(samples), curve(samples, 1), curve(samples, 2)
+    speed = _along(first, place)
+    later, earlier = (_along(curve(samples + step, 2), curve(samples + step)) for step in (SAMPLE_S, -SAMPLE_S))
+    values = {
+        "speed": speed,
+        "acceleration_along": _along(second, place),
+        "acceleration_across": speed * first[:, 2],
+        "jerk_along": (later - earlier) / (2 * SAMPLE_S),
+        "yaw_rate": first[:, 2],
+        "yaw_acceleration": second[:, 2],
+    }
+    size = np.broadcast_to(boxes[0, 2:4], (len(samples), 2))
+    return SplinedMotion(np.column_stack([place[:, :2], size, place[:, 2]]), first[:, :2], values)
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """Everybody whom an agent may come near: all objects, and the recorded ego as the last one.
+
+    Attributes:
+        tracks: The recording with the ego among the agents.
+    """
+
+    tracks: Tracks
+
+    @classmethod
+    def of(cls, tracks: Tracks) -> "Surroundings":
+        """Those of a scene."""
+        everybody = replace(
+            tracks,
+            agents=np.concatenate([tracks.agents, tracks.ego[None]]),
+            valid=np.concatenate([tracks.valid, np.ones((1, len(tracks.seconds)), np.bool_)]),
+            categories=(*tracks.categories, "ego"),
+        )
+        return cls(everybody)
+
+    def nearness(self, agent: int, samples: Floats, motion: SplinedMotion) -> dict[str, Floats]:
+        """Distance and time to contact of an agent's smoothed motion to all others.
+
+        Args:
+            agent: Which of the tracks is its own.
+            samples: (S,) seconds.
+            motion: Of the agent.
+
+        Returns:
+            (S,) ``gap`` and ``ttc``, with their caps.
+        """
+        others, present = self.tracks.agents_at(samples)
+        present[agent] = False
+        away = np.hypot(others[..., 0] - motion.boxes[:, 0], others[..., 1] - motion.boxes[:, 1])
+        outer = 0.5 * (np.hypot(others[..., 2], others[..., 3]) + np.hypot(motion.boxes[:, 2], motion.boxes[:, 3]))
+        inner = 0.5 * (others[..., 2:4].min(axis=-1) + motion.boxes[:, 2:4].min(axis=-1))
+        at_least, at_most = away - outer, np.where(present, away - inner, np.inf)
+        gap = np.full(len(samples), LARGEST_GAP_M)
+        bound = np.minimum(at_most.min(axis=0, initial=np.inf), LARGEST_GAP_M) + 1e-6
+        row, column = np.nonzero(present & (at_least <= bound))
+        np.minimum.at(gap, column, box_gap(motion.boxes[column], others[row, column]))
+        near = present & (at_least <= TTC_WITHIN_M)
+        return {"gap": gap, "ttc": self._ttc(samples, motion, others, near)}
+
+    def _ttc(self, samples: Floats, motion: SplinedMotion, others: Floats, near: Bools) -> Floats:
+        rows = np.flatnonzero(near.any(axis=1))
+        velocity = self._velocities(rows, samples)
+        heading_for = _circles_meet(motion, others[rows], velocity)
+        row, column = np.nonzero(near[rows] & heading_for)
+        mine, theirs = motion.boxes[column], others[rows[row], column]
+        found = time_to_contact(mine, motion.velocity[column], theirs, velocity[row, column])
+        soon = found <= LONGEST_TTC_S
+        # Only of those that matter is it asked whether they are near enough to count.
+        soon[soon] = box_gap(mine[soon], theirs[soon]) <= TTC_WITHIN_M
+        ttc = np.full(len(samples), LONGEST_TTC_S)
+        np.minimum.at(ttc, column[soon], found[soon])
+        return ttc
+
+    def _velocities(self, rows: Integers, samples: Floats) -> Floats:
+        """(R, S, 2) over a quarter of a second to both sides, inside each run of valid frames."""
+        some = self.tracks.only(rows)
+        start, end = some.run_limits_at(samples)
+        first, last = np.maximum(samples - _VELOCITY_REACH_S, start), np.minimum(samples + _VELOCITY_REACH_S, end)
+        span = last - first
+        moved = some.centres_at(last) - some.centres_at(first)
+        return np.asarray(np.where(span[..., None] > 0, moved / np.where(span > 0, span, 1.0)[..., None], 0.0))
+
+
+def _runs(
+    around: Surroundings,
+    keyframes: Integers,
+    agent: int,
+    between: tuple[float, float] | None,
+    road: RoadEdge | None,
+) -> Iterator[Run]:
+    tracks = around.tracks
+    times, boxes, valid = tracks.seconds[keyframes], tracks.agents[agent, keyframes], tracks.valid[agent, keyframes]
+    if between is not None:
+        valid = valid & (times >= between[0]) & (times <= between[1])
+    for run in stretches(valid, boxes[:, :2]):
+        of_run = times[run]
+        count = int(np.floor((of_run[-2] - of_run[1]) / SAMPLE_S + 1e-6)) + 1
+        samples = of_run[1] + SAMPLE_S * np.arange(count)
+        motion = splined(of_run, boxes[run], samples)
+        values = {**motion.values, **around.nearness(agent, samples, motion)}
+        if road is not None:
+            values[ROAD_EDGE] = road.beyond(motion.boxes)
+        yield Run(agent, samples, values)
+
+
+def _along(vectors: Floats, places: Floats) -> Floats:
+    """Components along the heading, which is the third column of the places."""
+    return np.asarray(vectors[:, 0] * np.cos(places[:, 2]) + vectors[:, 1] * np.sin(places[:, 2]))
+
+
+def _circles_meet(motion: SplinedMotion, others: Floats, velocity: Floats) -> Bools:
+    """(R, S) whether the circles around two boxes touch now or ever will: what any contact needs."""
+    offset = others[..., :2] - motion.boxes[:, :2]
+    rate = velocity - motion.velocity
+    reach = 0.5 * (np.hypot(others[..., 2], others[..., 3]) + np.hypot(motion.boxes[:, 2], motion.boxes[:, 3])) + 1e-6
+    squared, closing = (offset**2).sum(axis=-1), -(offset * rate).sum(axis=-1)
+    speed = (rate**2).sum(axis=-1)
+    passing = squared * speed - closing**2 <= reach**2 * speed * (1 + 1e-9)
+    return np.asarray((squared <= reach**2) | ((closing > 0) & passing))

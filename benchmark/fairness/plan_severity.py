@@ -1,0 +1,224 @@
+"""How severe plans are in open loop: the ego drives each plan through what really happened in the next 3 s.
+
+``docs/severity.md``, "A plan in open loop". All plans of a scene are measured at once.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+
+from benchmark.constants import PLAN_STEPS
+from benchmark.fairness.near_misses import ego_velocities, near_misses
+from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints, wrap_angle
+from benchmark.interactions.contacts import (
+    KINDS,
+    ContactKind,
+    Pairs,
+    at_fault,
+    delta_v,
+    fatal_probability,
+    is_agent,
+    mass_kg,
+)
+from benchmark.interactions.tracks import STEP_S, Integers, Tracks
+from benchmark.protocols.exact import INSTANTS_PER_STEP, ego_boxes, object_boxes
+from benchmark.records.row_schema import PlanContactRow, PlanNearRow, PlanSeverityRow
+from benchmark.truth import SampleTruth
+
+INSTANTS: Final = PLAN_STEPS * INSTANTS_PER_STEP + 1
+"""The present, and every 0.1 s up to 3 s."""
+DECIMALS: Final = 6
+"""Of stored numbers: below them, processors differ."""
+_SAMPLES_AT_ONCE: Final = 128
+"""Bounds the memory of a long scene: 128 samples of 60 objects need about 40 MB."""
+_TIMES: Final = STEP_S * np.arange(INSTANTS)
+
+
+class Lanes(Protocol):
+    """The part of a map that blame needs."""
+
+    def unsure(self, boxes: Floats) -> Bools:
+        """Whether each of (Q, 5) boxes, global, is in several lanes or off the drivable area."""
+
+
+@dataclass(frozen=True, slots=True)
+class _World:
+    """Everybody around S samples in the lidar frame of each.
+
+    Attributes:
+        sample: (N,) of which sample.
+        names: N instances.
+        categories: N.
+        adversary: (N,) whether it was made to be one.
+        boxes: (N, 31, 5).
+        counts: (N, 31) who is there, without those that touch the ego in the present.
+    """
+
+    sample: Integers
+    names: tuple[str, ...]
+    categories: tuple[str, ...]
+    adversary: Bools
+    boxes: Floats
+    counts: Bools
+
+    @classmethod
+    def of(cls, truths: Sequence[SampleTruth]) -> "_World":
+        sample = np.repeat(np.arange(len(truths)), [len(truth.instances) for truth in truths])
+        keyframes = np.concatenate([truth.boxes for truth in truths])
+        annotated = np.concatenate([truth.annotated for truth in truths])
+        boxes, present = object_boxes(keyframes, annotated)
+        boxes = np.concatenate([keyframes[:, :1], boxes], axis=1)
+        present = np.concatenate([annotated[:, :1], present], axis=1)
+        touching = present[:, 0] & boxes_overlap(_PRESENT, boxes[:, 0])
+        return cls(
+            sample=sample,
+            names=tuple(name for truth in truths for name in truth.instances),
+            categories=tuple(name for truth in truths for name in truth.categories),
+            adversary=np.array([name in truth.adversaries for truth in truths for name in truth.instances], np.bool_),
+            boxes=boxes,
+            counts=present & ~touching[:, None],
+        )
+
+    def velocities(self, rows: Integers) -> Floats:
+        """(Q, 31, 2) of (Q,) agents, m/s; zero for what is no agent."""
+        categories = tuple(self.categories[row] for row in rows.tolist())
+        tracks = Tracks(_TIMES, np.zeros((INSTANTS, 5)), self.boxes[rows], self.counts[rows], categories)
+        moves = np.array([is_agent(name) for name in categories])[:, None, None]
+        return np.asarray(tracks.velocities_at(_TIMES) * moves)
+
+
+_PRESENT: Final = ego_footprints(np.array([0.0, 0.0, np.pi / 2]))
+"""(5,) the ego at the sample in its lidar frame, x right, y forward."""
+
+
+def plan_severities(
+    truths: Sequence[SampleTruth], plans_lidar: Floats, lanes: Lanes | None = None
+) -> list[PlanSeverityRow]:
+    """Measure plans.
+
+    Args:
+        truths: S samples.
+        plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
+        lanes: The map; without it nobody can say who is to blame for a lateral contact.
+
+    Returns:
+        S severities. Of agents that are touched at the same instant the first by name counts, as in ``exact``.
+    """
+    plans = np.asarray(plans_lidar, np.float64)
+    starts = range(0, len(truths), _SAMPLES_AT_ONCE)
+    batches = [slice(start, start + _SAMPLES_AT_ONCE) for start in starts]
+    return [found for batch in batches for found in _batch(truths[batch], plans[batch], lanes)]
+
+
+def _batch(truths: Sequence[SampleTruth], plans_lidar: Floats, lanes: Lanes | None) -> list[PlanSeverityRow]:
+    ego = np.concatenate([np.broadcast_to(_PRESENT, (len(truths), 1, 5)), ego_boxes(plans_lidar)], axis=1)
+    world = _World.of(truths)
+    contacts = _contacts(ego, world, truths, lanes)
+    spared = np.array([contact is None for contact in contacts])
+    near = _near(ego, world, spared)
+    return [PlanSeverityRow(contact=contact, near=near.get(sample)) for sample, contact in enumerate(contacts)]
+
+
+def _contacts(
+    ego: Floats, world: _World, truths: Sequence[SampleTruth], lanes: Lanes | None
+) -> list[PlanContactRow | None]:
+    found: list[PlanContactRow | None] = [None] * len(truths)
+    rows, instants = _first_hits(ego, world)
+    if not len(rows):
+        return found
+    samples = world.sample[rows]
+    mine = ego[samples, instants]
+    speed = np.hypot(*ego_velocities(ego[samples])[np.arange(len(rows)), instants].T)
+    pairs = Pairs(
+        ego=mine,
+        ego_speed=speed,
+        other=world.boxes[rows, instants],
+        other_velocity=world.velocities(rows)[np.arange(len(rows)), instants],
+        is_agent=np.array([is_agent(world.categories[row]) for row in rows]),
+    )
+    masses = np.array([mass_kg(world.categories[row]) for row in rows])
+    impact, kinds = pairs.impact_speed, [KINDS[kind] for kind in pairs.kinds]
+    changes = delta_v(impact, masses)
+    unsure = _unsure(mine, kinds, [truths[sample].lidar_pose for sample in samples], lanes)
+    for place, (sample, row) in enumerate(zip(samples.tolist(), rows.tolist())):
+        blamed = at_fault(kinds[place], bool(unsure[place]))
+        found[sample] = PlanContactRow(
+            time_s=_rounded(_TIMES[instants[place]]),
+            kind=kinds[place].value,
+            at_fault=None if lanes is None and kinds[place] is ContactKind.LATERAL else blamed,
+            impact_speed_m_s=_rounded(impact[place]),
+            delta_v_ego_m_s=_rounded(changes[0][place]),
+            delta_v_other_m_s=_rounded(changes[1][place]),
+            fatal_probability=_rounded(fatal_probability(changes[0][place])),
+            agent=world.names[row],
+            adversary=bool(world.adversary[row]),
+        )
+    return found
+
+
+def _first_hits(ego: Floats, world: _World) -> tuple[Integers, Integers]:
+    """Rows of who is touched first in each sample with a contact, and at which instants."""
+    mine = ego[world.sample]
+    offset = world.boxes[..., :2] - mine[..., :2]
+    # Two boxes can only touch if the circles around them do.
+    reach = 0.5 * (np.hypot(world.boxes[..., 2], world.boxes[..., 3]) + np.hypot(*ego[0, 0, 2:4])) + 1e-6
+    near = world.counts & (offset[..., 0] ** 2 + offset[..., 1] ** 2 <= reach**2)
+    row, instant = np.nonzero(near)
+    hit = boxes_overlap(mine[row, instant], world.boxes[row, instant])
+    ranked = sorted(
+        (int(world.sample[one]), int(at), world.names[one], int(one)) for one, at in zip(row[hit], instant[hit])
+    )
+    first = {sample: (one, at) for sample, at, _, one in reversed(ranked)}
+    chosen = np.array([first[sample] for sample in sorted(first)], np.int64).reshape(-1, 2)
+    return chosen[:, 0], chosen[:, 1]
+
+
+def _unsure(boxes: Floats, kinds: Sequence[ContactKind], lidar_poses: Sequence[Floats], lanes: Lanes | None) -> Bools:
+    """Whether a lateral contact is the ego's fault; the map is asked about no other."""
+    found = np.zeros(len(kinds), np.bool_)
+    lateral = np.flatnonzero([kind is ContactKind.LATERAL for kind in kinds])
+    if lanes is not None and len(lateral):
+        found[lateral] = lanes.unsure(_global(boxes[lateral], np.array(lidar_poses)[lateral]))
+    return found
+
+
+def _global(boxes: Floats, lidar_poses: Floats) -> Floats:
+    """(Q, 5) boxes of a lidar frame (x right, y forward) in the world, given (Q, 3) poses of the lidar there."""
+    turn = lidar_poses[:, 2] - np.pi / 2
+    cos, sin = np.cos(turn), np.sin(turn)
+    placed = boxes.copy()
+    placed[:, 0] = lidar_poses[:, 0] + boxes[:, 0] * cos - boxes[:, 1] * sin
+    placed[:, 1] = lidar_poses[:, 1] + boxes[:, 0] * sin + boxes[:, 1] * cos
+    placed[:, 4] = wrap_angle(boxes[:, 4] + turn)
+    return placed
+
+
+def _near(ego: Floats, world: _World, spared: Bools) -> dict[int, PlanNearRow]:
+    """Of samples without contact, by sample."""
+    rows = np.flatnonzero(world.adversary & spared[world.sample] & world.counts.any(axis=1))
+    if not len(rows):
+        return {}
+    samples = world.sample[rows]
+    found = near_misses(ego[samples], world.boxes[rows], world.counts[rows], world.velocities(rows))
+    nearest: dict[int, PlanNearRow] = {}
+    for sample in dict.fromkeys(samples.tolist()):
+        own = samples == sample
+        nearest[sample] = PlanNearRow(
+            least_gap_m=_rounded(found.gap[own].min()),
+            least_ttc_s=_finite(found.ttc[own].min()),
+            tet_s=_rounded(found.tet[own].max()),
+            tit_s2=_rounded(found.tit[own].max()),
+            pet_s=_finite(found.pet[own].min()),
+            max_btn=_rounded(found.btn[own].max()),
+        )
+    return nearest
+
+
+def _finite(value: float) -> float | None:
+    return _rounded(value) if np.isfinite(value) else None
+
+
+def _rounded(value: float | Floats) -> float:
+    return round(float(value), DECIMALS)

@@ -1,0 +1,199 @@
+"""What no recorded car does: counts of adversaries whose written track breaks a rule of driving, road or arithmetic.
+
+``docs/realism.md``, "Validity rates". Unlike the divergences they need no recordings to compare with.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Final
+
+import numpy as np
+import shapely
+
+from benchmark.dynamics.bicycle import DriverLimits
+from benchmark.dynamics.driver_limits import broken_limit
+from benchmark.geometry import Bools, Floats, box_corners, box_gap, boxes_overlap, wrap_angle
+from benchmark.interactions.tracks import Integers, Tracks
+from benchmark.road_map import RoadMap
+
+OFF_ROAD_M: Final = 0.3
+AGAINST_RAD: Final = np.pi / 2
+AGAINST_S: Final = 1.0
+HOVERING_M: Final = 0.5
+HOVERING_S: Final = 0.5
+TELEPORT_M: Final = 0.2
+TELEPORT_M_S2: Final = 10.0
+TELEPORT_RAD: Final = np.deg2rad(30.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Faults:
+    """What is wrong with one adversary's track; ``None`` where nobody could tell: without a map, or a 12 Hz track.
+
+    Attributes:
+        beyond_limits: It asks more of car or driver than `benchmark.dynamics.bicycle.DriverLimits`.
+        off_road: A corner is more than 0.3 m off the drivable area.
+        contact: It touches anybody but the ego.
+        against_traffic: It heads more than 90 degrees away from the lane below its centre for more than 1 s.
+        hovering: It stays within 0.5 m of the same other object for more than 0.5 s.
+        teleport: It moves or turns further between two frames than any car could.
+    """
+
+    beyond_limits: bool | None
+    off_road: bool | None
+    contact: bool
+    against_traffic: bool | None
+    hovering: bool
+    teleport: bool | None
+
+
+@dataclass(frozen=True, slots=True)
+class ValidityRate:
+    """One kind of fault over all adversaries.
+
+    Attributes:
+        fault: Its name, a field of `Faults`.
+        count: How many have it.
+        of: How many could be asked.
+    """
+
+    fault: str
+    count: int
+    of: int
+
+    @property
+    def share(self) -> float | None:
+        """Count of asked; ``None`` if nobody could be."""
+        return self.count / self.of if self.of else None
+
+
+def faults_of(
+    tracks: Tracks,
+    agent: int,
+    frames: slice | Integers,
+    road_map: RoadMap | None = None,
+    *,
+    at_keyframes: bool = False,
+    rounded_m: float = 0.0,
+) -> Faults:
+    """Look for faults of an adversary.
+
+    Args:
+        tracks: Everybody, 12 Hz, as generated: what a reader of a data set gets is linear between 2 Hz keyframes, and
+            its corners there break every limit.
+        agent: Index of the adversary.
+        frames: Its adversarial stretch; frames at which it is not there do not count.
+        road_map: The map, if there is one.
+        at_keyframes: Whether the frames are keyframes, between which nobody knows: then limits and jumps are not asked,
+            and of the others only what the keyframes show is found.
+        rounded_m: How far each position may be from where it was generated (`broken_limit`).
+
+    Returns:
+        What was found.
+    """
+    there = np.arange(len(tracks.seconds))[frames]
+    there = there[tracks.valid[agent, there]]
+    seconds, boxes = tracks.seconds[there], tracks.agents[agent, there]
+    others, present = _others(tracks, agent, there)
+    touching, near = _nearness(boxes, others, present)
+    ego = len(others) - 1
+    return Faults(
+        beyond_limits=None if at_keyframes else broken_limit(boxes, DriverLimits(), rounded_m=rounded_m) is not None,
+        off_road=None if road_map is None else bool(_off_road(boxes, road_map).any()),
+        contact=bool(np.delete(touching, ego, axis=0).any()),
+        against_traffic=None if road_map is None else _lasts(_against(boxes, road_map)[None], seconds, AGAINST_S),
+        hovering=_lasts(near, seconds, HOVERING_S),
+        teleport=None if at_keyframes else bool(teleports(seconds, boxes).any()),
+    )
+
+
+def validity_rates(faults: Sequence[Faults]) -> list[ValidityRate]:
+    """Sum adversaries up.
+
+    Args:
+        faults: One for each.
+
+    Returns:
+        One rate for each kind.
+    """
+    rates = []
+    for kind in fields(Faults):
+        asked = [found for found in (getattr(each, kind.name) for each in faults) if found is not None]
+        rates.append(ValidityRate(kind.name, sum(asked), len(asked)))
+    return rates
+
+
+def teleports(seconds: Floats, boxes: Floats) -> Bools:
+    """Steps between frames that no car could make.
+
+    Args:
+        seconds: (F,) times.
+        boxes: (F, 5) of one object.
+
+    Returns:
+        (F - 1,) whether it moves further than at the speed before and 10 m/s^2 more, and 0.2 m, or turns by more than
+        30 degrees.
+    """
+    step, span = np.hypot(*np.diff(boxes[:, :2], axis=0).T), np.diff(seconds)
+    speed = np.concatenate([step[:1], step[:-1]]) / np.concatenate([span[:1], span[:-1]])
+    far = step > (speed + TELEPORT_M_S2 * span) * span + TELEPORT_M
+    return np.asarray(far | (np.abs(wrap_angle(np.diff(boxes[:, 4]))) > TELEPORT_RAD))
+
+
+def _others(tracks: Tracks, agent: int, frames: Integers) -> tuple[Floats, Bools]:
+    """Everybody else, the recorded ego as the last one."""
+    others = np.concatenate([np.delete(tracks.agents, agent, axis=0)[:, frames], tracks.ego[frames][None]])
+    present = np.delete(tracks.valid, agent, axis=0)[:, frames]
+    return others, np.concatenate([present, np.ones((1, present.shape[1]), np.bool_)])
+
+
+def _nearness(boxes: Floats, others: Floats, present: Bools) -> tuple[Bools, Bools]:
+    """(M, F) whether each touches the boxes, and whether it is within 0.5 m of them."""
+    away = np.hypot(others[..., 0] - boxes[:, 0], others[..., 1] - boxes[:, 1])
+    outer = 0.5 * (np.hypot(others[..., 2], others[..., 3]) + np.hypot(boxes[:, 2], boxes[:, 3]))
+    row, frame = np.nonzero(present & (away <= outer + HOVERING_M))
+    touching, near = np.zeros(present.shape, np.bool_), np.zeros(present.shape, np.bool_)
+    touching[row, frame] = boxes_overlap(boxes[frame], others[row, frame])
+    near[row, frame] = box_gap(boxes[frame], others[row, frame]) < HOVERING_M
+    return touching, near
+
+
+def _lasts(flags: Bools, seconds: Floats, longer_than: float) -> bool:
+    """Whether any row of (M, F) flags stays up for longer than so many seconds."""
+    for row in flags[flags.any(axis=1)]:
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8))).reshape(-1, 2)
+        if (seconds[edges[:, 1] - 1] - seconds[edges[:, 0]] > longer_than).any():
+            return True
+    return False
+
+
+def _off_road(boxes: Floats, road_map: RoadMap) -> Bools:
+    corners = shapely.points(box_corners(boxes))
+    area = road_map.drivable_area
+    shapely.prepare(area)
+    return np.asarray(~shapely.dwithin(area, corners, OFF_ROAD_M).all(axis=-1))
+
+
+def _against(boxes: Floats, road_map: RoadMap) -> Bools:
+    """(F,) whether the heading is against every lane below the centre; where there is none, or one goes along, not."""
+    below, along = np.zeros(len(boxes), np.bool_), np.zeros(len(boxes), np.bool_)
+    for lane in road_map.lanes.values():
+        if lane.polygon is None:
+            continue
+        inside = np.flatnonzero(shapely.contains_xy(lane.polygon, boxes[:, 0], boxes[:, 1]))
+        if not len(inside):
+            continue
+        below[inside] = True
+        turn = np.abs(wrap_angle(boxes[inside, 4] - _direction(lane.centerline, boxes[inside, :2])))
+        along[inside[turn <= AGAINST_RAD]] = True
+    return np.asarray(below & ~along)
+
+
+def _direction(line: Floats, points: Floats) -> Floats:
+    """(P,) heading of the segment of a polyline that is nearest to each point."""
+    start, step = line[:-1], np.diff(line, axis=0)
+    squared = np.maximum((step**2).sum(axis=1), 1e-12)
+    share = np.clip(((points[:, None] - start) * step).sum(axis=-1) / squared, 0.0, 1.0)
+    miss = points[:, None] - (start + share[..., None] * step)
+    nearest = step[(miss**2).sum(axis=-1).argmin(axis=1)]
+    return np.asarray(np.arctan2(nearest[:, 1], nearest[:, 0]))

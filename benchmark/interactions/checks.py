@@ -1,0 +1,68 @@
+"""When a reference driver on a recorded path finds an agent unsafe: the checks of `rules`, with the signs put right.
+
+A leader that drives away is no danger however near, except where the bodies already overlap along the path; and one
+that rolls backwards is taken to stand where a rule squares its speed (``docs/severity.md``).
+"""
+
+import numpy as np
+
+from benchmark.geometry import Bools, Floats
+from benchmark.interactions.reaction import Driver
+from benchmark.interactions.relations import Around
+from benchmark.interactions.rules import (
+    CAREFUL_TIME_S,
+    REGULATION_SIDE_M,
+    STEP_S,
+    critical_score,
+    fuzzy_target,
+    proactive_score,
+    regulation_time,
+    rss_distance_across,
+    rss_distance_along,
+)
+
+
+def unsafe_agents(driver: Driver, around: Around, speed: Floats) -> Bools:
+    """Which agents a driver finds unsafe; whether it sees them is another question.
+
+    Args:
+        driver: The careful human, that of the regulation, or RSS; FSM's question is `fuzzy_targets`.
+        around: N agents around R egos.
+        speed: (R, 1) of the egos, m/s.
+
+    Returns:
+        (R, N) verdicts.
+    """
+    closing = speed - around.along
+    if driver is Driver.CC:
+        near = (around.gap <= 0) | ((closing > 0) & (around.gap <= CAREFUL_TIME_S * closing))
+        verdict = (around.side <= 0) & near
+    elif driver is Driver.R157:
+        near = (around.gap <= 0) | ((closing > 0) & (around.gap <= regulation_time(closing) * closing))
+        verdict = (around.side <= REGULATION_SIDE_M) & near
+    else:
+        along = rss_distance_along(speed, np.maximum(around.along, 0.0))
+        verdict = (around.gap < along) & (around.side < rss_distance_across(np.abs(around.across)))
+    return np.asarray(verdict & around.ahead)
+
+
+def fuzzy_targets(around: Around, speed: Floats, acceleration: Floats, length: float) -> Floats:
+    """The braking that FSM asks for because of each agent.
+
+    Args:
+        around: N agents around R egos.
+        speed: (R, 1) of the egos, m/s.
+        acceleration: (R, 1) of the egos over the step before, m/s^2.
+        length: Of the ego, metres.
+
+    Returns:
+        (R, N) m/s^2, 0 where it is at ease or does not look.
+    """
+    closing = speed - around.along
+    with np.errstate(divide="ignore", invalid="ignore"):
+        passing = (around.gap + length + around.extent) / closing + STEP_S
+        arrives = around.side / around.towards <= passing
+    looks = (around.side <= 0) | ((around.towards > 0) & (closing > 0) & arrives)
+    critical = critical_score(around.gap, speed, around.along, acceleration)
+    proactive = proactive_score(around.gap, speed, np.maximum(around.along, 0.0))
+    return np.where(looks & around.ahead, fuzzy_target(critical, proactive), 0.0)

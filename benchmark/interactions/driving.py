@@ -1,0 +1,280 @@
+"""Reference drivers along the recorded path of a scene, against everybody in it.
+
+``docs/severity.md``, "Reference drivers". All drivers of a scene advance together, one step of 0.1 s after another;
+contacts do not change what a driver does before them, so that they are looked for afterwards, in `outcomes`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from benchmark.geometry import Bools, Floats
+from benchmark.interactions.checks import fuzzy_targets, unsafe_agents
+from benchmark.interactions.ego_path import EgoPath
+from benchmark.interactions.keeping_distance import idm_acceleration
+from benchmark.interactions.reaction import REACTING, Driver, Reactions
+from benchmark.interactions.relations import Around, Relations
+from benchmark.interactions.sight import visible
+from benchmark.interactions.tracks import STEP_S, Tracks
+
+SLOWEST_REACTING_M_S: Final = 0.5
+"""A driver that has not reacted yet and all but stands has nothing to brake."""
+LADDER: Final = (
+    Driver.RECORDED,
+    Driver.CONSTANT,
+    Driver.IDM,
+    Driver.R157,
+    Driver.CC,
+    Driver.FSM,
+    Driver.RSS,
+)
+"""From the weakest statement to the most cautious driver."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rung:
+    """A driver, and to whom it reacts.
+
+    Attributes:
+        driver: Who drives.
+        adversary_only: Whether it reacts to the adversary alone (it can still hit others).
+    """
+
+    driver: Driver
+    adversary_only: bool = False
+
+
+RUNGS: Final = tuple(map(Rung, LADDER))
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What one driver does until the end of the scene, whatever it hits.
+
+    Attributes:
+        rung: Who drives.
+        times: (K,) seconds, every 0.1 s.
+        station: (K,) metres along the path.
+        speed: (K,) m/s.
+        unsafe: (K - 1,) steps that the driver found unsafe.
+        free_from: First step in which it drives by itself; K - 1 if it is the recording to the end.
+        reason: The agent that it reacted to first, if it reacted: the one that asks for the most braking of FSM, else
+            the first.
+    """
+
+    rung: Rung
+    times: Floats
+    station: Floats
+    speed: Floats
+    unsafe: Bools
+    free_from: int
+    reason: int | None
+
+
+@dataclass(slots=True)
+class Situation:
+    """A scene as drivers need it.
+
+    Attributes:
+        tracks: Everybody.
+        times: (K,) instants of decision.
+        ignored: (N,) who overlaps the ego at the start.
+        path: The ego's path.
+        relations: Everybody at those instants, along the path.
+        station: (K,) of the recorded ego.
+        speed: (K,) of the recorded ego.
+        adversary: Index of the adversary, for rungs that react to it alone.
+    """
+
+    tracks: Tracks
+    times: Floats
+    adversary: int | None = None
+    path: EgoPath = field(init=False)
+    relations: Relations = field(init=False)
+    ignored: Bools = field(init=False)
+    station: Floats = field(init=False)
+    speed: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.path = EgoPath.of(self.tracks)
+        self.relations = Relations.of(self.path, self.tracks, self.times)
+        self.ignored = self.tracks.touching_at(float(self.times[0]))
+        self.station = self.path.recorded_station(self.times)
+        self.speed = self.path.recorded_speed(self.times)
+
+    @classmethod
+    def of(cls, tracks: Tracks, start: float | None = None, adversary: int | None = None) -> "Situation":
+        """The situation of a scene.
+
+        Args:
+            tracks: Everybody.
+            start: When drivers take over, seconds; at the first frame by default.
+            adversary: Index of the adversary.
+
+        Returns:
+            It.
+        """
+        return cls(tracks, tracks.grid(start), adversary)
+
+
+def drive(situation: Situation, rungs: Sequence[Rung] = RUNGS) -> list[Motion]:
+    """Let drivers drive to the end of the scene.
+
+    Args:
+        situation: The scene.
+        rungs: Who drives.
+
+    Returns:
+        One motion each.
+    """
+    simulated = [rung for rung in rungs if rung.driver in (Driver.IDM, *REACTING)]
+    moved = dict(zip(simulated, _simulate(situation, simulated)))
+    return [moved[rung] if rung in moved else given(situation, rung) for rung in rungs]
+
+
+def given(situation: Situation, rung: Rung) -> Motion:
+    """The motion of a driver who looks at nobody: the recording, or the speed of the start kept."""
+    times, station, speed = situation.times, situation.station, situation.speed
+    last = len(times) - 1
+    free_from = last
+    if rung.driver is Driver.CONSTANT:
+        free_from, speed = 0, np.full(len(times), speed[0])
+        station = station[0] + np.concatenate([[0.0], np.cumsum(STEP_S * speed[1:])])
+    return Motion(rung, times, station, speed, np.zeros(last, np.bool_), free_from, None)
+
+
+def _simulate(situation: Situation, rungs: Sequence[Rung]) -> list[Motion]:
+    if not rungs:
+        return []
+    advancing = Advancing(situation, rungs)
+    for step in range(len(situation.times) - 1):
+        advancing.step(step, situation, step)
+    return advancing.motions()
+
+
+class Advancing:
+    """Drivers under way: each step needs to know everybody at its beginning, and nothing of later.
+
+    Args:
+        situation: The recording that they follow until they react, and its path.
+        rungs: R who drive, all of whom decide by themselves (`REACTING`, and who keeps distance).
+    """
+
+    def __init__(self, situation: Situation, rungs: Sequence[Rung]) -> None:
+        count, instants = len(rungs), len(situation.times)
+        self._situation, self._rungs = situation, tuple(rungs)
+        self._idm = np.array([rung.driver is Driver.IDM for rung in rungs])
+        self.free_from = np.where(self._idm, 0, instants - 1)
+        """(R,) as in `Motion`; the last step while a driver follows the recording."""
+        self.station = np.broadcast_to(situation.station, (count, instants)).copy()
+        """(R, K) metres along the path: driven up to now, recorded from then on."""
+        self.speed = np.broadcast_to(situation.speed, (count, instants)).copy()
+        """(R, K) m/s, likewise."""
+        self._unsafe = np.zeros((count, instants - 1), np.bool_)
+        self._reasons: list[int | None] = [None] * count
+        self._memory = Reactions.fresh([rung.driver for rung in rungs])
+        self._free_speed = max(SLOWEST_REACTING_M_S, float(situation.speed.max()))
+
+    def step(self, step: int, seen: Situation, instant: int) -> None:
+        """Decide and drive 0.1 s.
+
+        Args:
+            step: Number of the step.
+            seen: Everybody at its beginning.
+            instant: Which of the instants of ``seen`` that is.
+        """
+        rungs, idm = self._rungs, self._idm
+        station, speed = self.station, self.speed
+        around = seen.relations.around(instant, station[:, step])
+        now, before = speed[:, step], speed[:, max(step - 1, 0)]
+        watched = _Watched(seen, around, instant, station[:, step], now, (now - before) / STEP_S)
+        latched = self.free_from <= step
+        found, targets = watched.reactions(rungs, latched | (now >= SLOWEST_REACTING_M_S))
+        visible_ones = watched.seen(found | watched.in_the_way(idm))
+        found &= visible_ones
+        verdict = found.any(axis=1)
+        self._unsafe[:, step] = verdict
+        for row in np.flatnonzero(verdict & ~latched).tolist():
+            # The largest target for FSM; the others' are all alike, and so the first of them.
+            self._reasons[row] = int(np.argmax(np.where(found[row], targets[row], -1.0)))
+            self.free_from[row] = step
+        latched |= verdict
+        target = np.where(found, targets, 0.0).max(axis=1, initial=0.0)
+        reacted = self._memory.react(verdict[:, None], now[:, None], target[:, None])[:, 0]
+        asked = idm_acceleration(now, self._free_speed, *watched.leaders(visible_ones & idm[:, None]))
+        following = now + STEP_S * asked
+        after = np.maximum(np.where(idm, following, np.where(verdict, reacted, now)), 0.0)
+        speed[:, step + 1] = np.where(latched, after, speed[:, step + 1])
+        station[:, step + 1] = np.where(latched, station[:, step] + STEP_S * after, station[:, step + 1])
+
+    def motions(self) -> list[Motion]:
+        """What they have done."""
+        return [
+            Motion(
+                rung,
+                self._situation.times,
+                self.station[row],
+                self.speed[row],
+                self._unsafe[row],
+                int(self.free_from[row]),
+                self._reasons[row],
+            )
+            for row, rung in enumerate(self._rungs)
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class _Watched:
+    """What R drivers see at one step; sight is asked for only where something follows from it."""
+
+    situation: Situation
+    around: Around
+    step: int
+    station: Floats
+    speed: Floats
+    acceleration: Floats
+
+    def reactions(self, rungs: Sequence[Rung], looks: Bools) -> tuple[Bools, Floats]:
+        """(R, N) agents that each driver would find unsafe if it saw them, and (R, N) what braking FSM asks for."""
+        shape = self.around.gap.shape
+        found, targets = np.zeros(shape, np.bool_), np.zeros(shape)
+        length = float(self.situation.path.size[0])
+        for row, rung in enumerate(rungs):
+            if rung.driver is Driver.IDM or not looks[row]:
+                continue
+            around = self.around.row(row)
+            dynamics = (self.speed[row : row + 1, None], self.acceleration[row : row + 1, None], length)
+            if rung.driver is Driver.FSM:
+                targets[row] = fuzzy_targets(around, *dynamics)[0]
+                found[row] = targets[row] > 0
+            else:
+                found[row] = unsafe_agents(rung.driver, around, dynamics[0])[0]
+            if rung.adversary_only:
+                found[row] &= np.arange(shape[1]) == self.situation.adversary
+        return found & ~self.situation.ignored, targets
+
+    def in_the_way(self, idm: Bools) -> Bools:
+        """(R, N) agents that those who keep distance might follow."""
+        return np.asarray(self.around.ahead & (self.around.side <= 0) & ~self.situation.ignored & idm[:, None])
+
+    def leaders(self, followed: Bools) -> tuple[Floats, Floats]:
+        """(R,) gap to and speed of the nearest of the (R, N) agents that may be followed."""
+        gap = np.where(followed, self.around.gap, np.inf)
+        if not gap.shape[1]:
+            return np.full(len(gap), np.inf), np.zeros(len(gap))
+        nearest = np.argmin(gap, axis=1)
+        rows = np.arange(len(gap))
+        return gap[rows, nearest], self.around.along[rows, nearest]
+
+    def seen(self, asked: Bools) -> Bools:
+        """Those of (R, N) agents that are visible."""
+        row, agent = np.nonzero(asked)
+        if not len(row):
+            return asked
+        relations = self.situation.relations
+        eyes = self.situation.path.position(self.station[row])
+        boxes, present = relations.boxes[:, self.step], relations.present[:, self.step]
+        asked[row, agent] = visible(eyes, agent, boxes, present, relations.hides)
+        return asked

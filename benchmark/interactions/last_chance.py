@@ -1,0 +1,224 @@
+"""Time to last chance: until when one of the sampled manoeuvres still avoids the contact that a base track ends in.
+
+``docs/severity.md``, "Time to last chance". The base is a recorded or driven ego, or the ego at constant speed. Agents
+replay their tracks, and 25 manoeuvres are a lower bound of what could be done.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import shapely
+
+from benchmark.geometry import Bools, Floats, box_corners, boxes_overlap
+from benchmark.interactions.contacts import BLAMELESS, KINDS, contact_kinds, is_agent
+from benchmark.interactions.driving import Rung, Situation, drive
+from benchmark.interactions.manoeuvres import (
+    LONGEST_STEPS,
+    SPEED,
+    STEP_S,
+    Starts,
+    boxes_of,
+    manoeuvres,
+)
+from benchmark.interactions.outcomes import Contact, Surroundings
+from benchmark.interactions.reaction import Driver
+from benchmark.interactions.tracks import STEP_S as GRID_S
+from benchmark.interactions.tracks import Integers, Tracks
+
+REACTION_S: Final = 0.75
+OFF_ROAD_M: Final = 0.3
+"""A corner further off the drivable area than this ends a manoeuvre."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """What the manoeuvres from one moment come to.
+
+    Attributes:
+        time: Of the start, seconds.
+        states: (25, S + 1, 5) of `benchmark.interactions.manoeuvres`, as if nothing had been hit.
+        failed: (25,) step of the contact or of leaving the road, -1 for success.
+    """
+
+    time: float
+    states: Floats
+    failed: Integers
+
+    @property
+    def succeeds(self) -> Bools:
+        """(25,) verdicts."""
+        return self.failed < 0
+
+    @property
+    def first(self) -> int:
+        """Index of the first manoeuvre that succeeds, -1 for none."""
+        return int(np.argmax(self.succeeds)) if self.succeeds.any() else -1
+
+
+@dataclass(frozen=True, slots=True)
+class LastChance:
+    """Until when a contact could be avoided.
+
+    Attributes:
+        contact: That of the base; ``None`` if it has none: not threatened.
+        time: Of the last chance, seconds; ``None`` if there is no contact, it is not the ego's to avoid, or nothing
+            avoids it from the start on.
+        evaluated: Index of the first manoeuvre that succeeds, by the tenth of a second that was looked at.
+    """
+
+    contact: Contact | None
+    time: float | None
+    evaluated: dict[int, int]
+
+    @property
+    def unsolvable(self) -> bool:
+        """Whether nothing avoids the contact even from the start."""
+        return self.evaluated.get(0) == -1
+
+
+class Base:
+    """An ego whose contact is to be avoided.
+
+    Attributes:
+        situation: The scene, with that ego.
+        driver: ``RECORDED`` for the ego as it is, ``CONSTANT`` for the speed of the start.
+        contact: Its first contact.
+        drivable: Where manoeuvres may go; anywhere if ``None``.
+    """
+
+    def __init__(
+        self,
+        situation: Situation,
+        driver: Driver = Driver.RECORDED,
+        drivable: shapely.MultiPolygon | None = None,
+        surroundings: Surroundings | None = None,
+    ) -> None:
+        if driver not in (Driver.RECORDED, Driver.CONSTANT):
+            raise ValueError(f"{driver} is no base; drive it and pass its track as the ego of the scene")
+        self.situation, self.driver = situation, driver
+        self.drivable = None if drivable is None else drivable.buffer(OFF_ROAD_M)
+        if self.drivable is not None:
+            shapely.prepare(self.drivable)
+        (motion,) = drive(situation, [Rung(driver)])
+        self.contact = (surroundings or Surroundings.of(situation)).outcome(motion).contact
+
+    def try_from(self, time: float) -> Tried:
+        """Try all manoeuvres from one moment.
+
+        Args:
+            time: Seconds, inside the recording.
+
+        Returns:
+            What they come to.
+        """
+        tracks, path = self.situation.tracks, self.situation.path
+        steps = min(LONGEST_STEPS, max(0, int(np.floor((tracks.seconds[-1] - time) / STEP_S + 1e-9))))
+        at = np.array([time])
+        start = self._boxes(at)
+        states = manoeuvres(path, Starts(start[:, [0, 1, 4]], self._speed(at), self._station(at)), steps)[0]
+        times = time + STEP_S * np.arange(1, steps + 1)
+        failed = self._first_contact(states[:, 1:], times, start)
+        if self.drivable is not None and steps:
+            corners = box_corners(boxes_of(states[:, 1:], path.size))
+            inside = shapely.contains_xy(self.drivable, corners[..., 0], corners[..., 1]).all(axis=-1)
+            failed = np.minimum(failed, np.where(inside, steps + 1, np.arange(1, steps + 1)).min(axis=1))
+        return Tried(time, states, np.where(failed > steps, -1, failed))
+
+    def last_chance(self) -> LastChance:
+        """Search the last moment from which a manoeuvre succeeds, by bisection over tenths of a second.
+
+        Returns:
+            It, exact if what succeeds late succeeds earlier too.
+        """
+        contact, start = self.contact, float(self.situation.times[0])
+        if contact is None or KINDS.index(contact.kind) in BLAMELESS:
+            return LastChance(contact, None, {})
+        evaluated = {0: self.try_from(start).first}
+        if evaluated[0] < 0:
+            return LastChance(contact, None, evaluated)
+        low, high = 0, int(np.ceil((contact.time - start) / GRID_S - 1e-9))
+        while high - low > 1:
+            middle = (low + high) // 2
+            evaluated[middle] = self.try_from(start + GRID_S * middle).first
+            low, high = (middle, high) if evaluated[middle] >= 0 else (low, middle)
+        return LastChance(contact, start + GRID_S * low, evaluated)
+
+    def avoidable_after(self, first_visible: float | None) -> bool:
+        """Whether a manoeuvre succeeds once somebody has had time to react.
+
+        Args:
+            first_visible: When the adversary is first seen, ``None`` for never.
+
+        Returns:
+            The verdict at the first tenth of a second that is 0.75 s later; true where the base is not threatened or
+            not to blame, false where it is over by then.
+        """
+        contact = self.contact
+        if contact is None or KINDS.index(contact.kind) in BLAMELESS:
+            return True
+        if first_visible is None:
+            return False
+        times = self.situation.times
+        later = times[times >= first_visible + REACTION_S - 1e-9]
+        return bool(len(later)) and later[0] < contact.time and self.try_from(float(later[0])).first >= 0
+
+    def _station(self, times: Floats) -> Floats:
+        situation = self.situation
+        if self.driver is Driver.RECORDED:
+            return situation.path.recorded_station(times)
+        return np.asarray(situation.station[0] + situation.speed[0] * (times - situation.times[0]))
+
+    def _speed(self, times: Floats) -> Floats:
+        if self.driver is Driver.RECORDED:
+            return self.situation.path.recorded_speed(times)
+        return np.full(times.shape, self.situation.speed[0])
+
+    def _boxes(self, times: Floats) -> Floats:
+        if self.driver is Driver.RECORDED:
+            return self.situation.tracks.ego_at(times)
+        return self.situation.path.boxes(self._station(times))
+
+    def _first_contact(self, states: Floats, times: Floats, start: Floats) -> Integers:
+        """(25,) first step, counted from 1, of a contact that is the ego's to avoid; S + 1 for none.
+
+        An agent that runs into the ego from behind, or into a standing one, counts no more afterwards: so what matters
+        of each agent is its first contact.
+        """
+        steps = len(times)
+        failed = np.full(len(states), steps + 1)
+        tracks = self._counted(states, times, start) if steps else None
+        if tracks is None or not len(tracks):
+            return failed
+        boxes, present = tracks.agents_at(times)
+        ego = boxes_of(states, self.situation.path.size)
+        offset = boxes[None, ..., :2] - ego[:, None, :, :2]
+        reach = 0.5 * (np.hypot(boxes[..., 2], boxes[..., 3]) + np.hypot(*self.situation.path.size)) + 1e-6
+        near = present & (offset[..., 0] ** 2 + offset[..., 1] ** 2 <= reach**2)
+        row, agent, step = np.nonzero(near)
+        touching = np.zeros(near.shape, np.bool_)
+        touching[row, agent, step] = boxes_overlap(ego[row, step], boxes[agent, step])
+        row, agent = np.nonzero(touching.any(axis=-1))
+        step = np.argmax(touching[row, agent], axis=-1)
+        speed = np.hypot(*np.moveaxis(tracks.velocities_at(times), -1, 0))[agent, step]
+        agents = np.array([is_agent(name) for name in tracks.categories], np.bool_)[agent]
+        kind = contact_kinds(ego[row, step], states[row, step, SPEED], boxes[agent, step], speed, agents)
+        counts = ~np.isin(kind, BLAMELESS)
+        np.minimum.at(failed, row[counts], step[counts] + 1)
+        return failed
+
+    def _counted(self, states: Floats, times: Floats, start: Floats) -> Tracks:
+        """Agents that a manoeuvre could touch; not those that overlap the ego at its start or that of the scene."""
+        tracks = self.situation.tracks
+        first = np.searchsorted(tracks.seconds, times[0] - STEP_S, side="right") - 1
+        frames = slice(max(int(first), 0), None)
+        reach = 0.5 * (np.hypot(*np.moveaxis(tracks.agents[:, frames, 2:4], -1, 0)).max(axis=1))
+        reach += np.hypot(*self.situation.path.size) + 1e-3
+        low, high = (limit(states[..., :2], axis=(0, 1)) for limit in (np.min, np.max))
+        centre, there = tracks.agents[:, frames, :2], tracks.valid[:, frames, None]
+        their_low = np.where(there, centre, np.inf).min(axis=1) - reach[:, None]
+        their_high = np.where(there, centre, -np.inf).max(axis=1) + reach[:, None]
+        meets = ((their_low <= high) & (low <= their_high)).all(axis=-1)
+        boxes, present = tracks.agents_at(times[:1] - STEP_S)
+        overlapping = present[:, 0] & boxes_overlap(start, boxes[:, 0])
+        return tracks.only(meets & ~overlapping & ~self.situation.ignored)

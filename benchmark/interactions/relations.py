@@ -1,0 +1,243 @@
+"""Where agents are along and across the ego's path, and how they move along and across it.
+
+``docs/severity.md``, "What a driver sees". An agent's place on the path hardly ever depends on where the ego is, so it
+is found once for every instant; only where the nearest point of the whole path lies outside the stretch around the ego
+is it found again for that stretch.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from benchmark.geometry import Bools, Floats, box_corners
+from benchmark.interactions.ego_path import EgoPath
+from benchmark.interactions.tracks import Integers, Tracks
+
+LOOK_BACK_M: Final = 50.0
+LOOK_AHEAD_M: Final = 100.0
+HORIZON_M: Final = 100.0
+"""Agents further away are ignored."""
+OUTLINE_REACH_M: Final = 15.0
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Boxes in the frame of the path; all arrays (Q,) and metres.
+
+    Attributes:
+        station: Of the centre.
+        offset: Of the centre, positive on the left.
+        rear: Lowest station of the outline.
+        front: Highest station of the outline.
+        right: Lowest offset of the outline.
+        left: Highest offset of the outline.
+    """
+
+    station: Floats
+    offset: Floats
+    rear: Floats
+    front: Floats
+    right: Floats
+    left: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Relations:
+    """N agents at K instants, seen from a path.
+
+    Attributes:
+        path: The path.
+        times: (K,) seconds.
+        boxes: (N, K, 5) agents.
+        present: (N, K) who is there.
+        velocity: (N, K, 2) metres a second.
+        hides: (N,) who can hide a car.
+        places: (N, K) arrays: by the whole path.
+        along: (N, K) velocity along the path.
+        across: (N, K) velocity to the left of it.
+    """
+
+    path: EgoPath
+    times: Floats
+    boxes: Floats
+    present: Bools
+    velocity: Floats
+    hides: Bools
+    places: Places
+    along: Floats
+    across: Floats
+
+    @classmethod
+    def of(cls, path: EgoPath, tracks: Tracks, times: Floats) -> "Relations":
+        """Relate all agents to a path.
+
+        Args:
+            path: The ego's path.
+            tracks: Everybody.
+            times: (K,) instants of the recording.
+
+        Returns:
+            The relations.
+        """
+        boxes, present = tracks.agents_at(times)
+        velocity = tracks.velocities_at(times)
+        shape = present.shape
+        # An agent that has not moved since the instant before is where it was.
+        moved = np.ones(shape, np.bool_)
+        moved[:, 1:] = (boxes[:, 1:] != boxes[:, :-1]).any(axis=-1) | ~present[:, :-1]
+        asked = moved & present
+        # Nobody drives backwards: what is behind all of the recording is behind everybody, whatever its outline.
+        found = placed(path, boxes[asked], outlines_from=float(path.recorded_station(times).min()))
+        owner = np.cumsum(asked.ravel()).reshape(shape) - 1
+        owner = np.where(present, owner, 0)
+        filled = {
+            name: getattr(found, name)[owner] if asked.any() else np.zeros(shape)
+            for name in Places.__dataclass_fields__
+        }
+        places = Places(**filled)
+        along, across = _components(path, places.station, velocity)
+        return cls(path, times, boxes, present, velocity, tracks.hides, places, along, across)
+
+    @classmethod
+    def now(
+        cls, path: EgoPath, time: float, boxes: Floats, present: Bools, velocity: Floats, hides: Bools, behind_m: float
+    ) -> "Relations":
+        """Relate agents to a path at the only instant of which anything is known.
+
+        Args:
+            path: The path.
+            time: Seconds.
+            boxes: (N, 5) agents.
+            present: (N,) who is there.
+            velocity: (N, 2) metres a second.
+            hides: (N,) who can hide a car.
+            behind_m: Station behind which nobody matters.
+
+        Returns:
+            The relations, with one instant.
+        """
+        found = placed(path, boxes[present], outlines_from=behind_m)
+        filled = {name: np.zeros((len(boxes), 1)) for name in Places.__dataclass_fields__}
+        for name, array in filled.items():
+            array[present, 0] = getattr(found, name)
+        places = Places(**filled)
+        along, across = _components(path, places.station, velocity[:, None])
+        return cls(
+            path, np.array([time]), boxes[:, None], present[:, None], velocity[:, None], hides, places, along, across
+        )
+
+    def around(self, instant: int, stations: Floats) -> "Around":
+        """What R egos on the path have around them at an instant.
+
+        Args:
+            instant: Index of the instant.
+            stations: (R,) where they are.
+
+        Returns:
+            Every agent as seen by each, (R, N).
+        """
+        return self.seen(np.arange(len(self.boxes)), np.array(instant), stations[:, None])
+
+    def seen(self, agents: Integers, instants: Integers, stations: Floats) -> "Around":
+        """Some agents at some instants, as seen by egos on the path.
+
+        Args:
+            agents: Indices; the three broadcast against one another.
+            instants: Indices.
+            stations: Where the ego is, metres.
+
+        Returns:
+            What is seen, in the shape that they broadcast to.
+        """
+        eyes = self.path.position(stations)
+        agents, instants, stations = np.broadcast_arrays(agents, instants, stations)
+        places = {name: getattr(self.places, name)[agents, instants] for name in Places.__dataclass_fields__}
+        along, across = self.along[agents, instants], self.across[agents, instants]
+        offset = self.boxes[agents, instants, :2] - eyes
+        near = self.present[agents, instants] & (np.hypot(offset[..., 0], offset[..., 1]) <= HORIZON_M)
+        low, high = stations - LOOK_BACK_M, stations + LOOK_AHEAD_M
+        again = near & ((places["station"] < low) | (places["station"] > high))
+        if again.any():
+            boxes = self.boxes[agents[again], instants[again]]
+            places["station"][again], _ = self.path.project(boxes[:, :2], low[again], high[again])
+            # What is behind is ignored, so that only what lies ahead on this stretch is placed again.
+            again &= places["station"] >= stations
+        if again.any():
+            agent, instant = agents[again], instants[again]
+            found = placed(self.path, self.boxes[agent, instant], low[again], high[again])
+            for name, array in places.items():
+                array[again] = getattr(found, name)
+            along[again], across[again] = _components(self.path, found.station, self.velocity[agent, instant])
+        length, width = self.path.size
+        return Around(
+            ahead=near & (places["station"] >= stations),
+            gap=places["rear"] - (stations + 0.5 * length),
+            extent=places["front"] - places["rear"],
+            side=np.maximum(places["right"], -places["left"]) - 0.5 * width,
+            along=along,
+            across=across,
+            towards=np.where(places["offset"] > 0, -across, across),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Around:
+    """Agents as seen by egos, usually (R, N); metres and m/s.
+
+    Attributes:
+        ahead: Whether the agent is there, within 100 m, and its centre not behind the ego's.
+        gap: From the ego's front to the agent's rear along the path.
+        extent: Length of the agent along the path.
+        side: Free distance between the ego's strip and the agent; not positive where it is in the way.
+        along: Its velocity along the path.
+        across: Its velocity to the left of the path.
+        towards: Its velocity towards the path.
+    """
+
+    ahead: Bools
+    gap: Floats
+    extent: Floats
+    side: Floats
+    along: Floats
+    across: Floats
+    towards: Floats
+
+    def row(self, ego: int) -> "Around":
+        """The same for one of the egos, (1, N)."""
+        return Around(**{name: getattr(self, name)[ego : ego + 1] for name in Around.__dataclass_fields__})
+
+
+def placed(
+    path: EgoPath, boxes: Floats, low: Floats | None = None, high: Floats | None = None, outlines_from: float = -np.inf
+) -> Places:
+    """Put boxes into the frame of a path.
+
+    Args:
+        path: The path.
+        boxes: (Q, 5) boxes.
+        low: (Q,) first station where a centre may be; the whole path by default.
+        high: (Q,) last station.
+        outlines_from: Boxes whose centre lies before this station have no outline.
+
+    Returns:
+        Their places: centres by the stretch asked for, outlines (corners and middles of the sides) within 15 m of it.
+    """
+    station, offset = path.project(boxes[:, :2], low, high)
+    rear, front, right, left = station.copy(), station.copy(), offset.copy(), offset.copy()
+    rows = np.flatnonzero(station >= outlines_from)
+    corners = box_corners(boxes[rows])
+    outline = np.concatenate([corners, 0.5 * (corners + np.roll(corners, -1, axis=1))], axis=1)
+    around = np.repeat(station[rows], outline.shape[1])
+    stations, offsets = path.project(outline.reshape(-1, 2), around - OUTLINE_REACH_M, around + OUTLINE_REACH_M)
+    stations, offsets = stations.reshape(outline.shape[:2]), offsets.reshape(outline.shape[:2])
+    rear[rows], front[rows] = stations.min(axis=1), stations.max(axis=1)
+    right[rows], left[rows] = offsets.min(axis=1), offsets.max(axis=1)
+    return Places(station, offset, rear, front, right, left)
+
+
+def _components(path: EgoPath, station: Floats, velocity: Floats) -> tuple[Floats, Floats]:
+    tangent = path.tangent(station)
+    along = velocity[..., 0] * tangent[..., 0] + velocity[..., 1] * tangent[..., 1]
+    across = velocity[..., 1] * tangent[..., 0] - velocity[..., 0] * tangent[..., 1]
+    return np.asarray(along), np.asarray(across)

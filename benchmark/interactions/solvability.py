@@ -1,0 +1,107 @@
+"""The ladder of a scene: who survives it, and whether anybody could.
+
+``docs/severity.md``, "What solvable means". That the recorded ego passes says nothing of a driver who reacts; that a
+careful human passes does.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import shapely
+
+from benchmark.interactions.driving import Situation, drive
+from benchmark.interactions.last_chance import REACTION_S, Base, LastChance
+from benchmark.interactions.outcomes import Outcome, Surroundings
+from benchmark.interactions.reaction import Driver
+from benchmark.interactions.sight import first_visible
+from benchmark.interactions.tracks import Tracks
+
+
+@dataclass(frozen=True)
+class SceneLadder:
+    """What the reference drivers make of a scene.
+
+    Attributes:
+        situation: The scene.
+        outcomes: By driver, from the weakest statement to the most cautious.
+        first_visible: When the recorded ego first sees the adversary once drivers drive, seconds; ``None`` for never.
+        drivable: Where manoeuvres may go; ``None`` without a map, which a report must say.
+    """
+
+    situation: Situation
+    outcomes: dict[Driver, Outcome]
+    first_visible: float | None
+    drivable: shapely.MultiPolygon | None
+
+    @classmethod
+    def of(
+        cls,
+        tracks: Tracks,
+        adversary: int | None,
+        start: float | None = None,
+        drivable: shapely.MultiPolygon | None = None,
+    ) -> "SceneLadder":
+        """Let all drivers drive a scene.
+
+        Args:
+            tracks: Everybody.
+            adversary: Index of the adversary; ``None`` where none is known, who is then never visible.
+            start: When drivers take over, seconds; at the first frame by default.
+            drivable: Where manoeuvres may go; anywhere by default.
+
+        Returns:
+            The ladder.
+        """
+        situation = Situation.of(tracks, start, adversary)
+        surroundings = Surroundings.of(situation)
+        outcomes = {motion.rung.driver: surroundings.outcome(motion) for motion in drive(situation)}
+        seen = None if adversary is None else first_visible(tracks, adversary, situation.times)
+        return cls(situation, outcomes, seen, drivable)
+
+    def about(self, adversary: int) -> Self:
+        """The same scene with another one as the adversary: drivers and last chance do not depend on who that is.
+
+        Args:
+            adversary: Its index.
+
+        Returns:
+            The ladder, with what was found already.
+        """
+        situation = self.situation
+        seen = first_visible(situation.tracks, adversary, situation.times)
+        other = type(self)(situation, self.outcomes, seen, self.drivable)
+        other.__dict__.update({name: getattr(self, name) for name in ("base", "last_chance")})
+        return other
+
+    def survives(self, driver: Driver) -> bool:
+        """Whether a driver hits nobody."""
+        return self.outcomes[driver].survives
+
+    @cached_property
+    def base(self) -> Base:
+        """The ego at constant speed, whose contact is to be avoided."""
+        return Base(self.situation, Driver.CONSTANT, self.drivable)
+
+    @cached_property
+    def last_chance(self) -> LastChance:
+        """Of the ego at constant speed."""
+        return self.base.last_chance()
+
+    @property
+    def margin_s(self) -> float | None:
+        """Time from when somebody could have reacted to the last chance; ``None`` where there is no last chance."""
+        if self.last_chance.time is None or self.first_visible is None:
+            return None
+        return self.last_chance.time - (self.first_visible + REACTION_S)
+
+    @cached_property
+    def unsolvable(self) -> bool:
+        """Whether nobody could have avoided it.
+
+        No sampled manoeuvre succeeds 0.75 s after the adversary is first visible, and neither the careful human nor
+        FSM survives.
+        """
+        if self.survives(Driver.CC) or self.survives(Driver.FSM):
+            return False
+        return not self.base.avoidable_after(self.first_visible)

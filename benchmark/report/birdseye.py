@@ -1,0 +1,225 @@
+"""A scene from above: the road, who is where, where they come from and go to, and what planners planned."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import VEHICLE_CATEGORIES
+from benchmark.errors import InputError
+from benchmark.geometry import Floats, box_corners
+from benchmark.records.scenes import Sheet, SheetAgent
+from benchmark.report.canvas import GroundView, fill_box, mark_at, outline_box, stroke, view_around
+from benchmark.report.captions import draw_captions
+from benchmark.report.ground import SheetGround, draw_ground, ground_of
+from benchmark.report.lettering import Picture
+from benchmark.report.overlays import CandidatesOverlay, Overlay, PathOverlay, PlanOverlay
+from benchmark.report.palette import ADVERSARY, EGO, ON_LIGHT, PATH, PATH_DASH, GroundColours, Rgb, mixed
+from benchmark.report.placing import agent_box, ego_box, frame_seconds
+from benchmark.report.planned import draw_candidates, draw_contacts, draw_expectations, draw_plan
+
+PAST_S: Final = 2.0
+FUTURE_S: Final = 3.0
+"""How much of the ways of ego and adversaries is drawn."""
+_SMALLEST_PERSON_PX: Final = 3.0
+_FINE_PX_M: Final = 4.0
+"""Below so many pixels a metre, outlines and noses of boxes are left out."""
+
+
+class SceneFromAbove:
+    """Draws frames of one sheet; what does not change is made ready once."""
+
+    def __init__(self, sheet: Sheet, colours: GroundColours = ON_LIGHT) -> None:
+        """Make the map ready.
+
+        Args:
+            sheet: The scene.
+            colours: Of everything but ego, adversary and plans; plans are drawn for `ON_LIGHT`.
+
+        Raises:
+            InputError: If the sheet has no frames, or not as many ego poses as frames.
+        """
+        count = len(sheet.timestamps_us)
+        if not count or {len(sheet.ego.x_m), len(sheet.ego.y_m), len(sheet.ego.yaw_rad)} != {count}:
+            raise InputError(
+                f"the sheet of {sheet.scene} has {count} frames and another number of ego poses, or none; run "
+                "challenger-bench sheets again"
+            )
+        self.sheet = sheet
+        self.seconds: Floats = frame_seconds(sheet)
+        self._colours = colours
+        self._ground: SheetGround = ground_of(sheet, colours)
+        self._ego: list[Floats] = [ego_box(sheet, frame) for frame in range(len(self.seconds))]
+
+    def draw(
+        self,
+        frame: int,
+        overlays: Sequence[Overlay] = (),
+        *,
+        width_px: int,
+        height_px: int,
+        extent_m: float = 40.0,
+        heading_up: bool = True,
+        middle: float = 0.5,
+    ) -> tuple[Picture, GroundView]:
+        """Draw one frame without captions.
+
+        Args:
+            frame: Frame index.
+            overlays: What to draw over the scene.
+            width_px: Of the picture.
+            height_px: Of the picture.
+            extent_m: Half of what the shorter side shows.
+            heading_up: Whether the ego's heading points up; else north does.
+            middle: How far down the picture the ego is, as a share of its height.
+
+        Returns:
+            (height_px, width_px, 3) RGB, and where metres fall on it.
+
+        Raises:
+            InputError: If the frame is not in the scene, or the size or extent is not positive.
+        """
+        sheet = self.sheet
+        if not 0 <= frame < len(self.seconds):
+            raise InputError(
+                f"{sheet.scene} has frames 0 to {len(self.seconds) - 1}, there is no frame {frame} to draw"
+            )
+        if min(width_px, height_px) < 1 or not 0.0 < extent_m < np.inf:
+            raise InputError(
+                f"a picture from above needs a positive size and extent, got {width_px}x{height_px} px and {extent_m} m"
+            )
+        pose = np.array([sheet.ego.x_m[frame], sheet.ego.y_m[frame], sheet.ego.yaw_rad[frame]])
+        view = view_around(
+            pose,
+            width_px=width_px,
+            height_px=height_px,
+            extent_m=extent_m,
+            heading_up=heading_up,
+            middle=middle,
+        )
+        image: Picture = np.empty((height_px, width_px, 3), np.uint8)
+        draw_ground(image, view, self._ground)
+        plans = [each for each in overlays if isinstance(each, PlanOverlay)]
+        self._draw_trails(image, view, frame)
+        for overlay in overlays:
+            if isinstance(overlay, CandidatesOverlay):
+                draw_candidates(image, view, overlay)
+            if isinstance(overlay, PathOverlay):
+                stroke(image, view, overlay.points, PATH, 2, dash=PATH_DASH)
+        for plan in plans:
+            draw_expectations(image, view, plan)
+        self._draw_boxes(image, view, frame)
+        # Later planners are drawn first, so that the one that is named first is on top.
+        for plan in reversed(plans):
+            draw_plan(image, view, plan)
+        draw_contacts(image, view, plans)
+        return image, view
+
+    def _draw_trails(self, image: Picture, view: GroundView, frame: int) -> None:
+        now = self.seconds[frame]
+        near = np.flatnonzero((self.seconds >= now - PAST_S - 1e-6) & (self.seconds <= now + FUTURE_S + 1e-6))
+        for agent in self.sheet.agents:
+            if agent.adversary:
+                boxes = [agent_box(agent, int(each)) for each in near]
+                self._trail(image, view, near, boxes, frame, ADVERSARY)
+        self._trail(image, view, near, [self._ego[each] for each in near], frame, EGO)
+
+    def _trail(
+        self,
+        image: Picture,
+        view: GroundView,
+        frames: NDArray[np.int64],
+        boxes: Sequence[Floats | None],
+        frame: int,
+        colour: Rgb,
+    ) -> None:
+        """A way: thin and pale where it was, thick with a dot each half second where it goes."""
+        centre = {int(each): box[:2] for each, box in zip(frames, boxes) if box is not None}
+        behind = [centre[each] for each in sorted(centre) if each <= frame]
+        ahead = [centre[each] for each in sorted(centre) if each >= frame]
+        stroke(image, view, np.array(behind).reshape(-1, 2), mixed(colour, self._colours.paper, 0.45), 1)
+        stroke(image, view, np.array(ahead).reshape(-1, 2), mixed(colour, self._colours.paper, 0.25), 2)
+        for dot in np.arange(1, round(2 * FUTURE_S) + 1) / 2:
+            nearest = int(np.argmin(np.abs(self.seconds - self.seconds[frame] - dot)))
+            if nearest in centre and abs(self.seconds[nearest] - self.seconds[frame] - dot) < 0.05:
+                mark_at(image, view.pixels(centre[nearest]), "circle", 2.5, colour, self._colours.paper)
+
+    def _draw_boxes(self, image: Picture, view: GroundView, frame: int) -> None:
+        for agent in sorted(self.sheet.agents, key=lambda each: each.adversary):
+            box = agent_box(agent, frame)
+            if box is not None and view.sees(box_corners(box)):
+                _draw_agent(image, view, agent, box, self._colours)
+        _draw_car(image, view, self._ego[frame], EGO, self._colours, edge_px=2)
+
+
+def draw_birdseye(
+    sheet: Sheet,
+    frame: int,
+    overlays: Sequence[Overlay] = (),
+    *,
+    size_px: int = 480,
+    extent_m: float = 40.0,
+    heading_up: bool = True,
+    captions: bool = False,
+) -> NDArray[np.uint8]:
+    """Draw the surroundings of the ego from above.
+
+    Args:
+        sheet: The scene.
+        frame: Frame index.
+        overlays: Plans and candidates to draw over it.
+        size_px: Side of the picture.
+        extent_m: Half the side of the square that it shows.
+        heading_up: Whether the ego's heading points up; else north does.
+        captions: Whether to write the time, a scale bar, what is what, and the verdicts on the plans.
+
+    Returns:
+        (size_px, size_px, 3) RGB.
+
+    Raises:
+        InputError: If the frame is not in the scene, or the size or extent is not positive.
+    """
+    drawer = SceneFromAbove(sheet)
+    image, view = drawer.draw(
+        frame, overlays, width_px=size_px, height_px=size_px, extent_m=extent_m, heading_up=heading_up
+    )
+    if captions:
+        draw_captions(image, view, sheet, float(drawer.seconds[frame]), overlays)
+    return image
+
+
+def colour_of(agent: SheetAgent, colours: GroundColours = ON_LIGHT) -> Rgb:
+    """Colour of an object by what it is."""
+    if agent.adversary:
+        return ADVERSARY
+    if agent.category in ("vehicle.bicycle", "vehicle.motorcycle"):
+        return colours.cycle
+    if agent.category in VEHICLE_CATEGORIES:
+        return colours.vehicle
+    return colours.person if agent.category.startswith(("human", "animal")) else colours.thing
+
+
+def _draw_agent(image: Picture, view: GroundView, agent: SheetAgent, box: Floats, colours: GroundColours) -> None:
+    colour = colour_of(agent, colours)
+    if colour is colours.person and float(box[2]) * view.scale_px_m < 2.0 * _SMALLEST_PERSON_PX:
+        mark_at(image, view.pixels(box[:2]), "circle", _SMALLEST_PERSON_PX, colour)
+    elif colour in (colours.vehicle, ADVERSARY, colours.cycle):
+        _draw_car(image, view, box, colour, colours, edge_px=2 if agent.adversary else 1)
+    else:
+        fill_box(image, view, box, colour)
+
+
+def _draw_car(
+    image: Picture, view: GroundView, box: Floats, colour: Rgb, colours: GroundColours, *, edge_px: int
+) -> None:
+    """A box with an edge and a light wedge at its front."""
+    fill_box(image, view, box, colour)
+    if view.scale_px_m < _FINE_PX_M:
+        return
+    outline_box(image, view, box, colours.ink if edge_px > 1 else mixed(colour, colours.ink, 0.6), edge_px)
+    ahead = np.array([np.cos(box[4]), np.sin(box[4])])
+    left = np.array([-ahead[1], ahead[0]])
+    tip, base = box[:2] + 0.42 * box[2] * ahead, box[:2] + 0.2 * box[2] * ahead
+    wedge = np.array([tip, base + 0.3 * box[3] * left, base - 0.3 * box[3] * left])
+    stroke(image, view, wedge, colours.paper, 1, closed=True)

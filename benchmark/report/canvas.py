@@ -1,0 +1,258 @@
+"""A picture of the ground from above: where metres fall on pixels, and what is drawn in metres."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.geometry import Floats, box_corners
+from benchmark.report.lettering import Picture
+from benchmark.report.palette import Dash, Rgb
+
+SHIFT = 4
+"""Binary digits of the fraction in OpenCV's coordinates."""
+_MARGIN_PX = 8
+"""Marks and thick lines reach so far beyond their points."""
+_FARTHEST_PX = 30_000.0
+"""OpenCV takes short integers in places; what is farther away is out of sight anyway."""
+
+
+@dataclass(frozen=True, slots=True)
+class GroundView:
+    """Where metres fall on pixels.
+
+    Attributes:
+        matrix: (2, 3) affine map from x, y in metres to column and row.
+        scale_px_m: Pixels a metre.
+        width_px: Of the picture.
+        height_px: Of the picture.
+    """
+
+    matrix: Floats
+    scale_px_m: float
+    width_px: int
+    height_px: int
+
+    def pixels(self, points: Floats) -> Floats:
+        """Columns and rows.
+
+        Args:
+            points: (..., 2) metres.
+
+        Returns:
+            (..., 2) pixels, cut where they are far outside.
+        """
+        found = np.asarray(points, np.float64) @ self.matrix[:, :2].T + self.matrix[:, 2]
+        return np.asarray(np.clip(found, -_FARTHEST_PX, _FARTHEST_PX))
+
+    def fixed(self, points: Floats) -> NDArray[np.int32]:
+        """The same with `SHIFT` binary digits of fraction, as OpenCV wants them."""
+        return np.asarray(np.round(self.pixels(points) * (1 << SHIFT)), np.int32)
+
+    def near(self, centres: Floats, reaches_m: Floats) -> NDArray[np.int64]:
+        """Which circles may touch the picture.
+
+        Args:
+            centres: (N, 2) metres.
+            reaches_m: (N,) radii.
+
+        Returns:
+            Their places, ascending.
+        """
+        middle = self.pixels(centres) - (0.5 * self.width_px, 0.5 * self.height_px)
+        reach = 0.5 * np.hypot(self.width_px, self.height_px) + reaches_m * self.scale_px_m
+        return np.flatnonzero((middle**2).sum(axis=-1) <= reach**2)
+
+    def sees(self, points: Floats) -> bool:
+        """Whether the rectangle around some points touches the picture; (M, 2) metres."""
+        if not len(points):
+            return False
+        pixels = self.pixels(points)
+        low, high = pixels.min(axis=0), pixels.max(axis=0)
+        return bool((high >= 0).all() and low[0] <= self.width_px and low[1] <= self.height_px)
+
+
+def view_around(
+    pose: Floats,
+    *,
+    width_px: int,
+    height_px: int,
+    extent_m: float,
+    heading_up: bool = True,
+    middle: float = 0.5,
+) -> GroundView:
+    """A view with a pose in it.
+
+    Args:
+        pose: (3,) x, y, yaw in metres and radians.
+        width_px: Of the picture.
+        height_px: Of the picture.
+        extent_m: Half of what the shorter side shows.
+        heading_up: Whether the heading points up; else +y does, which is north in the global frame.
+        middle: How far down the picture the pose is, as a share of its height.
+
+    Returns:
+        The view.
+    """
+    scale = min(width_px, height_px) / (2.0 * extent_m)
+    yaw = float(pose[2]) if heading_up else np.pi / 2
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    turn = scale * np.array([[sin, -cos], [-cos, -sin]])
+    at = np.array([(width_px - 1) / 2.0, (height_px - 1) * middle])
+    return GroundView(np.column_stack([turn, at - turn @ pose[:2]]), scale, width_px, height_px)
+
+
+def fill_rings(image: Picture, view: GroundView, rings: Sequence[Floats], colour: Rgb) -> None:
+    """Fill an area; a point inside an even number of rings is outside it.
+
+    Args:
+        image: Changed in place.
+        view: Where metres fall.
+        rings: Each (M, 2) metres.
+        colour: Of the area.
+    """
+    if rings and view.sees(np.concatenate(rings)):
+        cv2.fillPoly(image, _split(view, rings), colour, cv2.LINE_AA, SHIFT)
+
+
+def stroke(
+    image: Picture,
+    view: GroundView,
+    points: Floats,
+    colour: Rgb,
+    width_px: int,
+    *,
+    dash: Dash = (),
+    closed: bool = False,
+) -> None:
+    """Draw a line.
+
+    Args:
+        image: Changed in place.
+        view: Where metres fall.
+        points: (M, 2) metres.
+        colour: Of the line.
+        width_px: Of the line.
+        dash: Its pattern in pixels.
+        closed: Whether it returns to its start.
+    """
+    if len(points) < 2 or not view.sees(points):
+        return
+    pixels = view.pixels(np.concatenate([points, points[:1]]) if closed else points)
+    lines = dashes(pixels, dash) if dash else [pixels]
+    fixed = [np.round(line * (1 << SHIFT)).astype(np.int32) for line in lines]
+    cv2.polylines(image, fixed, False, colour, width_px, cv2.LINE_AA, SHIFT)
+
+
+def stroke_all(image: Picture, view: GroundView, lines: Sequence[Floats], colour: Rgb, width_px: int) -> None:
+    """Draw many lines, each (M, 2) metres."""
+    if lines:
+        cv2.polylines(image, _split(view, lines), False, colour, width_px, cv2.LINE_AA, SHIFT)
+
+
+def fill_box(image: Picture, view: GroundView, box: Floats, colour: Rgb) -> None:
+    """Fill a box (5,)."""
+    corners = box_corners(box)
+    if view.sees(corners):
+        cv2.fillConvexPoly(image, view.fixed(corners), colour, cv2.LINE_AA, SHIFT)
+
+
+def outline_box(image: Picture, view: GroundView, box: Floats, colour: Rgb, width_px: int = 1, dash: Dash = ()) -> None:
+    """Draw the edges of a box (5,)."""
+    stroke(image, view, box_corners(box), colour, width_px, dash=dash, closed=True)
+
+
+def mark_at(image: Picture, pixel: Floats, shape: str, radius_px: float, colour: Rgb, edge: Rgb | None = None) -> None:
+    """A small filled shape.
+
+    Args:
+        image: Changed in place.
+        pixel: (2,) its centre, pixels.
+        shape: ``circle``, ``square``, ``triangle`` or ``diamond``.
+        radius_px: Its size.
+        colour: Inside.
+        edge: Of a line around it.
+    """
+    if shape == "circle":
+        centre = tuple(int(value) for value in np.round(pixel * (1 << SHIFT)))
+        cv2.circle(image, centre, round(radius_px * (1 << SHIFT)), colour, -1, cv2.LINE_AA, SHIFT)
+        if edge is not None:
+            cv2.circle(image, centre, round(radius_px * (1 << SHIFT)), edge, 1, cv2.LINE_AA, SHIFT)
+        return
+    corners = np.round((pixel + radius_px * _SHAPES[shape]) * (1 << SHIFT)).astype(np.int32)
+    cv2.fillConvexPoly(image, corners, colour, cv2.LINE_AA, SHIFT)
+    if edge is not None:
+        cv2.polylines(image, [corners], True, edge, 1, cv2.LINE_AA, SHIFT)
+
+
+def through(image: Picture, view: GroundView, points: Floats, opacity: float, draw: Callable[[], None]) -> None:
+    """Draw something that can be seen through.
+
+    Args:
+        image: Changed in place.
+        view: Where metres fall.
+        points: (M, 2) metres; everything is drawn in the rectangle around them, or a few pixels outside it.
+        opacity: 0 to 1.
+        draw: Draws on the picture.
+    """
+    if opacity <= 0.0 or not view.sees(points):
+        return
+    pixels = view.pixels(points)
+    left, top = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - _MARGIN_PX, 0)
+    right, bottom = np.maximum(np.ceil(pixels.max(axis=0)).astype(int) + _MARGIN_PX, 0)
+    before = image[top:bottom, left:right].copy()
+    draw()
+    area = image[top:bottom, left:right]
+    if area.size:
+        area[:] = cv2.addWeighted(area, opacity, before, 1.0 - opacity, 0.0)
+
+
+def png(image: Picture) -> bytes:
+    """A picture as a file without loss."""
+    done, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+    assert done
+    return bytes(data)
+
+
+def dashes(line: Floats, pattern: Dash) -> list[Floats]:
+    """The strokes of a dashed line.
+
+    Args:
+        line: (M, 2) points, in any unit.
+        pattern: Lengths of strokes and gaps, alternating, in the same unit.
+
+    Returns:
+        Strokes, each (K, 2).
+    """
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    total = float(along[-1])
+    if not total > 0.0:
+        return []
+    # A line that leaves the picture by far would be thousands of strokes that nobody sees.
+    steps = np.tile(pattern, int(min(total, 4 * _FARTHEST_PX) // sum(pattern)) + 1)
+    ends = np.cumsum(steps)
+    begins, ends = (ends - steps)[::2], np.minimum(ends[::2], total)
+    begins, ends = begins[begins < total], ends[begins < total]
+    tips = np.column_stack([np.interp(np.concatenate([begins, ends]), along, line[:, axis]) for axis in (0, 1)])
+    first, last = np.searchsorted(along, begins, "right"), np.searchsorted(along, ends, "left")
+    count = len(begins)
+    return [
+        np.concatenate([tips[each : each + 1], line[first[each] : last[each]], tips[count + each : count + each + 1]])
+        for each in range(count)
+    ]
+
+
+def _split(view: GroundView, lines: Sequence[Floats]) -> list[NDArray[np.int32]]:
+    """Lines in fixed point, by one product."""
+    fixed = view.fixed(np.concatenate(lines))
+    ends = np.cumsum([len(line) for line in lines]).tolist()
+    return [fixed[begin:end] for begin, end in zip([0, *ends], ends)]
+
+
+_SHAPES = {
+    "square": np.array([[-0.9, -0.9], [0.9, -0.9], [0.9, 0.9], [-0.9, 0.9]]),
+    "triangle": np.array([[0.0, -1.2], [1.1, 0.8], [-1.1, 0.8]]),
+    "diamond": np.array([[0.0, -1.25], [1.25, 0.0], [0.0, 1.25], [-1.25, 0.0]]),
+}

@@ -1,0 +1,137 @@
+"""A drive as it is drawn: the world as it was driven, each instant's plan, the recorded path, the contact."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from benchmark.geometry import Floats
+from benchmark.records.considered import ConsideredFrame
+from benchmark.records.drive_schema import DriveRow
+from benchmark.records.scenes import StoredSheet
+from benchmark.report.overlays import (
+    CandidatesOverlay,
+    Contact,
+    PathOverlay,
+    PlanOverlay,
+    Verdict,
+    candidates_by_score,
+)
+from benchmark.report.palette import PlannerStyle
+from benchmark.report.placing import PlacedPlan, frame_seconds
+
+PLAN_SEEN_S: Final = 3.0
+"""A contact is announced so long before."""
+
+
+@dataclass(frozen=True, slots=True)
+class DrivenContact:
+    """The first contact of a drive.
+
+    Attributes:
+        seconds: After the sheet's first frame.
+        ego: (5,) box of the ego then, in the sheet's metres.
+        other: (5,) of the other.
+        point: (2,) in the middle of what they share.
+    """
+
+    seconds: float
+    ego: Floats
+    other: Floats
+    point: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class DrivenSheet:
+    """What is shown of one drive.
+
+    Attributes:
+        stored: Sheet of the world as it was driven; its pictures are what the planner saw.
+        row: Of the record.
+        begins: Frame from which plans were driven; before it the ego is the recorded one.
+        plans: By the frame at which each was made; ``None`` of one that is too short to be drawn.
+        recorded: (T, 2) centres of the recorded ego's body at the scene's frames.
+        recorded_speed: (T,) its speed, m/s.
+        recorded_seconds: (T,) times of both after the sheet's first frame.
+        speed: (F,) of the driven ego at the sheet's frames, m/s.
+        contact: The first contact.
+        considered: What an adversary considered at its planning frames, where that was kept.
+    """
+
+    stored: StoredSheet
+    row: DriveRow
+    begins: int
+    plans: dict[int, PlacedPlan | None]
+    recorded: Floats
+    recorded_speed: Floats
+    recorded_seconds: Floats
+    speed: Floats
+    contact: DrivenContact | None
+    considered: tuple[ConsideredFrame, ...] = ()
+
+    @property
+    def seconds(self) -> Floats:
+        """(F,) time of each frame since the first."""
+        return frame_seconds(self.stored.sheet)
+
+    @property
+    def last(self) -> int:
+        """Frame at which the drive is over: the first that does not come before the contact, or the last one."""
+        end = len(self.seconds) - 1
+        if self.contact is None:
+            return end
+        return min(int(np.searchsorted(self.seconds, self.contact.seconds - 1e-6)), end)
+
+    def path(self) -> PathOverlay:
+        """The recorded path."""
+        return PathOverlay(self.recorded)
+
+    def considered_at(self, frame: int) -> ConsideredFrame | None:
+        """The planning frame of the adversary that is in force at a frame of the sheet, where it was kept."""
+        now_us = self.stored.sheet.timestamps_us[frame]
+        past = [each for each in self.considered if each.time_us <= now_us]
+        return past[-1] if past else None
+
+    def candidates_at(self, frame: int) -> CandidatesOverlay | None:
+        """What the adversary considered at the planning frame in force; ``None`` where it did not search."""
+        now = self.considered_at(frame)
+        if now is None or not now.candidates:
+            return None
+        paths = np.array(now.candidates, np.float64) - np.array(self.stored.sheet.origin_m)
+        return candidates_by_score(paths, now.scores, now.chosen)
+
+    def plan_at(self, frame: int, name: str, style: PlannerStyle) -> PlanOverlay | None:
+        """The last plan that was made, and the contact that comes, if it comes soon.
+
+        Args:
+            frame: Of the sheet.
+            name: Of the planner.
+            style: How it is drawn.
+
+        Returns:
+            What to draw, or ``None`` before the first plan.
+        """
+        made = max((each for each in self.plans if each <= frame), default=None)
+        if made is None:
+            return None
+        now, then = float(self.seconds[frame]), float(self.seconds[made])
+        contact, soon = None, self.contact
+        if soon is not None and soon.seconds - now <= PLAN_SEEN_S:
+            contact = Contact(soon.seconds - then, soon.ego, soon.other, soon.point)
+        verdict = Verdict(contact is not None, "", "", counted=False)
+        return PlanOverlay(name, style, self.plans[made], contact, verdict, age_s=now - then)
+
+
+def speeds_along(points: Floats, seconds: Floats) -> Floats:
+    """Speeds of something that is at points at times.
+
+    Args:
+        points: (T, 2) metres.
+        seconds: (T,) rising.
+
+    Returns:
+        (T,) m/s.
+    """
+    if len(points) < 2:
+        return np.zeros(len(points))
+    return np.asarray(np.hypot(*np.gradient(points, seconds, axis=0).T))

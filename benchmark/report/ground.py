@@ -1,0 +1,163 @@
+"""The road of a sheet, as areas and lines that are made ready once and drawn for every frame."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+
+from benchmark.geometry import Floats
+from benchmark.records.scenes import Point, Polygon, Sheet, SheetLine
+from benchmark.report.canvas import GroundView, dashes, fill_rings, stroke, stroke_all
+from benchmark.report.lettering import Picture
+from benchmark.report.palette import ON_LIGHT, GroundColours, Rgb
+
+_STRIPE_M: Final = 0.55
+_STRIPE_EVERY_M: Final = 1.1
+_DASH_M: Final = 3.0
+_SMALLEST_STRIPE_PX: Final = 1.2
+"""Thinner stripes of a crossing are a grey noise; its area is drawn plain."""
+
+Area = tuple[Floats, ...]
+"""Rings of a polygon, or lines; each (M, 2)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """Areas or lines of one colour.
+
+    Attributes:
+        areas: What is drawn together.
+        centres: (N, 2) of the circle around each.
+        reaches_m: (N,) its radius.
+        colour: Of all.
+    """
+
+    areas: tuple[Area, ...]
+    centres: Floats
+    reaches_m: Floats
+    colour: Rgb
+
+    @classmethod
+    def of(cls, areas: Iterable[Area], colour: Rgb) -> "Layer":
+        """A layer of areas; those without points are left out."""
+        kept = tuple(area for area in areas if area and len(area[0]))
+        points = [np.concatenate(area) for area in kept]
+        centres = np.array([0.5 * (each.min(axis=0) + each.max(axis=0)) for each in points]).reshape(-1, 2)
+        reaches = [np.hypot(*(each - centre).T).max() for each, centre in zip(points, centres)]
+        return cls(kept, centres, np.array(reaches, np.float64), colour)
+
+    def near(self, view: GroundView) -> list[Area]:
+        """Areas that may be seen."""
+        return [self.areas[each] for each in view.near(self.centres, self.reaches_m)]
+
+
+@dataclass(frozen=True, slots=True)
+class SheetGround:
+    """The map of one sheet.
+
+    Attributes:
+        below: Pavements.
+        drivable: Where cars may drive.
+        above: Car parks and crossings.
+        stripes: Of the crossings.
+        paint: Strokes of painted lines.
+        colours: Of all of it.
+    """
+
+    below: Layer
+    drivable: Layer
+    above: tuple[Layer, ...]
+    stripes: Layer
+    paint: tuple[Layer, ...]
+    colours: GroundColours
+
+
+def ground_of(sheet: Sheet, colours: GroundColours = ON_LIGHT) -> SheetGround:
+    """Make a sheet's map ready.
+
+    Args:
+        sheet: The sheet.
+        colours: To draw it in.
+
+    Returns:
+        Its map; empty where it has none.
+    """
+    road = sheet.road
+    crossings = [area for area in _areas(road.crossings) if area]
+    strokes = {
+        name: [_strokes(line) for line in road.dividers if line.paint.endswith(f"-{name}")] for name in colours.paint
+    }
+    return SheetGround(
+        below=Layer.of(_areas(road.walkways), colours.walkway),
+        drivable=Layer.of(_areas(road.drivable), colours.road),
+        above=(Layer.of(_areas(road.carparks), colours.car_park), Layer.of(crossings, colours.crossing)),
+        stripes=Layer.of((_stripes(area[0]) for area in crossings), colours.stripe),
+        paint=tuple(
+            Layer.of(((stroke,) for line in lines for stroke in line), colours.paint[name])
+            for name, lines in strokes.items()
+        ),
+        colours=colours,
+    )
+
+
+def draw_ground(image: Picture, view: GroundView, ground: SheetGround) -> None:
+    """Fill a picture with the map.
+
+    Args:
+        image: Changed in place.
+        view: Where metres fall.
+        ground: The map.
+    """
+    cv2.rectangle(image, (0, 0), (view.width_px, view.height_px), ground.colours.land, -1)
+    _fill(image, view, ground.below)
+    # First all kerbs, then all surfaces: between two surfaces that touch there is no kerb.
+    for area in ground.drivable.near(view):
+        for ring in area:
+            stroke(image, view, ring, ground.colours.kerb, 3, closed=True)
+    for layer in (ground.drivable, *ground.above):
+        _fill(image, view, layer)
+    if _STRIPE_M * view.scale_px_m >= _SMALLEST_STRIPE_PX:
+        _fill(image, view, ground.stripes)
+    for layer in ground.paint:
+        stroke_all(image, view, [line for (line,) in layer.near(view)], layer.colour, 1)
+
+
+def _fill(image: Picture, view: GroundView, layer: Layer) -> None:
+    for area in layer.near(view):
+        fill_rings(image, view, area, layer.colour)
+
+
+def _areas(polygons: Iterable[Polygon]) -> list[Area]:
+    return [tuple(_points(ring) for ring in polygon if len(ring) > 2) for polygon in polygons]
+
+
+def _strokes(line: SheetLine) -> list[Floats]:
+    points = _points(line.points)
+    if len(points) < 2:
+        return []
+    return dashes(points, (_DASH_M, _DASH_M)) if line.paint.startswith("dashed") else [points]
+
+
+def _points(points: Iterable[Point]) -> Floats:
+    return np.array(tuple(points), np.float64).reshape(-1, 2)
+
+
+def _stripes(ring: Floats) -> Area:
+    """Stripes across the longer axis of the rectangle around a crossing."""
+    origin = ring.mean(axis=0)
+    (x, y), (width, height), degrees = cv2.minAreaRect((ring - origin).astype(np.float32))
+    turn = np.radians(degrees)
+    long, short = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
+    if height > width:
+        long, short, width, height = short, long, height, width
+    count = max(int((width - _STRIPE_M) / _STRIPE_EVERY_M) + 1, 1)
+    first = -0.5 * (count - 1) * _STRIPE_EVERY_M
+    middle, across = origin + (x, y), 0.42 * height * short
+    found = []
+    for number in range(count):
+        near = middle + (first + number * _STRIPE_EVERY_M - 0.5 * _STRIPE_M) * long
+        far = near + _STRIPE_M * long
+        found.append(np.array([near - across, near + across, far + across, far - across]))
+    return tuple(found)

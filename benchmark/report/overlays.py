@@ -1,0 +1,298 @@
+"""What is drawn over a scene: plans with their verdicts, and candidates of the search."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+import cv2
+import numpy as np
+
+from benchmark.constants import PLAN_STEP_S
+from benchmark.errors import InputError
+from benchmark.geometry import Floats, box_corners
+from benchmark.records.row_schema import SampleRow
+from benchmark.records.scenes import RefinementTrace, Sheet, TraceRound
+from benchmark.report.palette import PlannerStyle
+from benchmark.report.placing import (
+    PlacedPlan,
+    agent_box_at,
+    ego_pose,
+    frame_seconds,
+    placed_plan,
+    plan_instant,
+)
+
+EXACT: Final = "exact"
+PLANNING_S: Final = 1.0
+"""The search plans anew so often."""
+CANDIDATES_SHOWN: Final = 64
+"""More lines than these are a blot; the best ones are drawn."""
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """Where and when a plan first touches something.
+
+    Attributes:
+        seconds: After the sample.
+        ego: (5,) the plan's footprint then.
+        other: (5,) what it touches, or ``None`` where the protocol does not say.
+        point: (2,) in the middle of what they share.
+    """
+
+    seconds: float
+    ego: Floats
+    other: Floats | None
+    point: Floats
+
+
+class Whom(Enum):
+    """Whom a plan touches first."""
+
+    ANYBODY = "anybody, in a scene without adversaries"
+    ADVERSARY = "the adversary"
+    OTHER = "another than the adversary"
+    UNSAID = "the record does not say"
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What one protocol says of one sample.
+
+    Attributes:
+        collides: Whether the plan touches anything; ``None`` where nobody can say.
+        words: The same in words.
+        brief: The same in few words.
+        counted: Whether it enters the rates.
+        whom: With whom the contact is, if it collides.
+    """
+
+    collides: bool | None
+    words: str
+    brief: str
+    counted: bool
+    whom: Whom = Whom.ANYBODY
+
+    @property
+    def alarms(self) -> bool:
+        """Whether it is what is counted: a contact with the adversary, where there is one."""
+        return self.collides is True and self.whom in (Whom.ANYBODY, Whom.ADVERSARY)
+
+
+@dataclass(frozen=True, slots=True)
+class PlanOverlay:
+    """One planner's last plan.
+
+    Attributes:
+        name: Of the planner.
+        style: How it is drawn.
+        plan: The plan, or ``None`` where the planner failed.
+        contact: Its first contact, if it collides.
+        verdict: The verdict on it.
+        age_s: Since it was made.
+        details: Whether to draw other modes and forecasts.
+    """
+
+    name: str
+    style: PlannerStyle
+    plan: PlacedPlan | None
+    contact: Contact | None
+    verdict: Verdict
+    age_s: float = 0.0
+    details: bool = True
+
+    @property
+    def opacity(self) -> float:
+        """A plan fades until the next one comes."""
+        return 1.0 - 0.5 * min(self.age_s / PLAN_STEP_S, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class CandidatesOverlay:
+    """What the search chose from.
+
+    Attributes:
+        paths: (B, M, 2) worst first, each from where the adversary was.
+        shares: (B,) 0 for the best score, 1 for the worst or infinite ones.
+        chosen: (M, 2) the one that was executed; ``None`` where none was.
+    """
+
+    paths: Floats
+    shares: Floats
+    chosen: Floats | None
+
+
+@dataclass(frozen=True, slots=True)
+class PathOverlay:
+    """Where the recorded ego went, beside one that was driven.
+
+    Attributes:
+        points: (M, 2) centres of its body.
+    """
+
+    points: Floats
+
+
+Overlay = PlanOverlay | CandidatesOverlay | PathOverlay
+
+
+def verdict_of(row: SampleRow, protocol: str, *, adversaries: bool = False) -> Verdict:
+    """What a protocol says of a sample, in words.
+
+    Args:
+        row: The sample.
+        protocol: Who judges.
+        adversaries: Whether there are adversaries in the scene.
+
+    Returns:
+        The verdict.
+
+    Raises:
+        InputError: If the protocol did not judge it.
+    """
+    if row.status == "failed":
+        return Verdict(None, "the planner failed", "failed", counted=False)
+    seconds = _contact_seconds(row, protocol)
+    if row.outcomes[protocol].collision is None:
+        return Verdict(None, "its surroundings are not annotated", "no truth", counted=False)
+    counted = row.outcomes[protocol].counted
+    tail = "" if counted else ", not counted"
+    if seconds is None and protocol == EXACT and row.outcomes[protocol].cut_short:
+        known_s = PLAN_STEP_S * row.outcomes[protocol].l2.index(None)
+        return Verdict(False, f"no contact within {known_s:g} s, unknown beyond", "unknown", counted=False)
+    if seconds is None:
+        return Verdict(False, f"no contact{tail}", "no contact", counted)
+    cause = f" ({row.diagnosis.cause})" if protocol == EXACT and row.diagnosis is not None else ""
+    exactly = row.outcomes[protocol].facts.get("first_contact_s") is not None
+    when = f"{seconds:.1f} s ahead" if exactly else f"within {seconds:.1f} s"
+    whom = _whom(row.outcomes[protocol].touches_adversary) if adversaries else Whom.ANYBODY
+    verb, noun, rest = _WORDS[whom]
+    return Verdict(True, f"{verb} {when}{cause}{rest}{tail}", f"{noun} {seconds:.1f} s", counted, whom)
+
+
+_WORDS: Final = {
+    Whom.ANYBODY: ("collides", "contact", ""),
+    Whom.ADVERSARY: ("hits the adversary", "contact", ""),
+    Whom.OTHER: ("hits another", "another", ""),
+    Whom.UNSAID: ("collides", "whom? in", ", whom is not said"),
+}
+"""Of each: what the plan does, in a word, and what follows."""
+
+
+def _whom(adversary: bool | None) -> Whom:
+    return Whom.UNSAID if adversary is None else Whom.ADVERSARY if adversary else Whom.OTHER
+
+
+def _contact_seconds(row: SampleRow, protocol: str) -> float | None:
+    """When a plan first touches something: to a tenth of a second under ``exact``, else the end of the step."""
+    if protocol not in row.outcomes:
+        raise InputError(f"scene {row.scene} was not judged by protocol {protocol!r}; run challenger-bench rescore")
+    outcome = row.outcomes[protocol]
+    if outcome.collision is None or not any(outcome.collision):
+        return None
+    first = outcome.facts.get("first_contact_s")
+    return float(first) if isinstance(first, int | float) else PLAN_STEP_S * (outcome.collision.index(True) + 1)
+
+
+def plan_overlay(
+    sheet: Sheet, keyframe: int, row: SampleRow, protocol: str, name: str, style: PlannerStyle
+) -> PlanOverlay:
+    """A stored plan with its verdict.
+
+    Args:
+        sheet: The scene.
+        keyframe: Frame of the sample.
+        row: The sample.
+        protocol: Who judges.
+        name: Of the planner.
+        style: How it is drawn.
+
+    Returns:
+        What to draw, as it is at the sample.
+
+    Raises:
+        InputError: If the protocol did not judge the sample, or the plan is damaged.
+    """
+    verdict = verdict_of(row, protocol, adversaries=any(agent.adversary for agent in sheet.agents))
+    plan = placed_plan(row, ego_pose(sheet, keyframe))
+    contact = None
+    if plan is not None and verdict.collides:
+        seconds = _contact_seconds(row, protocol)
+        assert seconds is not None
+        hit = row.outcomes[protocol].facts.get("hit")
+        contact = _contact(sheet, keyframe, plan, seconds, hit if isinstance(hit, str) else None)
+    return PlanOverlay(name, style, plan, contact, verdict)
+
+
+def candidates_overlay(sheet: Sheet, trace: RefinementTrace, frame: int) -> CandidatesOverlay | None:
+    """The candidates of the planning frame in force, of the round that the executed one is from.
+
+    Args:
+        sheet: The scene.
+        trace: The search for its adversary.
+        frame: Frame.
+
+    Returns:
+        What to draw, or ``None`` before the search begins and when its last planning frame is no longer in force.
+
+    Raises:
+        InputError: If the trace names a round or a candidate that it does not have.
+    """
+    seconds = frame_seconds(sheet)
+    past = [each for each in trace.frames if each.frame <= frame]
+    if not past or seconds[frame] - seconds[past[-1].frame] > PLANNING_S + 1e-6:
+        return None
+    now = past[-1]
+    whole = 0 <= now.chosen_round < len(now.rounds) and _is_whole(now.rounds[now.chosen_round], now.chosen)
+    if not whole:
+        raise InputError(
+            f"the trace of {trace.scene} does not have what it names as chosen at frame {now.frame}, or lists of "
+            "different lengths; run challenger-bench sheets again"
+        )
+    found = now.rounds[now.chosen_round]
+    paths = np.array(found.candidates, np.float64).reshape(len(found.candidates), -1, 2)
+    return candidates_by_score(paths, found.scores, now.chosen)
+
+
+def candidates_by_score(paths: Floats, scores: Sequence[float | None], chosen: int | None) -> CandidatesOverlay:
+    """Candidates in the order in which they are drawn.
+
+    Args:
+        paths: (B, M, 2) of all of them.
+        scores: (B,) lower is better, ``None`` where infinite.
+        chosen: Which was executed, if one was.
+
+    Returns:
+        The best `CANDIDATES_SHOWN` of them.
+    """
+    known = np.array([np.inf if score is None else score for score in scores])
+    order = np.argsort(known, kind="stable")[:CANDIDATES_SHOWN][::-1]
+    finite = known[np.isfinite(known)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
+    shares = np.clip((np.where(np.isfinite(known), known, high) - low) / max(high - low, 1e-9), 0.0, 1.0)
+    shares[~np.isfinite(known)] = 1.0
+    return CandidatesOverlay(paths[order], shares[order], None if chosen is None else paths[chosen])
+
+
+def _is_whole(found: TraceRound, chosen: int) -> bool:
+    alike = len({len(path) for path in found.candidates}) == 1 and len(found.scores) == len(found.candidates)
+    return alike and 0 <= chosen < len(found.candidates)
+
+
+def _contact(sheet: Sheet, keyframe: int, plan: PlacedPlan, seconds: float, hit: str | None) -> Contact:
+    ego = plan.footprints[plan_instant(seconds)]
+    agent = next((each for each in sheet.agents if each.id == hit), None)
+    at = float(frame_seconds(sheet)[keyframe]) + seconds
+    other = None if agent is None else agent_box_at(sheet, agent, at)
+    return Contact(seconds, ego, other, ego[:2] if other is None else shared_point(ego, other))
+
+
+def shared_point(first: Floats, second: Floats) -> Floats:
+    """Middle of the overlap of two boxes (5,), or of their centres where rounding pulls them apart."""
+    origin = first[:2]
+    one, two = ((box_corners(box) - origin).astype(np.float32) for box in (first, second))
+    area, polygon = cv2.intersectConvexConvex(one, two)
+    if area <= 0.0 or polygon is None:
+        return np.asarray((first[:2] + second[:2]) / 2)
+    return np.asarray(polygon.reshape(-1, 2).mean(axis=0) + origin, np.float64)

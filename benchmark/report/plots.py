@@ -1,0 +1,140 @@
+"""Plots by matplotlib: the same numbers give the same bytes, whatever settings the user has."""
+
+import io
+import struct
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import matplotlib as mpl
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from benchmark.report.palette import (
+    ON_DARK,
+    ON_LIGHT,
+    PLANNERS_ON_DARK,
+    PLANNERS_ON_LIGHT,
+    GroundColours,
+    Rgb,
+    hexadecimal,
+)
+
+FORMATS: Final = (".png", ".svg")
+_DPI = 120
+_PAGE_DPI = 96
+"""Pixels of a page to an inch: at this size letters of 8.5 points are 11 pixels high."""
+
+
+@dataclass(frozen=True, slots=True)
+class Theme:
+    """Colours of a plot on a light or a dark page.
+
+    Attributes:
+        paper: Behind everything.
+        ink: Letters, axes, edges.
+        faint: Letters that matter less.
+        rule: Lines of a grid.
+        empty: Cells without a number.
+        good: What did not collide.
+        contact: What collided.
+        ground: Of scenes from above.
+        planners: Of planners by their place; they repeat.
+        dark: Whether what is brighter stands out more.
+    """
+
+    paper: str
+    ink: str
+    faint: str
+    rule: str
+    empty: str
+    good: str
+    contact: str
+    ground: GroundColours
+    planners: tuple[Rgb, ...]
+    dark: bool = False
+
+    def planner(self, place: int) -> str:
+        """Colour of the planner at a place."""
+        return hexadecimal(self.planners[place % len(self.planners)])
+
+    def settings(self) -> dict[str, Any]:
+        """The same as settings of matplotlib."""
+        inked = ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
+        plain = ("figure.facecolor", "axes.facecolor", "savefig.facecolor", "savefig.edgecolor")
+        return dict.fromkeys(inked, self.ink) | dict.fromkeys(plain, self.paper)
+
+
+LIGHT: Final = Theme(
+    "#ffffff", "#1b1e21", "#444444", "#dddddd", "#f2f2f2", "#b9d3e8", "#b00020", ON_LIGHT, PLANNERS_ON_LIGHT
+)
+DARK: Final = Theme(
+    "#1a1e22", "#e4e7e9", "#b4bcc4", "#343b41", "#2a3036", "#3f5a72", "#ff5c77", ON_DARK, PLANNERS_ON_DARK, dark=True
+)
+
+
+Sketch = Callable[[Theme], Figure]
+"""Makes a figure (`new_figure`) in the colours of a page."""
+
+
+def picture(sketch: Sketch, suffix: str, theme: Theme = LIGHT) -> bytes:
+    """A figure's bytes, whatever settings of matplotlib the user has.
+
+    Args:
+        sketch: Makes the figure.
+        suffix: One of `FORMATS`.
+        theme: Colours of letters, axes and paper.
+
+    Returns:
+        PNG or SVG.
+    """
+    return _saved(sketch, (suffix,), theme)[0]
+
+
+def for_pages(sketch: Sketch) -> tuple[bytes, bytes, bytes]:
+    """A figure for a site: PNG and SVG for light pages, SVG for dark ones; each the same bytes as of `picture`."""
+    png, svg = _saved(sketch, (".png", ".svg"), LIGHT)
+    return png, svg, picture(sketch, ".svg", DARK)
+
+
+def _saved(sketch: Sketch, suffixes: tuple[str, ...], theme: Theme) -> tuple[bytes, ...]:
+    """One figure in several formats: making it takes as long as saving it."""
+    # Without a fixed salt the identifiers inside an SVG are random; the rest undoes a user's own matplotlibrc.
+    settings: Any = {**mpl.rcParamsDefault, "svg.hashsalt": "challenger-bench", "font.family": ["DejaVu Sans"]}
+    settings |= theme.settings()
+    settings.pop("backend", None)
+    saved = []
+    with warnings.catch_warnings(), mpl.rc_context(settings):
+        # A name in a script that the font lacks is drawn as boxes.
+        warnings.filterwarnings("ignore", message="Glyph")
+        figure = sketch(theme)
+        for suffix in suffixes:
+            stream = io.BytesIO()
+            if suffix == ".png":
+                figure.savefig(stream, format="png", dpi=_DPI, metadata={"Software": None})
+            else:
+                figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+            saved.append(stream.getvalue())
+    return tuple(saved)
+
+
+def png_size(picture: bytes) -> tuple[int, int]:
+    """(width, height) of a PNG, pixels; zeros for what is none."""
+    if not picture.startswith(b"\x89PNG"):
+        return 0, 0
+    width, height = struct.unpack(">II", picture[16:24])
+    return width, height
+
+
+def page_size(picture: bytes) -> tuple[int, int]:
+    """(width, height) of a PNG of `picture` on a page, where its letters are as large as they were meant."""
+    width, height = png_size(picture)
+    return round(width * _PAGE_DPI / _DPI), round(height * _PAGE_DPI / _DPI)
+
+
+def new_figure(width_inches: float, height_inches: float) -> Figure:
+    """An empty figure that needs no window."""
+    figure = Figure(figsize=(width_inches, height_inches))
+    FigureCanvasAgg(figure)
+    return figure

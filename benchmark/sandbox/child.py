@@ -1,0 +1,269 @@
+"""A planner's process: builds the planner, then answers question after question until nobody asks any more.
+
+Whatever a planner raises is an answer. Whatever ends this process is seen by who asks (`process.py`). What the planner
+prints goes to stderr: stdout belongs to the command, and this process does not have it.
+"""
+
+import atexit
+import contextlib
+import importlib
+import os
+import resource
+import socket
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from functools import partial
+from typing import Any, Final, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.errors import InputError
+from benchmark.planning import (
+    Forecasts,
+    Plan,
+    Planner,
+    PlannerGoneError,
+    PlannerLateError,
+    PrivilegedPlanner,
+    SceneInfo,
+    reads_message_after,
+)
+from benchmark.runs.plan_rows import seed_everything, traceback_text
+from benchmark.sandbox.frames import ClosedError, answer, next_question
+from benchmark.sandbox.libraries import on_import_of_torch, one_thread
+from benchmark.sandbox.limits import BEAT_S
+from benchmark.sandbox.observed import Unpacking
+from benchmark.sandbox.pictures import Viewer
+from benchmark.untrusted.answers import Unanswerable
+from benchmark.untrusted.files import one_line
+
+_LONGEST_TEXT: Final = 20_000
+"""Characters of a traceback; its beginning and its end say what happened."""
+
+
+class PictureError(InputError):
+    """A picture that the other process could not read; it knows why."""
+
+
+def main(channel: int, pictures: int, memory_bytes: int) -> None:
+    """Answer until nobody asks any more.
+
+    Args:
+        channel: Descriptor of the connection to who asks.
+        pictures: Descriptor of the shared memory.
+        memory_bytes: Of data that this process may hold; 0 for as much as there is.
+    """
+    _bound(memory_bytes)
+    stream = socket.socket(fileno=channel)
+    # A copy that the planner makes of this process must not answer in its name.
+    os.register_at_fork(after_in_child=stream.close)
+    Answering(stream, Viewer(pictures)).go_on()
+
+
+def _bound(memory_bytes: int) -> None:
+    limits = [(resource.RLIMIT_CORE, 0)]
+    if memory_bytes:
+        # What is only reserved does not count there: networks and GPUs reserve far more than they use.
+        limits.append((resource.RLIMIT_DATA if sys.platform == "linux" else resource.RLIMIT_AS, memory_bytes))
+    for what, most in limits:
+        with contextlib.suppress(OSError, ValueError):
+            resource.setrlimit(what, (most, most))
+
+
+@dataclass(slots=True)
+class Answering:
+    """The planner of this process and whoever asks it.
+
+    Attributes:
+        stream: To who asks.
+        viewer: Of pictures.
+        planner: Once it is built.
+        number: Of the question that is being answered; 0 between questions.
+    """
+
+    stream: socket.socket
+    viewer: Viewer
+    planner: Planner | None = None
+    number: int = 0
+    _asking: threading.Lock = field(default_factory=threading.Lock)
+    _unpacking: Unpacking = field(default_factory=Unpacking)
+    _ready: dict[str, tuple[int, tuple[int, ...], bool]] = field(default_factory=dict)
+    _looked: dict[str, None] = field(default_factory=dict)
+    _process: int = field(default_factory=os.getpid)
+
+    def go_on(self) -> None:
+        """Answer until nobody asks any more."""
+        threading.Thread(target=self._beat, daemon=True).start()
+        while True:
+            try:
+                number, kind, parts = next_question(self.stream)
+            except (ClosedError, OSError):
+                # Nobody waits for the memory to be given back piece by piece.
+                atexit._run_exitfuncs()
+                os._exit(0)
+            self.number = number
+            told = self._answer(kind, parts)
+            self._end_in_a_copy()
+            with self._asking:
+                self.number = 0
+                try:
+                    self.stream.sendall(_bytes(number, [self.viewer.let_go(), told]))
+                except OSError:
+                    os._exit(1)
+
+    def _beat(self) -> None:
+        pause = threading.Event()
+        while True:
+            self.viewer.beat()
+            pause.wait(BEAT_S)
+
+    def _end_in_a_copy(self) -> None:
+        """A planner that forks and returns twice: the copy has nobody to answer."""
+        if os.getpid() != self._process:
+            os._exit(0)
+
+    def _answer(self, kind: str, parts: tuple[Any, ...]) -> list[Any]:
+        """What to say to a question, whatever the planner does."""
+        try:
+            return _KINDS[kind](self, *parts)
+        except PictureError:
+            return ["picture missing"]
+        except PlannerLateError as error:
+            return ["late", one_line(error)]
+        except PlannerGoneError as error:
+            return ["gone", one_line(error)]
+        except BaseException as error:
+            return ["raised", *_said(error)]
+
+    def build(self, reference: str, given: Mapping[str, Any]) -> list[Any]:
+        """Build the planner and say who it is; bad input is a sentence."""
+        try:
+            module, _, name = reference.partition(":")
+            self.planner, facts = getattr(importlib.import_module(module), name)(**given)
+            one_thread()
+            return ["built", facts.model_dump_json(), _traits(self.planner)]
+        except InputError as error:
+            return ["refused", str(error)]
+
+    def begin_run(self) -> list[Any]:
+        """Forget everything."""
+        cast("Any", self.planner).begin_run()
+        return ["done"]
+
+    def reset(self, seed: int | None, scene: SceneInfo) -> list[Any]:
+        """Begin a scene; with a seed, generators of this process begin there."""
+        if seed is not None:
+            seed_everything(seed)
+            on_import_of_torch(seed)
+        self._planner.reset(scene)
+        return ["done"]
+
+    def tell(self, method: str, what: Any) -> list[Any]:
+        """``reveal`` or ``follow``."""
+        getattr(self._planner, method)(what)
+        return ["done"]
+
+    def plan(self, packed: Sequence[Any], ready: dict[str, tuple[int, tuple[int, ...], bool]]) -> list[Any]:
+        """Plan; pictures that are not ready are asked for when the planner looks."""
+        self._ready, self._looked = ready, {}
+        plan = self._planner.plan(self._unpacking.unpacked(packed, partial(self.picture, self.number)))
+        left, self._ready = self._ready, {}
+        self.viewer.leave(place for place, _, _ in left.values())
+        if not isinstance(plan, Plan):
+            return ["no plan", type(plan).__name__]
+        return ["plan", _plain_plan(plan), list(self._looked)]
+
+    def picture(self, number: int, name: str) -> NDArray[np.uint8]:
+        """A picture of the sample that is being planned, which the other process reads."""
+        if os.getpid() != self._process:
+            raise RuntimeError("pictures can be loaded in the process that plan was called in, not in a fork of it")
+        with self._asking:
+            if number != self.number:
+                raise RuntimeError("the sample is over: its pictures can be loaded while plan is under way")
+            self._looked[name] = None
+            shown = self._ready.pop(name, None)
+            if shown is None:
+                self.stream.sendall(answer(number, [self.viewer.let_go(), ["picture", name]]))
+                _, kind, parts = next_question(self.stream)
+                if kind == "broken":
+                    raise PictureError(*parts)
+                shown = parts
+        place, shape, writable = shown
+        return self.viewer.look(place, shape, writable=writable)
+
+    @property
+    def _planner(self) -> Planner:
+        assert self.planner is not None
+        return self.planner
+
+
+_KINDS: Final[dict[str, Callable[..., list[Any]]]] = {
+    "build": Answering.build,
+    "begin_run": Answering.begin_run,
+    "reset": Answering.reset,
+    "tell": Answering.tell,
+    "plan": Answering.plan,
+}
+
+
+def _traits(planner: Planner) -> dict[str, bool]:
+    """What a planner can do beside planning."""
+    return {
+        "reveal": isinstance(planner, PrivilegedPlanner),
+        "follow": hasattr(planner, "follow"),
+        "begin_run": hasattr(planner, "begin_run") and hasattr(planner, "memory_crosses_scenes"),
+        "memory_crosses_scenes": bool(getattr(planner, "memory_crosses_scenes", False)),
+        "reads_message_after": reads_message_after(planner),
+    }
+
+
+def _plain_plan(plan: Plan) -> dict[str, Any]:
+    forecasts = plan.forecasts
+    return {
+        "waypoints": _plain(plan.waypoints),
+        "frame": str(plan.frame.value),
+        "modes": _plain(plan.modes),
+        "mode_scores": _plain(plan.mode_scores),
+        "forecasts": None
+        if forecasts is None
+        else {each.name: _plain(getattr(forecasts, each.name)) for each in fields(Forecasts)},
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Arrays and plain values as they are, tensors as arrays."""
+    if value is None or isinstance(value, np.ndarray | np.generic | list | tuple | int | float):
+        return value
+    return np.asarray(value)
+
+
+def _bytes(number: int, told: list[Any]) -> bytes:
+    try:
+        return answer(number, told)
+    except (Unanswerable, TypeError, ValueError, RecursionError, MemoryError) as error:
+        why = f"{type(error).__name__}: what was answered cannot be handed on: {one_line(error)}"
+        return answer(number, [told[0], ["raised", why, why]])
+
+
+def _said(error: BaseException) -> tuple[str, str]:
+    """What was raised, in a line and as a traceback; its own words may be broken in every way."""
+    try:
+        text = _whole(traceback_text())
+    except BaseException:
+        text = f"{type(error).__name__}: no traceback can be had of it"
+    try:
+        line = _whole(one_line("".join(traceback.format_exception_only(error))))
+    except BaseException:
+        line = type(error).__name__
+    return line, text
+
+
+def _whole(text: str) -> str:
+    """Text that can be written down, of a length that somebody reads."""
+    sound = text.encode(errors="backslashreplace").decode()
+    half = _LONGEST_TEXT // 2
+    return sound if len(sound) <= _LONGEST_TEXT else f"{sound[:half]}\n  ...\n{sound[-half:]}"

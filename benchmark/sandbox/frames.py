@@ -1,0 +1,183 @@
+"""What goes between a planner's process and the one that asks: a number and a length, then the message.
+
+Questions are pickles: the planner's process trusts who asks. Answers are plain values (`benchmark.untrusted.answers`):
+who asks trusts nothing in them. Every answer repeats the number of its question, so that none is taken for another's.
+"""
+
+import io
+import pickle
+import select
+import socket
+import struct
+import time
+from typing import Any, Final
+
+from benchmark.untrusted.answers import read_answer, write_answer
+from benchmark.untrusted.limits import PLANNER_ANSWER
+
+_HEAD: Final = struct.Struct("<QQ")
+_PIECE: Final = 1 << 20
+_AT_ONCE: Final = 1 << 16
+"""Bytes that are read of a message before its length is known; most messages are shorter."""
+
+
+class ClosedError(Exception):
+    """The other side is gone."""
+
+
+class LateError(Exception):
+    """The other side takes too long."""
+
+
+class MalformedError(Exception):
+    """What the other side says is no message, or not an answer to what was asked."""
+
+
+def question(number: int, kind: str, *parts: Any) -> bytes:
+    """The bytes of a question."""
+    body = pickle.dumps((kind, parts), protocol=5)
+    return _HEAD.pack(number, len(body)) + body
+
+
+def answer(number: int, value: Any) -> bytes:
+    """The bytes of an answer; raises `benchmark.untrusted.answers.Unanswerable` for what is no plain value."""
+    stream = io.BytesIO()
+    write_answer(stream, value, PLANNER_ANSWER)
+    body = stream.getbuffer()
+    return _HEAD.pack(number, len(body)) + body
+
+
+def next_question(stream: socket.socket) -> tuple[int, str, tuple[Any, ...]]:
+    """In the planner's process: wait for a question; raises `ClosedError` when nobody asks any more."""
+    # Nobody sends a second question before the first is answered, so that what comes together belongs together.
+    begun = b""
+    while len(begun) < _HEAD.size:
+        some = stream.recv(_AT_ONCE)
+        if not some:
+            raise ClosedError
+        begun += some
+    number, length = _HEAD.unpack_from(begun)
+    body = memoryview(begun)[_HEAD.size :]
+    if len(body) < length:
+        body = memoryview(_exactly(stream, length, body))
+    kind, parts = pickle.loads(body)  # noqa: S301 - from the process that started this one
+    return number, kind, parts
+
+
+def _exactly(stream: socket.socket, count: int, begun: memoryview) -> bytearray:
+    found, place = bytearray(count), len(begun)
+    found[:place] = begun
+    while place < count:
+        size = stream.recv_into(memoryview(found)[place:])
+        if not size:
+            raise ClosedError
+        place += size
+    return found
+
+
+class Asker:
+    """The asking side of a connection.
+
+    Args:
+        stream: The connection.
+    """
+
+    def __init__(self, stream: socket.socket) -> None:
+        self._stream = stream
+        stream.setblocking(False)
+        self._poll = select.poll()
+        self._poll.register(stream, 0)
+        self._ahead = bytearray()
+
+    def send(self, message: bytes, deadline: float) -> None:
+        """Send a question.
+
+        Args:
+            message: From `question`.
+            deadline: On the monotonic clock.
+
+        Raises:
+            ClosedError: If nobody listens any more.
+            LateError: If nobody reads.
+        """
+        left = memoryview(message)
+        while left:
+            try:
+                left = left[self._stream.send(left) :]
+            except BlockingIOError:
+                self.wait(select.POLLOUT, deadline - time.monotonic(), required=True)
+            except OSError as error:
+                raise ClosedError from error
+
+    def wait(self, what: int, seconds: float, *, required: bool = False) -> bool:
+        """Whether the connection is ready within a time; with ``required`` `LateError` is raised where it is not."""
+        if what == select.POLLIN and self._ahead:
+            return True
+        self._poll.modify(self._stream, what)
+        ready = bool(self._poll.poll(max(seconds, 0.0) * 1000.0))
+        if required and not ready:
+            raise LateError
+        return ready
+
+    def receive(self, number: int, deadline: float) -> Any:
+        """Read the answer that has begun to arrive.
+
+        Args:
+            number: Of the question.
+            deadline: On the monotonic clock.
+
+        Returns:
+            The value.
+
+        Raises:
+            ClosedError: If it ends half-way.
+            LateError: If it does not end.
+            MalformedError: If it is none, or one to another question.
+        """
+        begun = self._begun(deadline)
+        found, length = _HEAD.unpack_from(begun)
+        if found != number:
+            raise MalformedError("it answered what it was not asked")
+        if length > PLANNER_ANSWER.content_bytes:
+            raise MalformedError(f"its answer has {length} bytes")
+        data = self._whole(begun, length, deadline)
+        try:
+            return read_answer(data)
+        # What a stranger's process says may be anything, and readers raise whatever they come upon.
+        except Exception as error:
+            raise MalformedError("its answer cannot be read") from error
+
+    def _begun(self, deadline: float) -> bytearray:
+        """The first bytes of an answer, a whole head at least."""
+        found, self._ahead = self._ahead, bytearray()
+        while len(found) < _HEAD.size:
+            found += self._some(_AT_ONCE, deadline)
+        return found
+
+    def _whole(self, begun: bytearray, length: int, deadline: float) -> bytearray:
+        """An answer of which some bytes are there; what comes behind it is kept."""
+        end = _HEAD.size + length
+        if len(begun) >= end:
+            self._ahead = begun[end:]
+            return begun[_HEAD.size : end]
+        found, place = bytearray(length), len(begun) - _HEAD.size
+        found[:place] = memoryview(begun)[_HEAD.size :]
+        while place < length:
+            some = self._some(min(_PIECE, length - place), deadline)
+            found[place : place + len(some)] = some
+            place += len(some)
+        return found
+
+    def _some(self, most: int, deadline: float) -> bytes:
+        """What there is, once there is something."""
+        while True:
+            try:
+                found = self._stream.recv(most)
+            except BlockingIOError:
+                self.wait(select.POLLIN, deadline - time.monotonic(), required=True)
+                continue
+            except OSError as error:
+                raise ClosedError from error
+            if not found:
+                raise ClosedError
+            return found

@@ -1,0 +1,141 @@
+"""The small process between who asks and a planner: it ends the planner with all that it started, and says how it died.
+
+A planner's children outlive it where they want to; the guardian becomes their parent then (Linux), finds them and ends
+them. It lives exactly as long as whoever asks: the end of its connection is the sign, so no end is too sudden.
+"""
+
+import contextlib
+import ctypes
+import os
+import select
+import signal
+import socket
+import struct
+import time
+from pathlib import Path
+from typing import Final
+
+from benchmark.sandbox.limits import REAPING_S
+
+STATUS: Final = struct.Struct("<i")
+"""How the planner's process ended, as ``os.waitpid`` says it."""
+_DIE_WITH_PARENT: Final = 1
+_ADOPT_ORPHANS: Final = 36
+"""``PR_SET_PDEATHSIG`` and ``PR_SET_CHILD_SUBREAPER`` of Linux."""
+_PAUSE_S: Final = 0.005
+
+
+def live_under_guard(channel: int, lifeline: int, pictures: int, memory_bytes: int) -> None:
+    """Live as a guardian and as the planner's process that it guards; the one main function of both.
+
+    Args:
+        channel: Descriptor of the planner's connection to who asks.
+        lifeline: Descriptor of the guardian's.
+        pictures: Descriptor of the shared memory.
+        memory_bytes: Of data that the planner's process may hold; 0 for as much as there is.
+    """
+    for each in (channel, lifeline, pictures):
+        os.set_inheritable(each, False)
+    _fork_under_guard(socket.socket(fileno=lifeline))
+    # The guardian is small because it has nothing of this.
+    from benchmark.sandbox.child import main
+
+    main(channel, pictures, memory_bytes)
+
+
+def _fork_under_guard(lifeline: socket.socket) -> None:
+    """Go on in a child process; this one guards it and does not return.
+
+    Args:
+        lifeline: To who asks; closed in the child.
+    """
+    _control(_ADOPT_ORPHANS, 1)
+    guardian = os.getpid()
+    woken, wake = os.pipe()
+    os.set_blocking(wake, False)
+    # Before there is a child, whose end must not be missed.
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    signal.set_wakeup_fd(wake)
+    planner = os.fork()
+    if planner == 0:
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        for each in (woken, wake):
+            os.close(each)
+        lifeline.close()
+        _control(_DIE_WITH_PARENT, signal.SIGKILL)
+        if os.getppid() != guardian:
+            os._exit(1)
+        return
+    try:
+        _guard(planner, lifeline, woken)
+    finally:
+        os._exit(0)
+
+
+def _guard(planner: int, lifeline: socket.socket, woken: int) -> None:
+    _close_all_but(lifeline.fileno(), woken)
+    status: int | None = None
+    while status is None:
+        ready, _, _ = select.select([lifeline.fileno(), woken], [], [])
+        if woken in ready:
+            os.read(woken, 4096)
+        status, _ = _reaped(planner)
+        if lifeline.fileno() in ready:
+            break
+    status = _end_all(planner, status)
+    with contextlib.suppress(OSError):
+        lifeline.sendall(STATUS.pack(status))
+
+
+def _close_all_but(*kept: int) -> None:
+    """Hold nothing of what the planner holds: who asks must see its end."""
+    highest = os.sysconf("SC_OPEN_MAX")
+    first = 0
+    for each in sorted(kept):
+        os.closerange(first, each)
+        first = each + 1
+    os.closerange(first, min(highest, 1 << 16))
+
+
+def _reaped(planner: int) -> tuple[int | None, bool]:
+    """Bury the dead: how the planner ended, if it did, and whether anybody is left."""
+    found = None
+    try:
+        while (ended := os.waitpid(-1, os.WNOHANG))[0]:
+            found = ended[1] if ended[0] == planner else found
+    except ChildProcessError:
+        return found, False
+    return found, True
+
+
+def _end_all(planner: int, status: int | None) -> int:
+    """Kill whatever descends from this process until nothing is left; how the planner ended."""
+    until, some = time.monotonic() + REAPING_S, True
+    while some and time.monotonic() < until:
+        for each in {*_descendants(os.getpid()), *([planner] if status is None else [])}:
+            with contextlib.suppress(OSError):
+                os.kill(each, signal.SIGKILL)
+        found, some = _reaped(planner)
+        status = status if found is None else found
+        time.sleep(_PAUSE_S if some else 0.0)
+    return signal.SIGKILL if status is None else status
+
+
+def _descendants(of: int) -> set[int]:
+    """Processes that descend from one, as far as ``/proc`` says."""
+    parents: dict[int, int] = {}
+    for each in Path("/proc").glob("[0-9]*/stat"):
+        # It may have ended since, and its name may hold anything, brackets too.
+        with contextlib.suppress(OSError, ValueError, IndexError):
+            parents[int(each.parent.name)] = int(each.read_text(errors="replace").rpartition(")")[2].split()[1])
+    found, fresh = set[int](), {of}
+    while fresh:
+        fresh = {process for process, parent in parents.items() if parent in fresh} - found
+        found |= fresh
+    return found
+
+
+def _control(what: int, value: int) -> None:
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(what, value)

@@ -1,0 +1,309 @@
+"""A planner in a process of its own, as everybody here knows planners: `reset`, `plan`, and what else it can do."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from benchmark.errors import InputError
+from benchmark.planning import (
+    Forecasts,
+    Observation,
+    Plan,
+    PlanFrame,
+    PlannerFailedError,
+    PlannerGoneError,
+    PlannerLateError,
+    PlannerLostError,
+    SceneInfo,
+)
+from benchmark.records.run_schema import PlannerFacts
+from benchmark.sandbox.frames import MalformedError
+from benchmark.sandbox.limits import Supervision
+from benchmark.sandbox.observed import Packing
+from benchmark.sandbox.process import PlannerProcess
+from benchmark.scene import Scene
+
+_LONGEST_TYPE_NAME: Final = 100
+
+
+@dataclass(frozen=True, slots=True)
+class Maker:
+    """How a planner is made in its process.
+
+    Attributes:
+        called: The planner, as messages name it.
+        reference: The function that makes it and says who it is, as ``package.module:name``; it returns the planner
+            and its `benchmark.records.run_schema.PlannerFacts`.
+        given: Its arguments; picklable.
+    """
+
+    called: str
+    reference: str
+    given: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Who a planner says that it is.
+
+    Attributes:
+        facts: Its identity.
+        reveal: Whether it sees what no car sees.
+        follow: Whether it is told the route of a drive.
+        begin_run: Whether it can forget everything.
+        memory_crosses_scenes: Whether `benchmark.planning.Planner.reset` leaves what it remembers.
+        reads_message_after: Whether it is given the CAN message after the sample.
+    """
+
+    facts: PlannerFacts
+    reveal: bool = False
+    follow: bool = False
+    begin_run: bool = False
+    memory_crosses_scenes: bool = False
+    reads_message_after: bool = False
+
+
+def identity_of(maker: Maker, supervision: Supervision) -> Identity:
+    """Build a planner in a process of its own, ask who it is, and end it.
+
+    Args:
+        maker: How it is made.
+        supervision: Its limits.
+
+    Returns:
+        Who it is.
+
+    Raises:
+        InputError: If it cannot be built, or its process does not survive that.
+    """
+    process = PlannerProcess(supervision)
+    try:
+        return _built(process, maker, supervision)
+    except PlannerFailedError as error:
+        raise InputError(f"model {maker.called!r} cannot be loaded: {error}") from error
+    finally:
+        process.end()
+
+
+def supervised(maker: Maker, identity: Identity, supervision: Supervision) -> "Supervised":
+    """A planner in a process of its own, which is started when a scene begins.
+
+    Args:
+        maker: How it is made.
+        identity: Who it is.
+        supervision: Its limits.
+
+    Returns:
+        It; it has those methods beside `plan` and `reset` that the planner has.
+    """
+    return _class_of(identity.reveal, identity.follow, identity.begin_run)(maker, identity, supervision)
+
+
+class Supervised:
+    """A planner in a process of its own (`benchmark.planning.SupervisedPlanner`).
+
+    Attributes:
+        name: Shown in tables.
+        reads_message_after: See `Identity`.
+        memory_crosses_scenes: See `Identity`.
+    """
+
+    def __init__(self, maker: Maker, identity: Identity, supervision: Supervision) -> None:
+        """Nothing is started yet."""
+        self.name = identity.facts.name
+        self.reads_message_after = identity.reads_message_after
+        self.memory_crosses_scenes = identity.memory_crosses_scenes
+        self._maker = maker
+        self._identity = identity
+        self._supervision = supervision
+        self._process: PlannerProcess | None = None
+        self._seed: int | None = None
+        self._packing = Packing()
+        self._looked: tuple[str, ...] = ()
+
+    @property
+    def pid(self) -> int | None:
+        """Its process; ``None`` while there is none, and where the system does not tell."""
+        return None if self._process is None else self._process.pid
+
+    def seed_generators(self, seed: int) -> None:
+        """Global generators of its process begin there at the next `reset`."""
+        self._seed = seed
+
+    def reset(self, scene: SceneInfo) -> None:
+        """Begin a scene, in a new process where the last one is gone.
+
+        Raises:
+            PlannerFailedError: If the planner raises.
+            PlannerLostError: If it is lost.
+        """
+        seed, self._seed = self._seed, None
+        self._asked("reset", seed, scene, doing="reset did not return")
+
+    def plan(self, observation: Observation) -> Plan:
+        """Ask for a plan.
+
+        Args:
+            observation: The next sample; pictures are read where the planner looks at them.
+
+        Returns:
+            The plan. What the planner returns instead is something of a type that is called like what it returned.
+
+        Raises:
+            PlannerFailedError: If the planner raises.
+            PlannerLostError: If it is lost.
+            InputError: If a picture that it looks at cannot be read.
+        """
+        if self._process is None:
+            raise PlannerLostError("there is no process of this planner; a scene begins with reset")
+        views = observation.views
+
+        def picture(name: str) -> NDArray[np.uint8]:
+            return views[name].load()
+
+        looked, self._looked = self._looked, ()
+        packed = self._packing.packed(observation)
+        told = self._asked("plan", packed, doing="no plan", picture=picture, ahead=looked)
+        if told[0] == "no plan":
+            name = str(told[1])
+            # Nothing of the object itself is here, and nothing but the name of its type is ever said of it.
+            return type(name if name.isidentifier() else "object", (), {})()  # type: ignore[no-any-return]
+        # Who looked at a picture looks at the next one of that camera, probably.
+        self._looked = tuple(name for name in told[2] if name in views)
+        return _plan(told[1])
+
+    def close(self) -> None:
+        """End its process; the next scene starts another."""
+        if self._process is not None:
+            self._process.end()
+            self._process = None
+
+    def _asked(
+        self,
+        kind: str,
+        *parts: Any,
+        doing: str,
+        picture: Callable[[str], NDArray[np.uint8]] | None = None,
+        ahead: Sequence[str] = (),
+    ) -> list[Any]:
+        try:
+            process, limit_s = self._started(), self._supervision.sample_s
+            told = process.ask(kind, *parts, doing=doing, limit_s=limit_s, picture=picture, ahead=ahead)
+            return _understood(told, ("plan", "no plan") if kind == "plan" else ("done",))
+        except (PlannerLostError, MalformedError) as error:
+            self.close()
+            raise error if isinstance(error, PlannerLostError) else _misunderstood(error) from None
+        except PlannerFailedError:
+            raise
+        except BaseException:
+            # Interrupted, perhaps: nobody knows what it is doing.
+            self.close()
+            raise
+
+    def _started(self) -> PlannerProcess:
+        if self._process is not None:
+            return self._process
+        self._process, self._packing, self._looked = PlannerProcess(self._supervision), Packing(), ()
+        try:
+            found = _built(self._process, self._maker, self._supervision)
+            if found.memory_crosses_scenes:
+                doing, limit_s = "begin_run did not return", self._supervision.sample_s
+                _understood(self._process.ask("begin_run", doing=doing, limit_s=limit_s), ("done",))
+        except PlannerLostError:
+            raise
+        except (InputError, PlannerFailedError) as error:
+            # It could be built before, so that this is no wrong use.
+            raise PlannerLostError(f"it cannot be built again: {error}") from error
+        if found != self._identity:
+            raise PlannerLostError("it says that it is another planner whenever it is built")
+        return self._process
+
+
+class _Revealed(Supervised):
+    def reveal(self, scene: Scene) -> None:
+        """What no car sees; raises as `reset` does."""
+        self._asked("tell", "reveal", scene, doing="reveal did not return")
+
+
+class _Following(Supervised):
+    def follow(self, route: Any) -> None:
+        """The route of a drive; raises as `reset` does."""
+        self._asked("tell", "follow", route, doing="follow did not return")
+
+
+class _Continuous(Supervised):
+    def begin_run(self) -> None:
+        """Forget everything; a process that there is not yet has nothing to forget."""
+        if self._process is not None:
+            self._asked("begin_run", doing="begin_run did not return")
+
+
+@cache
+def _class_of(reveal: bool, follow: bool, begin_run: bool) -> type[Supervised]:
+    """What is asked of a planner goes by which methods it has, so it must not have others."""
+    chosen = ((_Revealed, reveal), (_Following, follow), (_Continuous, begin_run))
+    bases = tuple(base for base, wanted in chosen if wanted)
+    return type("Supervised", bases, {}) if bases else Supervised
+
+
+def _built(process: PlannerProcess, maker: Maker, supervision: Supervision) -> Identity:
+    told = process.ask(
+        "build",
+        maker.reference,
+        dict(maker.given),
+        doing="importing and building it did not end",
+        limit_s=supervision.longest_loading_s,
+    )
+    if told[0] == "refused":
+        raise InputError(str(told[1]))
+    try:
+        _understood(told, ("built",))
+        traits = {name: bool(value) for name, value in told[2].items()}
+        return Identity(PlannerFacts.model_validate_json(told[1]), **traits)
+    except (MalformedError, ValidationError, TypeError, AttributeError, IndexError) as error:
+        raise _misunderstood(error) from error
+
+
+def _understood(told: list[Any], expected: tuple[str, ...]) -> list[Any]:
+    """An answer that is one to what was asked, or what it raises."""
+    kind, *rest = told
+    if kind in expected:
+        return told
+    words = [str(each) for each in rest]
+    if kind == "raised" and len(words) == 2:
+        raise PlannerFailedError(*words)
+    if kind == "late" and words:
+        raise PlannerLateError(words[0])
+    if kind == "gone" and words:
+        raise PlannerGoneError(words[0])
+    raise MalformedError("its answer is none to what was asked")
+
+
+def _misunderstood(error: Exception) -> PlannerLostError:
+    return PlannerLostError(f"the planner's process broke the connection: {error}")
+
+
+def _plan(told: Any) -> Plan:
+    """The plan that was answered; numbers of it are checked where those of every planner are."""
+    try:
+        forecasts, waypoints = told["forecasts"], told["waypoints"]
+        sound = np.isfinite(waypoints)
+        whole = bool(sound.all())
+        plan = Plan(
+            waypoints=waypoints if whole else np.where(sound, waypoints, waypoints.dtype.type(0)),
+            frame=PlanFrame(told["frame"]),
+            modes=told["modes"],
+            mode_scores=told["mode_scores"],
+            forecasts=None if forecasts is None else Forecasts(**forecasts),
+        )
+        # It was one when it was made there; its numbers may have been changed since, and whoever asks looks at them.
+        if not whole:
+            np.copyto(plan.waypoints, waypoints)
+        return plan
+    except (InputError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise PlannerFailedError(*[f"{type(error).__name__}: {error}"] * 2) from error

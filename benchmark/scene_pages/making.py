@@ -1,0 +1,282 @@
+"""The sheet of one scene: what stands in it, its pictures, and whether it is there already."""
+
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import cv2
+from pydantic import ValidationError
+
+from benchmark.errors import InputError
+from benchmark.machine.storage import content_key, file_sha256, read_kept_json, write_bytes, write_json, writing_to
+from benchmark.records.attempts import stored_labels
+from benchmark.records.run_schema import DataFacts
+from benchmark.records.scenes import (
+    ROUNDS_FILE,
+    SCHEMA,
+    SHEET_FILE,
+    RefinementTrace,
+    Sheet,
+    picture_name,
+    read_sheet,
+    scene_folder,
+)
+from benchmark.records.store import validated
+from benchmark.scene import Scene
+from benchmark.scene_pages.motion import agents_of, ego_of, origin_of
+from benchmark.scene_pages.pictures import (
+    Videos,
+    adversary_edges,
+    between_samples,
+    layout,
+    mosaic,
+    pictured_frames,
+    with_files,
+)
+from benchmark.scene_pages.road import road_around
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
+MAKING_VERSION: Final = 2
+"""Goes up when the same data set would give another sheet."""
+KEY_FILE: Final = "key.json"
+_PICTURES_FOLDER: Final = "cameras"
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenSheet:
+    """What became of one scene.
+
+    Attributes:
+        scene: Its name.
+        made: Whether there was something to do.
+        pictures: How many there are.
+        sheet_bytes: Size of ``sheet.json``.
+        picture_bytes: Size of the pictures.
+    """
+
+    scene: str
+    made: bool
+    pictures: int
+    sheet_bytes: int
+    picture_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What every unit of work needs to know; picklable.
+
+    Attributes:
+        root: Folder of all sheets.
+        facts: Of the data set.
+        split: One of its splits.
+        pictures: Which frames have pictures: ``all``, ``keyframes`` or ``none``.
+        cell_width_px: Width of one camera in a picture.
+    """
+
+    root: Path
+    facts: DataFacts
+    split: str
+    pictures: str
+    cell_width_px: int
+
+    def folder(self, scene: str) -> Path:
+        """Where a scene's sheet lies."""
+        return scene_folder(self.root, self.facts.name, self.split, scene)
+
+
+def sheet_of(data: "DataSet", split: str, name: str, facts: DataFacts) -> Sheet:
+    """A scene's sheet without pictures.
+
+    Args:
+        data: The data set.
+        split: One of its splits.
+        name: Scene name.
+        facts: Of the data set.
+
+    Returns:
+        The sheet.
+
+    Raises:
+        InputError: If there is no such scene, or a number in it is not finite.
+    """
+    made = data.provenance()
+    report = made["scenes"].get(name, {}).get("report") if made else None
+    renderer = made.get("renderer") if made else None
+    drawn_by = renderer.get("name") if isinstance(renderer, dict) else None
+    scene = f"{data.root}: scene {name}"
+    sheet = validated(
+        sheet_to_draw,
+        data.scene(name),
+        lambda where, why: f"{scene} cannot be shown, its {where} is not sound ({why}); correct the tables",
+    )
+    return sheet.model_copy(
+        update={
+            "data": facts,
+            "split": split,
+            "scene": name,
+            "source": data.scene_facts([name])[name].source,
+            "labels": tuple(found for found in stored_labels(report) if isinstance(found, dict)),
+            "sample_tokens": tuple(truth.sample_token for truth in data.truth(name)),
+            "drawn_by": drawn_by if isinstance(drawn_by, str) else None,
+        }
+    )
+
+
+def sheet_to_draw(scene: Scene) -> Sheet:
+    """What is drawn of a scene, whatever data set it stands in: a sheet that is not stored.
+
+    Args:
+        scene: The scene.
+
+    Returns:
+        Its sheet without data set, split, labels, sample tokens and pictures.
+
+    Raises:
+        ValidationError: If a number in it is not finite.
+    """
+    origin = origin_of(scene)
+    return Sheet(
+        schema=SCHEMA,
+        data=DataFacts(name="", version="", fingerprint=""),
+        split="",
+        scene=scene.name,
+        source=scene.name,
+        description=scene.description,
+        labels=(),
+        origin_m=origin,
+        timestamps_us=tuple(scene.timestamps_us.tolist()),
+        keyframes=tuple(scene.keyframes.tolist()),
+        sample_tokens=(),
+        ego=ego_of(scene, origin),
+        agents=agents_of(scene, origin),
+        road=road_around(scene.road_map, scene.ego.position[:, :2], origin),
+        cameras=(),
+        pictures=(),
+        adversary_edges={},
+        files={},
+    )
+
+
+def written_sheet(job: Job, data: "DataSet", name: str) -> WrittenSheet:
+    """One unit of work: a scene's sheet and pictures, if they are not there already.
+
+    Args:
+        job: What is written.
+        data: The data set.
+        name: Scene name.
+
+    Returns:
+        What became of it.
+
+    Raises:
+        InputError: If the scene is broken, some of its images are missing, or it cannot be written.
+    """
+    keyframes, sweeps = _videos(job, data, name)
+    key = _key(job, name, keyframes, sweeps)
+    folder = job.folder(name)
+    sheet = _kept(job, name, key)
+    made = sheet is None
+    if sheet is None:
+        sheet = _make(job, data, name, keyframes, sweeps)
+        write_json(folder / KEY_FILE, {"key": key})
+    sizes = [(folder / path).stat().st_size for path in sheet.files]
+    return WrittenSheet(name, made, len(sheet.pictures), (folder / SHEET_FILE).stat().st_size, sum(sizes))
+
+
+def planned_sheet(job: Job, data: "DataSet", name: str) -> WrittenSheet:
+    """What `written_sheet` would do, without sizes.
+
+    Args:
+        job: What would be written.
+        data: The data set.
+        name: Scene name.
+
+    Returns:
+        What would become of it.
+
+    Raises:
+        InputError: If the scene is broken or some of its images are missing.
+    """
+    keyframes, sweeps = _videos(job, data, name)
+    made = _kept(job, name, _key(job, name, keyframes, sweeps)) is None
+    return WrittenSheet(name, made, len(pictured_frames(data.scene(name), keyframes, sweeps)), 0, 0)
+
+
+def _videos(job: Job, data: "DataSet", name: str) -> tuple[Videos, Videos]:
+    """Images of samples and images between them, as far as they are wanted and there."""
+    if job.pictures == "none":
+        return {}, {}
+    keyframes = with_files(name, data.videos(name, sweeps=False))
+    if job.pictures == "keyframes" or not keyframes:
+        return keyframes, {}
+    return keyframes, with_files(name, between_samples(keyframes, data.videos(name, sweeps=True)))
+
+
+def _key(job: Job, scene: str, keyframes: Videos, sweeps: Videos) -> str:
+    """Of everything that decides what is written; sizes of images show those that were rendered anew."""
+    sizes = [
+        (name, view.path.name, view.path.stat().st_size)
+        for videos in (keyframes, sweeps)
+        for name, views in videos.items()
+        for view in views
+    ]
+    facts = job.facts.model_dump(mode="json")
+    # Another version of OpenCV may write other bytes.
+    made_by = [MAKING_VERSION, SCHEMA, cv2.__version__]
+    return content_key("sheet", made_by, facts, job.split, scene, job.pictures, job.cell_width_px, sizes)
+
+
+def _kept(job: Job, scene: str, key: str) -> Sheet | None:
+    """The sheet that is there, if it is what would be written, whole."""
+    folder = job.folder(scene)
+    if read_kept_json(folder / KEY_FILE) != {"key": key}:
+        return None
+    try:
+        return read_sheet(folder).sheet
+    except InputError:
+        return None
+
+
+def _make(job: Job, data: "DataSet", name: str, keyframes: Videos, sweeps: Videos) -> Sheet:
+    """Write a sheet; it comes last, so that no sheet stands beside pictures of another."""
+    folder, scene = job.folder(name), data.scene(name)
+    sheet = sheet_of(data, job.split, name, job.facts)
+    with writing_to(folder):
+        (folder / SHEET_FILE).unlink(missing_ok=True)
+        if (folder / _PICTURES_FOLDER).exists():
+            shutil.rmtree(folder / _PICTURES_FOLDER)
+        if not rounds_fit(folder / ROUNDS_FILE, sheet):
+            (folder / ROUNDS_FILE).unlink(missing_ok=True)
+    sheet = sheet.model_copy(update=_write_pictures(job, folder, scene, keyframes, sweeps))
+    write_json(folder / SHEET_FILE, sheet.model_dump(mode="json", by_alias=True), indent=None)
+    return sheet
+
+
+def rounds_fit(path: Path, sheet: Sheet) -> bool:
+    """Whether the rounds of a search can stand beside a sheet; damaged ones would make the sheet unreadable."""
+    try:
+        trace = RefinementTrace.model_validate(read_kept_json(path))
+    except ValidationError:
+        return False
+    return (trace.schema_version, trace.scene, trace.origin_m) == (SCHEMA, sheet.scene, sheet.origin_m)
+
+
+def _write_pictures(job: Job, folder: Path, scene: Scene, keyframes: Videos, sweeps: Videos) -> Mapping[str, Any]:
+    """Write all pictures; returns the fields of the sheet that say what is in them."""
+    frames = pictured_frames(scene, keyframes, sweeps)
+    cells = layout({name: views[0].camera for name, views in keyframes.items()}, job.cell_width_px)
+    edges, files = {}, {}
+    for pictured in frames:
+        path = picture_name(pictured.frame)
+        # The sheet, written last, knows each picture's hash.
+        write_bytes(folder / path, mosaic(cells, pictured.views), durable=False)
+        files[path] = file_sha256(folder / path)
+        seen = adversary_edges(scene, cells, pictured.views)
+        if seen:
+            edges[str(pictured.frame)] = seen
+    pictures = tuple(pictured.frame for pictured in frames)
+    return {"cameras": cells, "pictures": pictures, "adversary_edges": edges, "files": files}

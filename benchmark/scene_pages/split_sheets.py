@@ -1,0 +1,80 @@
+"""What is shown of a whole split: its scenes, its numbers, and what the search for adversaries tried."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ValidationError
+
+from benchmark.datasets.statistics import statistics
+from benchmark.machine.storage import content_key, read_kept_json, write_json
+from benchmark.records.attempts import ATTEMPTS_FILE, read_attempts
+from benchmark.records.run_schema import DataFacts
+from benchmark.records.scenes import SCHEMA, SPLIT_FILE, AttemptFacts, SplitSheet
+from benchmark.records.statistics import Runtime, SplitStatistics
+from benchmark.scene_pages.making import KEY_FILE, MAKING_VERSION
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
+
+def write_split_sheet(
+    directory: Path,
+    data: "DataSet",
+    split: str,
+    facts: DataFacts,
+    runtime: Runtime | None,
+    hyper: Mapping[str, Any] | None = None,
+) -> SplitSheet:
+    """Describe a split in ``split.json``.
+
+    Args:
+        directory: Where.
+        data: The data set.
+        split: One of its splits.
+        facts: Of the data set.
+        runtime: Seconds of each stage of generation, if they are known.
+        hyper: Settings of the search, if they are known.
+
+    Returns:
+        What was written.
+
+    Raises:
+        InputError: If there is no such split, a table or ``attempts.jsonl`` is broken, or nothing can be written.
+    """
+    review = data.review(split).facts
+    reviewed = [] if review is None else [review.content]
+    key = content_key("split sheet", [MAKING_VERSION, SCHEMA], facts.model_dump(mode="json"), split, *reviewed)
+    sheet = SplitSheet(
+        schema=SCHEMA,
+        data=facts,
+        split=split,
+        scenes=data.scene_names(split),
+        statistics=_kept_statistics(directory, key) or statistics(data.root, split=split, version=data.version),
+        attempts=_attempts(data, split),
+        runtime=runtime,
+        review=review,
+        hyper=dict(hyper or {}),
+    )
+    write_json(directory / SPLIT_FILE, sheet.model_dump(mode="json", by_alias=True), indent=None)
+    write_json(directory / KEY_FILE, {"key": key})
+    return sheet
+
+
+def _kept_statistics(directory: Path, key: str) -> SplitStatistics | None:
+    """Numbers that were counted before; counting the tables of all nuScenes takes minutes."""
+    if read_kept_json(directory / KEY_FILE) != {"key": key}:
+        return None
+    try:
+        return SplitSheet.model_validate(read_kept_json(directory / SPLIT_FILE)).statistics
+    except ValidationError:
+        return None
+
+
+def _attempts(data: "DataSet", split: str) -> tuple[AttemptFacts, ...]:
+    """What the search tried; nothing where the root was not generated for this split."""
+    made = data.provenance()
+    path = data.root / ATTEMPTS_FILE
+    if made is None or made.get("split") != split or not path.is_file():
+        return ()
+    return tuple(AttemptFacts.of(attempt) for attempt in read_attempts(path))

@@ -1,1 +1,0 @@
-"""How severe an encounter is, with and without contact, and what counts as a successful attack."""

@@ -1,0 +1,173 @@
+"""PyTorch files: a child process says where the numbers of each tensor lie; they are mapped straight from the file."""
+
+import math
+import zlib
+from dataclasses import dataclass
+from io import BufferedReader
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.errors import InputError
+from benchmark.untrusted.checkpoint_structure import ITEM_BYTES
+from benchmark.untrusted.children import Answer, taken_apart
+from benchmark.untrusted.files import open_file
+from benchmark.untrusted.limits import CHECKPOINT, EXPANSION, MIB, Limits
+
+_MOST_AXES: Final = 32
+_CHECKED_AT_ONCE: Final = MIB
+
+
+@dataclass(frozen=True, slots=True)
+class StoredTensor:
+    """Where a tensor lies.
+
+    Attributes:
+        number_type: PyTorch's name of it, for example ``bfloat16``.
+        storage: Number of its storage.
+        offset: First element in it.
+        shape: Length of each axis.
+        strides: Elements between neighbours along each axis.
+    """
+
+    number_type: str
+    storage: int
+    offset: int
+    shape: tuple[int, ...]
+    strides: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class StoredCheckpoint:
+    """What a PyTorch file holds.
+
+    Attributes:
+        tensors: By name, in the file's order; each lies inside its storage.
+        storages: Bytes of each, mapped from the file; what is written to them never reaches it.
+        big_endian: Whether their numbers have the other order of bytes.
+        configuration: The training configuration that mmcv puts into its checkpoints, or an empty text.
+    """
+
+    tensors: dict[str, StoredTensor]
+    storages: tuple[NDArray[np.uint8], ...]
+    big_endian: bool
+    configuration: str
+
+
+def read_stored(path: Path, limits: Limits = CHECKPOINT, *, checksums: bool = True) -> StoredCheckpoint:
+    """Find the tensors of a checkpoint without trusting it.
+
+    Args:
+        path: An mmcv checkpoint (``{meta, state_dict, optimizer}``) or a bare state dict, of any PyTorch version.
+        limits: How large it may be, and what taking it apart may cost.
+        checksums: Whether to compare the checksums of an archive, for which all of it is read.
+
+    Returns:
+        Its tensors.
+
+    Raises:
+        InputError: If the file is absent, truncated, no checkpoint, would run code, or holds something other than
+            dense tensors of numbers, or says of them what cannot be true.
+    """
+    _require_bytes(path, limits)
+    found = _structure(path, taken_apart(path, "checkpoint", limits))
+    with open_file(path, limits) as stream:
+        for first, length, checksum, name in found["records"] if checksums else ():
+            if _checksum(stream, first, length) != checksum:
+                raise InputError(f"{path} is damaged ({name} fails its checksum); fetch it again")
+        whole = np.memmap(stream, np.uint8, "c")
+    storages = tuple(whole[first : first + length].view(np.ndarray) for first, length in found["storages"])
+    tensors: dict[str, StoredTensor] = {}
+    for name, number_type, storage, offset, shape, strides in found["tensors"]:
+        if not number_type:
+            raise InputError(f"{path}: {name} is not a dense tensor of real numbers; save the weights as such")
+        tensors[name] = StoredTensor(number_type, storage, offset, tuple(shape), tuple(strides))
+        _require_inside(path, name, tensors[name], storages)
+    claimed = sum(math.prod(each.shape) * ITEM_BYTES[each.number_type] for each in tensors.values())
+    if claimed > EXPANSION * len(whole) + MIB:
+        raise InputError(
+            f"{path} claims tensors of {claimed} bytes and has {len(whole)}; it is made to harm, get it from a source "
+            "that you trust"
+        )
+    return StoredCheckpoint(tensors, storages, found["big_endian"], found["configuration"])
+
+
+def _require_bytes(path: Path, limits: Limits) -> None:
+    """Refuse what is obviously no checkpoint at all."""
+    try:
+        with open_file(path, limits) as stream:
+            start = stream.read(512)
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    if not start:
+        raise InputError(f"{path} is empty; fetch it again")
+    if start.lstrip()[:1] == b"<":
+        raise InputError(
+            f"{path} is a web page, not a checkpoint: the server answered with something to click on; open the address "
+            "in a browser and save the file itself"
+        )
+
+
+def _structure(path: Path, answer: Answer) -> dict[str, Any]:
+    if answer.kind == "refused":
+        raise InputError(
+            f"{path} is refused: it asks for {answer.parts[0]}, which is not among the tensors and plain values that "
+            "weights need and could run code; get it from a source that you trust, or save its state_dict alone in the "
+            "environment that made it"
+        )
+    if answer.kind == "archive":
+        raise InputError(f"{path} is truncated or damaged ({answer.parts[0]}); fetch it again")
+    if answer.kind == "broken" and answer.parts[1].startswith("Unsupported class "):
+        name = answer.parts[1].removeprefix("Unsupported class ")
+        return _structure(path, Answer("refused", (name,)))
+    if answer.kind == "broken":
+        raise InputError(
+            f"{path} cannot be read as a PyTorch checkpoint ({answer.parts[0]}); it is damaged or something else, "
+            "fetch it again"
+        )
+    found: dict[str, Any] = answer.parts[0]
+    if found.get("wrong") == "size":
+        raise InputError(
+            f"{path} claims to hold more bytes than it has, which no file written by PyTorch does; get it from a "
+            "source that you trust"
+        )
+    if found.get("wrong") == "kind":
+        raise InputError(f"{path} holds a {found['kind']} without tensors by name; weights are a state dict")
+    if found.get("wrong") == "entry":
+        raise InputError(
+            f"{path} holds {found['entry']}, which is no tensor with a name; weights are a state dict, or an mmcv "
+            "checkpoint with one under state_dict"
+        )
+    return found
+
+
+def _checksum(stream: BufferedReader, first: int, length: int) -> int:
+    """CRC-32 of some bytes, read and not mapped: most of a checkpoint is never touched again."""
+    stream.seek(first)
+    held, found = memoryview(bytearray(min(length, _CHECKED_AT_ONCE))), 0
+    while length:
+        count = stream.readinto(held[: min(length, len(held))])
+        if not count:
+            return -1
+        found, length = zlib.crc32(held[:count], found), length - count
+    return found
+
+
+def _require_inside(path: Path, name: str, tensor: StoredTensor, storages: tuple[NDArray[np.uint8], ...]) -> None:
+    """A tensor that leaves its storage would read memory that is not its own."""
+    shape, strides, item = tensor.shape, tensor.strides, ITEM_BYTES[tensor.number_type]
+    sound = len(shape) == len(strides) <= _MOST_AXES and all(each >= 0 for each in (tensor.offset, *shape, *strides))
+    held = len(storages[tensor.storage]) // item if 0 <= tensor.storage < len(storages) else 0
+    empty = 0 in shape
+    last = tensor.offset + sum((length - 1) * step for length, step in zip(shape, strides, strict=sound))
+    if not sound or (not empty and last >= held) or (empty and max(shape) > len(storages) + held + MIB):
+        raise InputError(
+            f"{path}: {one_name(name)} lies outside the numbers that the file holds; it is damaged, fetch it again"
+        )
+
+
+def one_name(name: str) -> str:
+    """A tensor's name, fit for a sentence."""
+    return name if name.isprintable() and len(name) < 200 else repr(name[:80])

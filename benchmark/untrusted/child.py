@@ -1,0 +1,121 @@
+"""The child process: takes one foreign file apart within limits and answers with plain values and arrays.
+
+It imports numpy and nothing heavier, reads the file from its standard input, writes the answer to its standard output,
+and ends with its parent. What it says when it fails becomes the parent's sentence (`children.py`).
+"""
+
+import contextlib
+import ctypes
+import os
+import resource
+import signal
+import sys
+import zipfile
+from collections.abc import Callable
+from typing import Any, BinaryIO, Final
+
+from benchmark.untrusted.allowed import AllowListUnpickler, Refused
+from benchmark.untrusted.answers import Unanswerable, write_answer
+from benchmark.untrusted.checkpoint_structure import checkpoint_structure
+from benchmark.untrusted.files import one_line
+from benchmark.untrusted.limits import CHECKPOINT, GIB, PICKLE, PLANS, RESULTS, Limits
+from benchmark.untrusted.parquet_columns import parquet_columns
+from benchmark.untrusted.result_values import result_value
+
+_DIE_WITH_PARENT: Final = 1
+"""``PR_SET_PDEATHSIG`` of Linux."""
+
+
+def read_value(stream: BinaryIO, limits: Limits) -> Any:
+    """The value of a pickle."""
+    return AllowListUnpickler(stream).load()
+
+
+KINDS: Final[dict[str, tuple[Callable[[BinaryIO, Limits], Any], Limits]]] = {
+    "pickle": (read_value, PICKLE),
+    "checkpoint": (checkpoint_structure, CHECKPOINT),
+    "parquet": (parquet_columns, PLANS),
+    "results": (result_value, RESULTS),
+}
+"""What the child can take apart."""
+
+
+def bound(limits: Limits, parent: int) -> None:
+    """Give this process its limits; it cannot raise them again.
+
+    Args:
+        limits: What it may cost.
+        parent: Process that waits for it, and whose end is its own.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
+    for what, most in (
+        (resource.RLIMIT_AS, limits.memory_bytes),
+        (resource.RLIMIT_CPU, limits.cpu_s),
+        (resource.RLIMIT_FSIZE, limits.content_bytes + GIB),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        hard = resource.getrlimit(what)[1]
+        least = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        # Some systems do not bound memory; the clock and the processor time stay.
+        with contextlib.suppress(OSError, ValueError):
+            resource.setrlimit(what, (least, least))
+
+
+def answer(kind: str, limits: Limits, stream: BinaryIO) -> tuple[Any, ...]:
+    """Read the file.
+
+    Args:
+        kind: One of `KINDS`.
+        limits: Of this file.
+        stream: The file.
+
+    Returns:
+        ``("value", V)``, or what was wrong: ``("refused", NAME)``, ``("unanswerable", WHY)``, ``("memory",)``,
+        ``("archive", WHY)`` or ``("broken", TYPE, MESSAGE)``.
+    """
+    try:
+        return "value", KINDS[kind][0](stream, limits)
+    except Refused as refused:
+        return "refused", one_line(refused)
+    except Unanswerable as why:
+        return "unanswerable", one_line(why)
+    except MemoryError:
+        return ("memory",)
+    except zipfile.BadZipFile as error:
+        return "archive", one_line(error)
+    # A malformed stream may raise anything, from EOFError to what numpy thinks of a damaged array.
+    except Exception as error:
+        return "broken", type(error).__name__, one_line(error)
+
+
+def main() -> None:
+    """Answer the parent; ends the process without giving anything back, which could take as long as reading did."""
+    kind, parent, *numbers = sys.argv[2:]
+    depth, values, name_characters, content_bytes, memory_bytes, cpu_s = map(int, numbers)
+    given = Limits(
+        kind,
+        KINDS[kind][1].file_bytes,
+        depth=depth,
+        values=values,
+        name_characters=name_characters,
+        content_bytes=content_bytes,
+        memory_bytes=memory_bytes,
+        cpu_s=cpu_s,
+    )
+    bound(given, int(parent))
+    found = answer(kind, given, os.fdopen(0, "rb"))
+    out = os.fdopen(1, "wb")
+    try:
+        write_answer(out, found, given)
+        out.flush()
+    # What cannot be written may be anything, for example a whole number of a million digits.
+    except Exception as why:
+        del found
+        out.seek(0)
+        out.truncate()
+        write_answer(out, ("memory",) if isinstance(why, MemoryError) else ("unanswerable", one_line(why)), given)
+        out.flush()
+    os._exit(0)

@@ -1,0 +1,109 @@
+"""Starting the child process that takes a foreign file apart, and one sentence for whatever becomes of it."""
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from benchmark.errors import InputError
+from benchmark.untrusted.answers import read_answer
+from benchmark.untrusted.files import open_file
+from benchmark.untrusted.limits import Limits, in_words
+
+_ROOT: Final = Path(__file__).resolve().parents[2]
+_PROGRAM: Final = "import sys; sys.path.insert(0, sys.argv[1]); from benchmark.untrusted.child import main; main()"
+_KEPT_ENVIRONMENT: Final = ("PATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "SYSTEMROOT", "TMPDIR", "LANG", "HOME")
+_UNTRUSTED: Final = "it is damaged or made to harm, get it from a source that you trust"
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What the child says of a file that it did not read to the end of its limits.
+
+    Attributes:
+        kind: ``value``, ``refused`` (asks for something that is not on the allow-list), ``archive`` (a damaged zip
+            archive) or ``broken``.
+        parts: The value; or the name asked for; or what is wrong, in words.
+    """
+
+    kind: str
+    parts: tuple[Any, ...]
+
+
+def taken_apart(path: Path, kind: str, limits: Limits) -> Answer:
+    """Have a child process read a foreign file.
+
+    Args:
+        path: The file.
+        kind: What the child shall read: ``pickle``, ``checkpoint`` or ``parquet``.
+        limits: How large the file may be, and what reading it may cost.
+
+    Returns:
+        Its answer.
+
+    Raises:
+        InputError: If the file cannot be opened or is too large, or the child runs out of memory or time, dies, or
+            finds more values, or deeper ones, than there may be.
+    """
+    with open_file(path, limits) as stream, tempfile.TemporaryFile() as answer:
+        code = _run(path, kind, limits, stream.fileno(), answer.fileno())
+        if code < 0:
+            raise InputError(_death(path, -code, limits))
+        size = os.fstat(answer.fileno()).st_size
+        # What a damaged child leaves behind is foreign as well, and may be anything.
+        try:
+            data = bytearray(size)
+            answer.seek(0)
+            answer.readinto(data)
+            found, *parts = read_answer(data)
+        except Exception as error:
+            raise InputError(f"{path} broke the process that reads it (exit status {code}); {_UNTRUSTED}") from error
+    if found == "memory":
+        raise InputError(f"{path} takes more than {in_words(limits.memory_bytes)} of memory to read; {_UNTRUSTED}")
+    if found == "unanswerable":
+        raise InputError(f"{path} is refused: {parts[0]}; {_UNTRUSTED}")
+    return Answer(found, tuple(parts))
+
+
+def _run(path: Path, kind: str, limits: Limits, source: int, target: int) -> int:
+    numbers = (
+        limits.depth,
+        limits.values,
+        limits.name_characters,
+        limits.content_bytes,
+        limits.memory_bytes,
+        limits.cpu_s,
+    )
+    # Numpy's libraries claim memory for every processor unless they are told not to.
+    environment = {name: os.environ[name] for name in _KEPT_ENVIRONMENT if name in os.environ}
+    environment |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    command = [sys.executable, "-I", "-c", _PROGRAM, str(_ROOT), kind, str(os.getpid()), *map(str, numbers)]
+    try:
+        child = subprocess.Popen(
+            command, stdin=source, stdout=target, stderr=subprocess.DEVNULL, env=environment, cwd="/"
+        )
+    except OSError as error:
+        raise InputError(
+            f"cannot start a process to read {path} in: {error.strerror or error}; end other programs, then try again"
+        ) from error
+    try:
+        return child.wait(timeout=limits.clock_s)
+    except subprocess.TimeoutExpired:
+        return -signal.SIGXCPU
+    finally:
+        child.kill()
+        child.wait()
+
+
+def _death(path: Path, number: int, limits: Limits) -> str:
+    if number == signal.SIGXCPU:
+        return f"{path} takes longer than {limits.cpu_s} s to read as a {limits.what}; {_UNTRUSTED}"
+    try:
+        name = signal.Signals(number).name
+    except ValueError:
+        name = str(number)
+    return f"{path} broke the process that reads it (signal {name}); {_UNTRUSTED}"

@@ -1,0 +1,208 @@
+"""Foreign JSON: so many bytes, values and containers within containers, and no text that cannot be written again."""
+
+import codecs
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from benchmark.errors import InputError
+from benchmark.untrusted.files import one_line, open_file
+from benchmark.untrusted.limits import JSON, Limits, in_words
+
+_BETWEEN: Final = bytes(sorted(set(range(256)) - set(b'[]{}"')))
+_ONE_KIND: Final = bytes.maketrans(b"{}", b"[]")
+_STRINGS: Final = re.compile(rb'"(?:[^"\\]|\\.)*+"', re.DOTALL)
+_STARTS: Final = frozenset(b'[{"-0123456789tfnNI')
+_SPACE: Final = b" \t\r\n"
+_FIRST_BYTES: Final = 4096
+_BYTES_OF_ENCODING: Final = 4
+
+
+class TooDeepError(ValueError):
+    """Containers within containers within containers."""
+
+
+class TooLargeError(ValueError):
+    """More values than there may be, or than fit into memory."""
+
+
+def require_utf8(start: bytes) -> int:
+    """Refuse JSON text in another encoding than UTF-8.
+
+    Args:
+        start: The first bytes of the text, four if there are so many.
+
+    Returns:
+        How many of them are the mark that some programs put before UTF-8; what follows is the text.
+
+    Raises:
+        ValueError: If it is UTF-16 or UTF-32; says which.
+    """
+    encoding = json.detect_encoding(start[:_BYTES_OF_ENCODING])
+    # Zeros alone are a hole in a file, no text.
+    if not encoding.startswith("utf-8") and start[:_BYTES_OF_ENCODING].strip(b"\0"):
+        raise ValueError(f"it is text in {encoding[:6].upper()}, save it as UTF-8")
+    return len(codecs.BOM_UTF8) if start.startswith(codecs.BOM_UTF8) else 0
+
+
+def parse_json(data: bytes, limits: Limits = JSON) -> Any:
+    """The value of a JSON text.
+
+    Args:
+        data: UTF-8 text, after a mark perhaps.
+        limits: How many values it may have, and how deep they may lie.
+
+    Returns:
+        The value; NaN and infinity are read, as Python writes them.
+
+    Raises:
+        ValueError: If it is not JSON, or more than the limits allow, or has text that is not Unicode; says which.
+    """
+    if data.count(b",") + data.count(b"[") + data.count(b"{") > limits.values:
+        raise TooLargeError(f"it holds more than {limits.values} values")
+    require_utf8(data)
+    too_deep = f"its containers lie more than {limits.depth} deep"
+    try:
+        value = json.loads(data)
+    except RecursionError:
+        raise TooDeepError(too_deep) from None
+    except MemoryError:
+        raise TooLargeError(f"its {in_words(len(data))} do not fit into memory") from None
+    if _is_deeper(data, limits.depth):
+        raise TooDeepError(too_deep)
+    # Halves of a pair of UTF-16 codes, escaped or as bytes; looked for only where there can be any.
+    if b"\xed" in data or b"\\ud" in data or b"\\uD" in data:
+        try:
+            json.dumps(value, ensure_ascii=False).encode()
+        except UnicodeEncodeError:
+            raise ValueError("it holds text that is not Unicode") from None
+    return value
+
+
+def _is_deeper(data: bytes, depth: int) -> bool:
+    """Whether brackets are nested deeper; text in quotes is left out only where there is a bracket in it."""
+    # All of one kind, so that each round takes one layer away: JSON has no bracket that another kind closes.
+    left = data.translate(_ONE_KIND, _BETWEEN).replace(b'""', b"")
+    if b'"' in left or b'\\"' in data:
+        left = _STRINGS.sub(b"", data).translate(_ONE_KIND, _BETWEEN)
+    for _ in range(depth):
+        if not left:
+            return False
+        left = left.replace(b"[]", b"")
+    return bool(left)
+
+
+def read_json(path: Path, limits: Limits = JSON) -> Any:
+    """Read a JSON file.
+
+    Args:
+        path: The file.
+        limits: How large and deep it may be.
+
+    Returns:
+        The value.
+
+    Raises:
+        InputError: If it is absent, unreadable, not JSON or more than the limits allow.
+    """
+    try:
+        return parse_json(_bytes(path, limits), limits)
+    except ValueError as error:
+        raise InputError(
+            f"{path} is not valid JSON ({one_line(error)}); it may be truncated, fetch or make it again"
+        ) from error
+
+
+def read_json_lines(path: Path, limits: Limits = JSON) -> list[Any]:
+    """Read one JSON value a line.
+
+    Args:
+        path: The file.
+        limits: How large it may be, a line of it, and how deep each value.
+
+    Returns:
+        The values.
+
+    Raises:
+        InputError: If it is absent, unreadable, a line is not JSON, or it is more than the limits allow.
+    """
+    return [parse_line(path, number, line, limits) for number, line in read_lines(path, limits)]
+
+
+def read_lines(path: Path, limits: Limits = JSON) -> Iterator[tuple[int, str]]:
+    """Lines of a file of JSON lines, unread.
+
+    Args:
+        path: The file.
+        limits: How large it may be, and a line of it.
+
+    Yields:
+        Number, from 1, and text of each line.
+
+    Raises:
+        InputError: If it is absent, unreadable, not text, or more than the limits allow.
+    """
+    try:
+        text = _bytes(path, limits).decode()
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not text ({error}); fetch or make it again") from error
+    for number, line in enumerate(text.splitlines(), start=1):
+        if len(line) > limits.line_bytes:
+            raise InputError(
+                f"{path} line {number} is longer than {in_words(limits.line_bytes)}; it is damaged or something else, "
+                "fetch or make it again"
+            )
+        yield number, line
+
+
+def parse_line(path: Path, number: int, line: str, limits: Limits = JSON) -> Any:
+    """The value of one line of a file.
+
+    Args:
+        path: The file, for the message.
+        number: Of the line.
+        line: Its text.
+        limits: How many values it may have, and how deep.
+
+    Returns:
+        The value.
+
+    Raises:
+        InputError: If it is not JSON, or more than the limits allow.
+    """
+    try:
+        return parse_json(line.encode(), limits)
+    except ValueError as error:
+        raise InputError(f"{path} line {number} is not valid JSON ({one_line(error)}); it may be truncated") from error
+
+
+def is_plain(data: bytes, limits: Limits = JSON) -> bool:
+    """Whether a JSON text is surely within the limits and surely holds Unicode alone; a faster parser may have it then.
+
+    Args:
+        data: The text.
+        limits: How many values it may have, and how deep they may lie.
+
+    Returns:
+        ``False`` where `parse_json` has to look.
+    """
+    if data.count(b",") + data.count(b"[") + data.count(b"{") > limits.values:
+        return False
+    return not (_is_deeper(data, limits.depth) or b"\xed" in data or b"\\ud" in data or b"\\uD" in data)
+
+
+def _bytes(path: Path, limits: Limits) -> bytes:
+    """The file, if it begins like JSON: nothing else, and no hole in a sparse file, is read to its end."""
+    try:
+        with open_file(path, limits) as stream:
+            start = stream.peek(_FIRST_BYTES)[:_FIRST_BYTES].lstrip(_SPACE)
+            if start and start[0] not in _STARTS and not start.startswith((b"\xef\xbb\xbf", b"\xff\xfe", b"\xfe\xff")):
+                # In the words that the whole of it would give.
+                return start[:1] if 0 < start[0] < 0x80 else stream.read(_FIRST_BYTES)
+            return stream.read()
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    except MemoryError:
+        raise InputError(f"{path} does not fit into the memory of this machine; it is damaged, get it again") from None

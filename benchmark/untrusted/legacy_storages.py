@@ -1,0 +1,132 @@
+"""The bytes of a tensor's storage in PyTorch's old form: five short pickles behind each other, then raw numbers.
+
+Runs in the child process. The pickles of this second stream may name storages and nothing else, so that what is hidden
+in the bytes of a tensor is refused like anything in the open.
+"""
+
+import io
+import pickle
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.untrusted.allowed import Refused
+from benchmark.untrusted.answers import Unanswerable
+from benchmark.untrusted.files import one_line
+
+MAGIC: Final = 0x1950A86A20F9469CFC6C
+FORMAT: Final = 1001
+STORAGES: Final = {
+    "FloatStorage": "<f4", "DoubleStorage": "<f8", "HalfStorage": "<f2", "BFloat16Storage": "<u2", "LongStorage": "<i8",
+    "IntStorage": "<i4", "ShortStorage": "<i2", "CharStorage": "<i1", "ByteStorage": "<u1", "BoolStorage": "|b1",
+}  # fmt: skip
+"""Classes of storages of real numbers, and how these are stored."""
+_COUNT_BYTES: Final = 8
+
+
+class Storage:
+    """Stored numbers of a tensor.
+
+    Attributes:
+        values: (N,) the numbers.
+    """
+
+    __slots__ = ("values",)
+
+    def __init__(self, values: NDArray[Any]) -> None:
+        self.values = values
+
+    def __setstate__(self, state: Any) -> None:
+        raise Refused("a storage with a state")
+
+
+class _Kind:
+    """Stands for a class of storages."""
+
+    __slots__ = ("name",)
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __setstate__(self, state: Any) -> None:
+        raise Refused(f"a state for torch.{self.name}")
+
+
+class _Place:
+    """What a persistent id says of a storage."""
+
+    __slots__ = ("count", "key", "kind")
+
+    def __init__(self, kind: str, key: str, count: int) -> None:
+        self.kind, self.key, self.count = kind, key, count
+
+    def __setstate__(self, state: Any) -> None:
+        raise Refused("a storage with a state")
+
+
+class _PlainUnpickler(pickle.Unpickler):
+    """Whole numbers, texts and dictionaries: no names at all."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        """Never."""
+        raise Refused(f"{module}.{name}, hidden in the bytes of a tensor")
+
+    def persistent_load(self, pid: Any) -> Any:
+        """Never."""
+        raise Refused("a persistent id, hidden in the bytes of a tensor")
+
+
+class _StorageUnpickler(_PlainUnpickler):
+    """One storage, named by a persistent id."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        """The classes of storages."""
+        if module != "torch" or name not in STORAGES:
+            return super().find_class(module, name)
+        return _Kind(name)
+
+    def persistent_load(self, pid: Any) -> Any:
+        """What the id says; where the numbers once lay (``cuda:0``) does not matter."""
+        if not isinstance(pid, tuple) or len(pid) not in (5, 6) or pid[0] != "storage" or pid[5:] not in ((), (None,)):
+            raise Refused("a persistent id that names no storage")
+        _, kind, key, _, count = pid[:5]
+        if not isinstance(kind, _Kind) or not isinstance(key, str) or type(count) is not int or count < 0:
+            raise Refused("a persistent id that names no storage")
+        return _Place(kind.name, key, count)
+
+
+def storage_of(data: Any) -> Storage:
+    """The numbers of a storage.
+
+    Args:
+        data: What `torch.save` writes of one storage in its old form.
+
+    Returns:
+        They.
+
+    Raises:
+        Refused: If the stream asks for anything but storages.
+        Unanswerable: If it is damaged, or says of the numbers what is not so.
+        EOFError: If it ends too early; other errors of damaged pickles, too.
+    """
+    if not isinstance(data, bytes | bytearray):
+        raise Refused("torch.storage._load_from_bytes of something other than bytes")
+    if data[:2] == b"PK":
+        raise Refused("a zip archive in the bytes of a tensor")
+    stream = io.BytesIO(data)
+    magic, form, system = (_PlainUnpickler(stream).load() for _ in range(3))
+    if magic != MAGIC or form != FORMAT or not isinstance(system, dict) or system.get("little_endian") is not True:
+        raise Unanswerable("the bytes of a tensor are not what PyTorch writes on ordinary machines")
+    place, keys = _StorageUnpickler(stream).load(), _PlainUnpickler(stream).load()
+    if not isinstance(place, _Place) or keys != [place.key]:
+        raise Unanswerable("the bytes of a tensor hold something other than one storage")
+    count = int.from_bytes(stream.read(_COUNT_BYTES), "little")
+    numbers = data[stream.tell() :]
+    dtype = np.dtype(STORAGES[place.kind])
+    if count != place.count or count * dtype.itemsize != len(numbers):
+        raise Unanswerable(f"a tensor declares {one_line(place.count, 40)} numbers and holds {len(numbers)} bytes")
+    values: NDArray[Any] = np.frombuffer(numbers, dtype)
+    if place.kind == "BFloat16Storage":
+        values = (values.astype(np.uint32) << 16).view(np.float32)
+    return Storage(values)

@@ -1,0 +1,140 @@
+"""Files that planners' own repositories write, opened: pickles in a child process, JSON with nothing twice in it."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any, Final, NoReturn
+
+from benchmark.errors import InputError
+from benchmark.untrusted.children import taken_apart
+from benchmark.untrusted.files import one_line, open_file, read_file
+from benchmark.untrusted.json_text import TooDeepError, TooLargeError, parse_json
+from benchmark.untrusted.limits import JSON, RESULTS, Limits, for_file
+from benchmark.untrusted.refusals import CATEGORIES, Category, RefusedFile
+
+_START_BYTES: Final = 64
+_ADVICE: Final[dict[str, str]] = {
+    "truncated": "copy or make it again",
+    "trailing": "it is damaged or several files in one, make it again",
+    "class": "it could run code: do not open it elsewhere either, and get the file from a source that you trust",
+    "nesting": "it is damaged or made to harm, get it from a source that you trust",
+    "size": "it is damaged or made to harm, get it from a source that you trust",
+}
+
+
+def first_bytes(path: Path) -> bytes:
+    """How a file begins.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Up to 64 bytes.
+
+    Raises:
+        InputError: If it cannot be opened, or is longer than any result file.
+    """
+    with open_file(path, RESULTS) as stream:
+        return stream.read(_START_BYTES)
+
+
+def read_result_pickle(path: Path) -> Any:
+    """Read a pickle of a planner's repository without trusting it.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Dictionaries, lists, arrays, numbers and texts; what no plan is read from is ``None``.
+
+    Raises:
+        RefusedFile: If it is damaged, asks for anything that is not on the list (the message names it), or is more than
+            the limits allow.
+        InputError: If it cannot be opened.
+    """
+    with open_file(path, RESULTS) as stream:
+        limits = for_file(RESULTS, stream.seek(0, 2))
+    try:
+        answer = taken_apart(path, "results", limits)
+    except InputError as error:
+        raise RefusedFile("size", str(error)) from error
+    if answer.kind != "value":
+        raise RefusedFile("unknown", f"{path} is not a readable pickle ({': '.join(answer.parts)}); make it again")
+    found = answer.parts[0]
+    if isinstance(found, dict) and "value" in found:
+        return found["value"]
+    category, why = (found.get("wrong"), str(found.get("why"))) if isinstance(found, dict) else (None, "")
+    if category not in CATEGORIES:
+        raise RefusedFile("unknown", f"{path} is not a readable pickle; make it again")
+    if category == "class":
+        why = f"its pickle asks for {why}, which no result file needs"
+    advice = _ADVICE.get(category, "it is damaged or something else, make it again")
+    raise RefusedFile(category, f"{path} is refused: {why}; {advice}")
+
+
+def read_result_text(path: Path, limits: Limits = JSON) -> bytes:
+    """The bytes of a text file of results; errors as in `read_file`."""
+    return read_file(path, limits)
+
+
+def parse_result_json(data: bytes, where: str, limits: Limits = JSON) -> Any:
+    """The value of a JSON text that has no key twice in an object and no number that is not finite.
+
+    Args:
+        data: UTF-8 text.
+        where: File, and line where there are several, for the message.
+        limits: How many values it may have, and how deep they may lie.
+
+    Returns:
+        The value.
+
+    Raises:
+        RefusedFile: If it is anything else.
+    """
+    category: Category = "unknown"
+    try:
+        parse_json(data, limits)
+        return json.loads(data, object_pairs_hook=_once, parse_constant=_not_finite, parse_float=_finite)
+    except json.JSONDecodeError as error:
+        ended = error.pos >= len(error.doc.rstrip()) or error.msg.startswith("Unterminated")
+        behind = error.msg.startswith("Extra data")
+        category, why = "trailing" if behind else "truncated" if ended else "unknown", one_line(error)
+    except _NamedTwiceError as error:
+        category, why = "duplicate", one_line(error)
+    except _NotFiniteError as error:
+        category, why = "not_finite", one_line(error)
+    except TooDeepError as error:
+        category, why = "nesting", one_line(error)
+    except TooLargeError as error:
+        category, why = "size", one_line(error)
+    except ValueError as error:
+        why = one_line(error)
+    raise RefusedFile(category, f"{where} is not readable JSON ({why}); {_ADVICE.get(category, 'make it again')}")
+
+
+class _NamedTwiceError(ValueError):
+    """A key twice in one object."""
+
+
+class _NotFiniteError(ValueError):
+    """NaN, infinity, or a number that is too large for one."""
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names: set[str] = set()
+        twice = next(name for name, _ in pairs if name in names or names.add(name))  # type: ignore[func-returns-value]
+        raise _NamedTwiceError(f"{one_line(twice, 80)!r} stands twice in one object")
+    return found
+
+
+def _not_finite(text: str) -> NoReturn:
+    raise _NotFiniteError(f"it holds {text}, which is no number")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise _NotFiniteError(f"it holds {text[:40]}, which is beyond all numbers")
+    return value

@@ -1,0 +1,316 @@
+"""What pickles of planners' repositories hold, read without running anything of them: arrays, tensors, plain values.
+
+Runs in the child process. Names are answered by stand-ins of this module alone, exact pairs of module and name. Tensors
+hide a second pickle stream in the bytes of their storage, which has a list of its own (the names of storages). Of the
+value only what plans are read from is kept; everything else becomes ``None``, so that boxes of a whole data set need
+not travel.
+"""
+
+import math
+import pickle
+import re
+import sys
+from collections.abc import Callable
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.untrusted.allowed import Refused
+from benchmark.untrusted.answers import Unanswerable
+from benchmark.untrusted.files import one_line
+from benchmark.untrusted.legacy_storages import Storage, storage_of
+from benchmark.untrusted.limits import EXPANSION, MIB, Limits
+
+_CORES: Final = ("core", "_core")
+_NUMBERS: Final = re.compile(r"[<>|=]?(f[248]|[iu][1248]|b1|[SU]\d{1,4})")
+_MOST_AXES: Final = 32
+_PLAIN: Final = frozenset({bool, int, float, str, bytes, type(None)})
+_KEPT: Final = frozenset(
+    {
+        "meta", "plan_results", "bbox_results", "token", "planning_traj", "planning_traj_gt", "command", "img_bbox",
+        "final_planning", "planning", "planning_score", "pts_bbox", "ego_fut_preds", "ego_fut_cmd", "metric_results",
+        "pred_ego_traj", "pred_ego_fut_trajs", "gt_ego_fut_trajs", "index", "index_w_scene", "ego_trajs_in_global",
+    }
+)  # fmt: skip
+"""Keys that plans and proofs of their order are read from: a dictionary with one of them keeps these alone."""
+_ALWAYS_PARTLY: Final = ("img_bbox", "pts_bbox")
+_FARTHEST_DOWN: Final = 1000
+"""Containers within containers that are looked into at all."""
+_LONG: Final = ("meta",)
+"""Says what kind of file it is; what it holds is of no use."""
+
+
+class _Function:
+    """Stands for a function: it can be called as pickles of arrays call it, and nothing else."""
+
+    __slots__ = ("_does", "name")
+    name: str
+    _does: Callable[..., Any] | None
+
+    def __init__(self, name: str, does: Callable[..., Any] | None) -> None:
+        object.__setattr__(self, "name", name)
+        object.__setattr__(self, "_does", does)
+
+    def __call__(self, *arguments: Any) -> Any:
+        if self._does is None:
+            raise Refused(f"a call of {self.name}")
+        return self._does(*arguments)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise Refused(f"a change of {self.name}")
+
+    def __setstate__(self, state: Any) -> None:
+        raise Refused(f"a state for {self.name}")
+
+
+class _NumberType:
+    """Stands for a number type of numpy; its state may be a byte order and nothing else."""
+
+    __slots__ = ("dtype",)
+
+    def __init__(self, dtype: np.dtype[Any]) -> None:
+        self.dtype = dtype
+
+    def __setstate__(self, state: Any) -> None:
+        if not isinstance(state, tuple) or len(state) < 5 or any(part is not None for part in state[2:5]):
+            raise Refused("a number type with fields")
+        if state[1] not in ("<", ">", "|", "="):
+            raise Refused("a number type with another byte order")
+        if self.dtype.kind in "fiuU":
+            self.dtype = self.dtype.newbyteorder(state[1])
+
+
+class _Array:
+    """Stands for an array or a tensor; takes its content once."""
+
+    __slots__ = ("value",)
+
+    def __init__(self, value: NDArray[Any] | None = None) -> None:
+        self.value = value
+
+    def __setstate__(self, state: Any) -> None:
+        if self.value is not None or not isinstance(state, tuple) or len(state) != 5:
+            raise Refused("an array with a state that no array has")
+        _, shape, kind, fortran, data = state
+        self.value = _numbers(data, kind, shape, "F" if fortran else "C")
+
+
+class _Boxes:
+    """Stands for the boxes of mmdet3d: a record that nobody looks into."""
+
+    __slots__ = ("held",)
+
+    def __setstate__(self, state: Any) -> None:
+        if type(state) is not dict or hasattr(self, "held"):
+            raise Refused("boxes with a state that boxes have not")
+        self.held = state
+
+
+def _numbers(data: Any, kind: Any, shape: Any, order: Any) -> NDArray[Any]:
+    """Bytes as numbers; says no before it claims any memory."""
+    if not isinstance(kind, _NumberType) or not isinstance(data, bytes | bytearray) or order not in ("C", "F"):
+        raise Refused("an array of something other than numbers and short texts")
+    if not _are_counts(shape):
+        raise Unanswerable(f"it declares an array of shape {one_line(shape, 60)}")
+    if math.prod(shape) * kind.dtype.itemsize != len(data):
+        raise Unanswerable(f"it declares an array of {math.prod(shape)} values and holds {len(data)} bytes of it")
+    if not data:
+        return np.zeros(shape, kind.dtype)
+    return np.frombuffer(data, kind.dtype).reshape(shape, order=order)
+
+
+def _are_counts(shape: Any) -> bool:
+    return (
+        isinstance(shape, tuple)
+        and len(shape) <= _MOST_AXES
+        and all(type(length) is int and 0 <= length < 1 << 48 for length in shape)
+    )
+
+
+def _number_type(name: Any, *_: Any) -> _NumberType:
+    if not isinstance(name, str) or not _NUMBERS.fullmatch(name):
+        raise Refused(f"numpy.dtype({one_line(name, 40)!r})")
+    return _NumberType(np.dtype(name))
+
+
+def _empty_array(subtype: Any, shape: Any, kind: Any) -> _Array:
+    if subtype is not _NDARRAY or kind not in (b"b", "b"):
+        raise Refused("an array of a kind of its own")
+    if shape != (0,):
+        raise Unanswerable(f"it declares an array of shape {one_line(shape, 60)} before any content")
+    return _Array()
+
+
+def _array_from_buffer(data: Any, kind: Any, shape: Any, order: Any) -> _Array:
+    return _Array(_numbers(data, kind, shape, order))
+
+
+def _scalar(kind: Any, data: Any) -> Any:
+    return _numbers(data, kind, (), "C")[()]
+
+
+def _encode(text: Any, encoding: Any = None) -> bytes:
+    if not isinstance(text, str) or encoding != "latin1":
+        raise Refused("_codecs.encode with another encoding than latin1")
+    return text.encode("latin1")
+
+
+def _ordered(*arguments: Any) -> dict[Any, Any]:
+    if arguments:
+        raise Refused("a call of collections.OrderedDict with content")
+    return {}
+
+
+def _tensor(storage: Any, offset: Any, shape: Any, strides: Any, *rest: Any) -> _Array:
+    if not isinstance(storage, Storage) or any(not isinstance(part, bool | dict | None) or part for part in rest):
+        raise Refused("a tensor that is no plain one")
+    if not _are_counts(shape) or not _are_counts(strides) or len(shape) != len(strides) or not _are_counts((offset,)):
+        raise Unanswerable("it declares a tensor of an impossible shape")
+    values = storage.values
+    if math.prod(shape) * values.itemsize > EXPANSION * values.nbytes + MIB:
+        raise Unanswerable(f"it declares a tensor of {math.prod(shape)} values and stores {len(values)} of them")
+    last = offset + sum((length - 1) * step for length, step in zip(shape, strides))
+    if math.prod(shape) and last >= len(values):
+        raise Unanswerable("it declares a tensor that leaves the numbers stored for it")
+    if not math.prod(shape):
+        return _Array(np.zeros(shape, values.dtype))
+    steps = [step * values.itemsize for step in strides]
+    return _Array(np.lib.stride_tricks.as_strided(values[offset:], shape, steps).copy())
+
+
+_NDARRAY: Final = _Function("numpy.ndarray", None)
+_LIDAR_BOXES: Final = (
+    ("mmdet3d.core.bbox.structures.lidar_box3d", "LiDARInstance3DBoxes"),
+    ("mmdet3d.structures.bbox_3d.lidar_box3d", "LiDARInstance3DBoxes"),
+    ("projects.mmdet3d_plugin.core.bbox.structures.lidar_box3d", "CustomLiDARInstance3DBoxes"),
+)
+_ALLOWED: Final[dict[tuple[str, str], Any]] = {
+    ("numpy", "ndarray"): _NDARRAY,
+    ("numpy", "dtype"): _Function("numpy.dtype", _number_type),
+    **{(f"numpy.{core}.multiarray", "_reconstruct"): _Function("_reconstruct", _empty_array) for core in _CORES},
+    **{(f"numpy.{core}.multiarray", "scalar"): _Function("scalar", _scalar) for core in _CORES},
+    **{(f"numpy.{core}.numeric", "_frombuffer"): _Function("_frombuffer", _array_from_buffer) for core in _CORES},
+    ("collections", "OrderedDict"): _Function("collections.OrderedDict", _ordered),
+    ("_codecs", "encode"): _Function("_codecs.encode", _encode),
+    ("torch._utils", "_rebuild_tensor_v2"): _Function("_rebuild_tensor_v2", _tensor),
+    ("torch.storage", "_load_from_bytes"): _Function("_load_from_bytes", storage_of),
+    **dict.fromkeys(_LIDAR_BOXES, _Boxes),
+}
+"""What result files may ask for, and what they get in its place."""
+
+
+class _ResultUnpickler(pickle.Unpickler):
+    """Knows exactly these names; there are no persistent ids in the outer stream."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        """The stand-in; nothing is ever imported."""
+        if (module, name) not in _ALLOWED:
+            raise Refused(f"{module}.{name}")
+        return _ALLOWED[module, name]
+
+    def persistent_load(self, pid: Any) -> Any:
+        """Never: only storages of tensors have such ids."""
+        raise Refused("a persistent id")
+
+
+def result_value(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
+    """The value of a result file, or why there is none.
+
+    Args:
+        stream: The file.
+        limits: How deep and large what is kept of it may be.
+
+    Returns:
+        ``{"value": V}``, or ``{"wrong": CATEGORY, "why": TEXT}``.
+
+    Raises:
+        MemoryError: If it takes too much.
+    """
+    try:
+        value = _ResultUnpickler(stream).load()
+        if stream.read(1):
+            return {"wrong": "trailing", "why": "there are bytes behind its end"}
+        # Deep enough to tell what unfolds endlessly from what is only deep; Python's own calls take no C stack.
+        sys.setrecursionlimit(max(sys.getrecursionlimit(), 8 * _FARTHEST_DOWN))
+        copy, _, height = _Kept(limits).of(value, 0)
+        if height > limits.depth:
+            raise _TooDeep(f"its containers lie more than {limits.depth} deep")
+        return {"value": copy}
+    except Refused as refused:
+        return {"wrong": "class", "why": one_line(refused)}
+    except _TooDeep as why:
+        return {"wrong": "nesting", "why": one_line(why)}
+    except Unanswerable as why:
+        return {"wrong": "size", "why": one_line(why)}
+    except EOFError:
+        return {"wrong": "truncated", "why": "it ends before its end"}
+    except pickle.UnpicklingError as error:
+        return {"wrong": "truncated" if "truncated" in str(error) else "unknown", "why": one_line(error)}
+    except TypeError as error:
+        # What a stand-in cannot do: it was asked for something that no array, tensor or box asks for.
+        return {"wrong": "class", "why": one_line(error)}
+
+
+class _TooDeep(Exception):
+    """Containers within containers within containers; says how many."""
+
+
+class _Kept:
+    """Copies what is kept of a value; what is named often is copied once and counted each time.
+
+    Args:
+        limits: How deep and large it may be.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        # The values are held, so that no other object gets the same identity.
+        self._known: dict[int, tuple[Any, int, int, Any]] = {}
+
+    def of(self, value: Any, depth: int) -> tuple[Any, int, int]:
+        """The copy, how many values it stands for, and how many containers deep it is."""
+        if type(value) in _PLAIN or isinstance(value, np.generic):
+            return value, 1, 0
+        if isinstance(value, _Array) and value.value is not None:
+            return value.value, 1, 0
+        known = self._known.get(id(value))
+        if known is None:
+            if depth > _FARTHEST_DOWN:
+                raise _TooDeep(f"its containers lie more than {self._limits.depth} deep")
+            found = self._container(value, depth)
+            self._known[id(value)] = known = (*found, value)
+        copy, count, height = known[:3]
+        if count > self._limits.values:
+            raise Unanswerable(f"it holds more than {self._limits.values} values")
+        return copy, count, height
+
+    def _container(self, value: Any, depth: int) -> tuple[Any, int, int]:
+        if type(value) is list or type(value) is tuple:
+            parts = [self.of(item, depth + 1) for item in value]
+            return type(value)(part[0] for part in parts), 1 + sum(p[1] for p in parts), 1 + _highest(parts)
+        if type(value) is dict:
+            return self._dictionary(value, depth, all(key not in _KEPT for key in value))
+        if isinstance(value, _Boxes):
+            return None, 1, 0
+        name = value.name if isinstance(value, _Function) else type(value).__name__.strip("_")
+        raise Refused(f"{name} as a value")
+
+    def _dictionary(self, value: dict[Any, Any], depth: int, whole: bool) -> tuple[Any, int, int]:
+        copy: dict[Any, Any] = {}
+        parts = []
+        for key, held in value.items():
+            if type(key) not in _PLAIN or (isinstance(key, str) and len(key) > self._limits.name_characters):
+                raise Unanswerable("it holds a key that is no short text")
+            if not whole and (key not in _KEPT or key in _LONG):
+                parts.append((None, 1, 0))
+            elif key in _ALWAYS_PARTLY and type(held) is dict:
+                parts.append(self._dictionary(held, depth + 1, whole=False))
+            else:
+                parts.append(self.of(held, depth + 1))
+            copy[key] = parts[-1][0]
+        return copy, 1 + 2 * len(copy) + sum(part[1] for part in parts), 1 + _highest(parts)
+
+
+def _highest(parts: list[tuple[Any, int, int]]) -> int:
+    return max((part[2] for part in parts), default=0)

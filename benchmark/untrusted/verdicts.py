@@ -1,0 +1,79 @@
+"""Foreign files of verdicts on scenes: CSV with a line a scene, or JSON like the one beside a split."""
+
+import csv
+import io
+from pathlib import Path
+from typing import Any, Final
+
+from benchmark.errors import InputError
+from benchmark.untrusted.files import one_line, read_file
+from benchmark.untrusted.json_text import read_json
+from benchmark.untrusted.limits import VERDICTS, Limits, in_words
+
+COLUMNS: Final = ("scene", "verdict", "reason", "inspector", "token")
+_NEEDED: Final = ("scene", "verdict")
+_SAID: Final = {"accept": "accepted", "reject": "rejected"}
+"""What people write, and what is meant; a verdict in full is itself."""
+
+
+def read_verdicts(path: Path, limits: Limits = VERDICTS) -> dict[str, dict[str, Any]]:
+    """Read what somebody says of scenes.
+
+    Args:
+        path: A ``.csv`` file whose first line names the columns (`COLUMNS`, of which ``scene`` and ``verdict`` must be
+            there), or a ``.json`` file: an object of objects by name of the scene, with the other columns as members,
+            alone or as ``verdicts`` of a ``review.json``.
+        limits: How large it may be.
+
+    Returns:
+        Members by name of the scene; texts of verdicts in full, the rest unchecked.
+
+    Raises:
+        InputError: If it cannot be read, is none of these, or has a scene twice.
+    """
+    kind = path.suffix.lower()
+    if kind not in (".csv", ".json"):
+        raise InputError(f"{path} is no file of verdicts; name a .csv or .json file")
+    found = _from_csv(path, limits) if kind == ".csv" else _from_json(path, limits)
+    for members in found.values():
+        said = members.get("verdict")
+        if isinstance(said, str):
+            members["verdict"] = _SAID.get(said.strip().lower(), said.strip().lower())
+    return found
+
+
+def _from_json(path: Path, limits: Limits) -> dict[str, dict[str, Any]]:
+    value = read_json(path, limits)
+    if isinstance(value, dict) and "format" in value:
+        value = value.get("verdicts")
+    if not isinstance(value, dict) or not all(isinstance(each, dict) for each in value.values()):
+        raise InputError(
+            f'{path} must be an object of verdicts by name of the scene, such as {{"scene-0061-1a2b3c4d": '
+            '{"verdict": "rejected", "reason": "drives through a kerb"}}; mend it'
+        )
+    return {name: dict(each) for name, each in value.items()}
+
+
+def _from_csv(path: Path, limits: Limits) -> dict[str, dict[str, Any]]:
+    data = read_file(path, limits)
+    if max(map(len, data.splitlines()), default=0) > limits.line_bytes:
+        raise InputError(f"{path} has a line longer than {in_words(limits.line_bytes)}; it is no file of verdicts")
+    try:
+        rows = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig")), strict=True))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path} is no CSV file ({one_line(error)}); make it again") from error
+    if len(rows) > limits.values:
+        raise InputError(f"{path} has more than {limits.values} lines; it is no file of verdicts")
+    found: dict[str, dict[str, Any]] = {}
+    for number, row in enumerate(rows, start=2):
+        if not set(_NEEDED) <= row.keys() or not {str(name) for name in row} <= set(COLUMNS):
+            raise InputError(
+                f"{path} must have the columns {', '.join(_NEEDED)}, and may have {', '.join(COLUMNS[2:])}; its first "
+                f"line is {one_line(','.join(map(str, row)), 80)}"
+            )
+        members = {name: text.strip() for name, text in row.items() if text is not None and text.strip()}
+        name = members.pop("scene", "")
+        if not name or name in found:
+            raise InputError(f"{path} line {number} {'names a scene twice' if name else 'names no scene'}; correct it")
+        found[name] = members
+    return found

@@ -1,0 +1,140 @@
+"""Pictures that came over a wire: told by their first bytes, bounded before they are decoded, never a file name.
+
+PNG and JPEG are decoded as everywhere; an array of numpy (``.npy``, ``uint8``) is nothing but numbers behind a short
+header. A saved tensor of PyTorch is a zip archive with a pickle in it. It is read only where that was allowed, after
+the archive and every name in the pickle were looked at, and then with ``weights_only=True``.
+"""
+
+import io
+import pickletools
+import zipfile
+from typing import Any, Final
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from benchmark.untrusted.limits import WIRE_PICTURE, Limits, in_words
+from benchmark.untrusted.pictures import decoded_picture
+
+_ARRAY: Final = b"\x93NUMPY"
+_ARCHIVE: Final = b"PK\x03\x04"
+_OLD_TENSOR: Final = b"\x80"
+_HEADER_BYTES: Final = 4096
+_PICKLE_BYTES: Final = 4096
+_MOST_MEMBERS: Final = 16
+_COLOURS: Final = 3
+_NAMES: Final = frozenset({"torch._utils _rebuild_tensor_v2", "torch ByteStorage", "collections OrderedDict"})
+"""All that a saved tensor of bytes asks for."""
+
+
+class TensorRefused(ValueError):
+    """It is a saved tensor, and those are not read here."""
+
+
+def image_of(data: bytes, *, tensors: bool, limits: Limits = WIRE_PICTURE) -> NDArray[np.uint8]:
+    """A picture.
+
+    Args:
+        data: Bytes of a PNG, JPEG or WebP file, of an array of numpy, or of a saved tensor.
+        tensors: Whether saved tensors are read.
+        limits: Its bytes, and as values its pixels.
+
+    Returns:
+        (height, width, 3) RGB.
+
+    Raises:
+        TensorRefused: If it is a saved tensor and those are not read.
+        ValueError: If it is anything else, damaged, or larger; says which, fit behind "the picture".
+    """
+    if len(data) > limits.file_bytes:
+        raise ValueError(f"has {in_words(len(data))}, and a picture has at most {in_words(limits.file_bytes)}")
+    if data.startswith((_ARCHIVE, _OLD_TENSOR)):
+        if not tensors:
+            raise TensorRefused("is a saved tensor of PyTorch, which is a pickle")
+        return _tensor(data, limits)
+    if data.startswith(_ARRAY):
+        return _array(data, limits)
+    try:
+        return decoded_picture(io.BytesIO(data), limits)
+    except ValueError as error:
+        raise ValueError(f"is no picture that can be read ({error})") from error
+
+
+def _array(data: bytes, limits: Limits) -> NDArray[np.uint8]:
+    stream = io.BytesIO(data[:_HEADER_BYTES])
+    try:
+        version = npy.read_magic(stream)  # type: ignore[no-untyped-call]
+        if version != (1, 0):
+            raise ValueError(f"format {version}")
+        header = npy.read_array_header_1_0(stream)  # type: ignore[no-untyped-call]
+    # The header is a literal of Python, which may be anything.
+    except Exception as error:
+        raise ValueError("is an array of numpy whose header cannot be read") from error
+    shape, columns_first, dtype = header
+    if dtype != np.uint8 or columns_first:
+        raise ValueError(f"is an array of {dtype}, not of uint8 row by row")
+    _require_size(shape, limits)
+    found = np.frombuffer(data, np.uint8, offset=stream.tell())
+    if found.size != shape[0] * shape[1] * _COLOURS:
+        raise ValueError(f"is an array of {shape[0]} x {shape[1]} x {_COLOURS} with {found.size} bytes")
+    return found.reshape(shape)
+
+
+def _tensor(data: bytes, limits: Limits) -> NDArray[np.uint8]:
+    import torch
+
+    _require_sound_archive(data, limits)
+    # Damage that none of this sees is whatever the library makes of it.
+    try:
+        found: Any = torch.load(io.BytesIO(data), weights_only=True, map_location="cpu")
+    except Exception as error:
+        raise ValueError("is a saved tensor that cannot be read") from error
+    if not isinstance(found, torch.Tensor) or found.dtype != torch.uint8 or found.layout is not torch.strided:
+        raise ValueError("is saved by PyTorch, and no dense tensor of bytes")
+    _require_size(tuple(found.shape), limits)
+    if found.device.type != "cpu" or found.untyped_storage().nbytes() < found.numel():
+        raise ValueError("is a saved tensor that claims more numbers than it has")
+    return np.asarray(found.contiguous().numpy(), np.uint8)
+
+
+def _require_sound_archive(data: bytes, limits: Limits) -> None:
+    """Nothing packed, nothing large, and a pickle that asks for nothing but a tensor of bytes."""
+    if not data.startswith(_ARCHIVE):
+        raise ValueError("is a tensor in PyTorch's old form; save it with a version of this decade")
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = archive.infolist()
+            if len(members) > _MOST_MEMBERS or any(each.compress_type != zipfile.ZIP_STORED for each in members):
+                raise ValueError("packed or many members")
+            if sum(each.file_size for each in members) > limits.file_bytes:
+                raise ValueError("large members")
+            pickles = [each for each in members if each.filename.endswith("data.pkl")]
+            if len(pickles) != 1 or pickles[0].file_size > _PICKLE_BYTES:
+                raise ValueError("no short pickle")
+            asked = _names(archive.read(pickles[0]))
+            if damaged := archive.testzip():
+                raise ValueError(f"{damaged} fails its checksum")
+    # What the archive or the pickle says of itself is a stranger's, and the library raises whatever it meets.
+    except Exception as error:
+        raise ValueError("is an archive, but no saved tensor of a picture") from error
+    if not asked <= _NAMES:
+        raise ValueError(f"is a saved tensor that asks for {min(asked - _NAMES)}, which no picture needs")
+
+
+def _names(pickled: bytes) -> set[str]:
+    """What a pickle names, without running it; names that are put together while it runs are no names of tensors."""
+    found = set()
+    for operation, argument, _ in pickletools.genops(pickled):
+        if operation.name == "GLOBAL":
+            found.add(str(argument))
+        elif operation.name in ("STACK_GLOBAL", "INST", "EXT1", "EXT2", "EXT4"):
+            found.add(operation.name)
+    return found
+
+
+def _require_size(shape: tuple[int, ...], limits: Limits) -> None:
+    if len(shape) != 3 or shape[2] != _COLOURS or min(shape) < 1:
+        raise ValueError(f"has the shape {' x '.join(map(str, shape))}, not height x width x {_COLOURS}")
+    if shape[0] * shape[1] > limits.values:
+        raise ValueError(f"has {shape[0]} x {shape[1]} pixels, more than any camera")

@@ -1,0 +1,183 @@
+"""Windows of a folder of tracks, by source, and how training draws from them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from generation.diffusion.kinematics import motion
+from generation.diffusion.standardiser import actions_from_waypoints
+from generation.extensions.denoiser_training.track_sources import find_track_sources, source_windows
+from generation.extensions.denoiser_training.tracks import Windows
+
+MOST_OF_ONE_SOURCE: Final = 0.25
+"""Share of a batch that one source may have, so that its roads do not become everybody's."""
+SPEED_EDGES_M_S: Final = (1.0, 3.0, 5.0, 8.0, 12.0, 16.0, 22.0)
+TURN_EDGES_RAD: Final = (0.1, 0.6)
+"""Edges of the cells of present speed and of turn over 8 s."""
+EVENING: Final = 0.3
+"""How far cells are evened out: a cell's share is what it would be, to the power of one less this."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrackData:
+    """Windows of a folder of tracks, by source.
+
+    Attributes:
+        training: To learn from.
+        held_out: To check with, possibly empty.
+        licences: Of every source.
+    """
+
+    training: dict[str, Windows]
+    held_out: dict[str, Windows]
+    licences: dict[str, str]
+
+
+def load_track_data(folder: Path, held_out: tuple[str, ...], stride_s: float) -> TrackData:
+    """Cut every source of a folder.
+
+    Args:
+        folder: Of recordings, in any of the forms that `find_track_sources` knows.
+        held_out: Names of sources not to learn from.
+        stride_s: Time between the starts of training windows; held-out windows start every half second.
+
+    Returns:
+        See `TrackData`; sources without a usable window are left out.
+
+    Raises:
+        InputError: If a source is broken, or nothing is left to learn from.
+    """
+    training: dict[str, Windows] = {}
+    checking: dict[str, Windows] = {}
+    licences: dict[str, str] = {}
+    for source in find_track_sources(folder):
+        windows, licence = source_windows(source, 0.5 if source.name in held_out else stride_s)
+        if len(windows.previous):
+            (checking if source.name in held_out else training)[source.name] = windows
+            licences[source.name] = licence
+    if not training:
+        raise InputError(f"{folder} has no window of 8.5 s of driving outside the held-out sources; add tracks")
+    return TrackData(training, checking, licences)
+
+
+def window_actions(windows: Windows) -> Floats:
+    """(N, 16, 3) standardised actions of windows."""
+    return actions_from_waypoints(windows.waypoints, windows.previous)
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """Windows of one step.
+
+    Attributes:
+        actions: (B, 16, 3) standardised actions.
+        previous: (B, 3) pose half a second before each.
+    """
+
+    actions: Floats
+    previous: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class WindowPool:
+    """What training draws from.
+
+    Attributes:
+        actions: (N, 16, 3) standardised actions, source after source.
+        previous: (N, 3) pose half a second before each window.
+        upto: (N,) chance of each window and all before it; the last is one.
+        shares: Share of a batch that each source has.
+    """
+
+    actions: Floats
+    previous: Floats
+    upto: Floats
+    shares: dict[str, float]
+
+    @classmethod
+    def of(cls, sources: Mapping[str, Windows]) -> Self:
+        """Pool the windows of several sources, evenly.
+
+        A source's share is the root of its number of windows, at most `MOST_OF_ONE_SOURCE` where there are enough
+        others: the root keeps one long recording from drowning the others, the cap keeps its roads from being most of
+        what is seen. Then cells of present speed and turn are evened out across sources (`EVENING`): cruising straight
+        on is common everywhere.
+
+        Args:
+            sources: Windows by name.
+
+        Returns:
+            The pool.
+        """
+        count = np.array([len(windows.previous) for windows in sources.values()], dtype=np.int64)
+        chance = np.repeat(source_shares(count) / np.maximum(count, 1), count)
+        joined = Windows.joined(list(sources.values()))
+        chance = chance * _rarity(_cells(joined), chance)
+        chance /= chance.sum()
+        source = np.repeat(np.arange(len(count)), count)
+        shares = np.bincount(source, weights=chance, minlength=len(count))
+        named = dict(zip(sources, map(float, shares), strict=True))
+        return cls(window_actions(joined), joined.previous, np.cumsum(chance), named)
+
+    def draw(self, count: int, size_jitter: float, rng: np.random.Generator) -> Drawn:
+        """Windows at random.
+
+        Half of the windows are mirrored (left and right are alike for a car), and all are scaled, which varies speeds.
+
+        Args:
+            count: How many.
+            size_jitter: Largest relative change of size.
+            rng: Chance.
+
+        Returns:
+            Actions and how each vehicle moved before.
+        """
+        chosen = np.minimum(np.searchsorted(self.upto, rng.random(count), side="right"), len(self.upto) - 1)
+        actions, previous = self.actions[chosen], self.previous[chosen]
+        mirror = np.where(rng.random(count) < 0.5, 1.0, -1.0)
+        size = rng.uniform(1 - size_jitter, 1 + size_jitter, count)
+        for part, every in ((actions, (slice(None), None)), (previous, (slice(None),))):
+            part[..., 1:] *= mirror[(*every, None)]
+            part[..., :2] *= size[(*every, None)]
+        return Drawn(actions, previous)
+
+
+def source_shares(count: NDArray[np.int64]) -> Floats:
+    """Share of a batch for sources of so many windows.
+
+    Args:
+        count: (S,) windows of each.
+
+    Returns:
+        (S,) shares: in proportion to the roots, none above `MOST_OF_ONE_SOURCE` unless there are too few others.
+    """
+    share = np.sqrt(count.astype(np.float64))
+    share /= share.sum()
+    most = max(MOST_OF_ONE_SOURCE, 1.0 / max(int((count > 0).sum()), 1))
+    capped = np.zeros(len(share), dtype=bool)
+    while (over := (share > most + 1e-12) & ~capped).any():
+        capped |= over
+        rest = share[~capped].sum()
+        share[capped] = most
+        if rest > 0:
+            share[~capped] *= (1.0 - most * capped.sum()) / rest
+    return np.asarray(share / share.sum())
+
+
+def _cells(windows: Windows) -> NDArray[np.int64]:
+    """(N,) cell of present speed and of turn over 8 s, either way."""
+    moved = motion(windows.waypoints, windows.previous)
+    speed = np.digitize(moved.speed[:, 0], SPEED_EDGES_M_S)
+    turn = np.digitize(np.abs(moved.turn.sum(axis=1)), TURN_EDGES_RAD)
+    return np.asarray(speed * (len(TURN_EDGES_RAD) + 1) + turn)
+
+
+def _rarity(cells: NDArray[np.int64], chance: Floats) -> Floats:
+    """(N,) factors that even out what cells hold."""
+    return np.asarray(np.bincount(cells, weights=chance)[cells] ** -EVENING)

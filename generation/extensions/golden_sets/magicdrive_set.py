@@ -1,0 +1,240 @@
+"""A golden set of MagicDriveDiT: a network of reduced size, its inputs, and what the official code made of them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import torch
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from torch import Tensor
+
+from benchmark.errors import InputError
+from benchmark.machine.storage import read_json
+from benchmark.verification.golden import GoldenArrays, golden_directory
+from benchmark.verification.synthetic_weights import WeightsRecipe, read_recipe, read_shapes
+from generation.extensions.magicdrive.conditions import Conditions, TextStates
+from generation.extensions.magicdrive.config import MagicDriveConfig
+from generation.extensions.magicdrive.latents import LatentSize
+
+Length = Annotated[int, Field(gt=0, le=4096)]
+
+
+class _Sizes(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    depth: Length
+    control_depth: Length
+    hidden_size: Length
+    num_heads: Length
+    caption_channels: Length
+    model_max_length: Length
+    in_channels: Length
+
+
+class _BoxSizes(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    proj_dims: tuple[Length, Length, Length, Length]
+
+
+class _MapSizes(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    conditioning_size: tuple[Length, Length, Length]
+    block_out_channels: tuple[Length, Length, Length, Length]
+
+
+class _Overrides(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    bbox_embedder_param: _BoxSizes
+    map_embedder_param: _MapSizes
+
+
+class _Manifest(WeightsRecipe):
+    reduced_config: _Sizes
+    overrides: _Overrides
+
+    def config(self) -> MagicDriveConfig:
+        """The network of the set, in single precision and without padded rows."""
+        sizes, boxes = self.reduced_config, self.overrides.bbox_embedder_param
+        return MagicDriveConfig(
+            hidden=sizes.hidden_size,
+            heads=sizes.num_heads,
+            depth=sizes.depth,
+            control_depth=sizes.control_depth,
+            caption_channels=sizes.caption_channels,
+            text_tokens=sizes.model_max_length,
+            latent_channels=sizes.in_channels,
+            box_hidden=boxes.proj_dims[1],
+            map_channels=self.overrides.map_embedder_param.block_out_channels,
+            map_layers=self.overrides.map_embedder_param.conditioning_size[0],
+            rounded=False,
+            rows_multiple=1,
+        )
+
+
+class Schedule(BaseModel):
+    """Timesteps for one size of video.
+
+    Attributes:
+        height: Of an image, pixels.
+        width: Of an image, pixels.
+        num_frames: Of the video.
+        kwargs_dtype: What the size was computed with in.
+        timesteps: From 1000 down.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    height: Length
+    width: Length
+    num_frames: Length
+    kwargs_dtype: Literal["float32", "bfloat16"]
+    timesteps: list[float] = Field(min_length=1, max_length=4096)
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One clip of the set.
+
+    Attributes:
+        conditions: What is known of it; the negative prompt belongs to some quantities only.
+        latent: (1, 96, t, h, w) noise.
+        timestep: (1,).
+    """
+
+    conditions: Conditions
+    latent: Tensor
+    timestep: Tensor
+
+
+@dataclass(frozen=True, slots=True)
+class MagicDriveSet:
+    """A golden set.
+
+    Attributes:
+        folder: Where it is.
+        recipe: How weights are made.
+        config: The network.
+        shapes: Of its tensors by name.
+        published_shapes: Of the tensors of the published network, where the set lists them.
+        inputs: Of all clips.
+        outputs: What the official code computed.
+        inner: What its blocks computed for clip A, where the set has it.
+        schedules: Timesteps for sizes of videos, where the set has them.
+    """
+
+    folder: Path
+    recipe: WeightsRecipe
+    config: MagicDriveConfig
+    shapes: dict[str, tuple[int, ...]]
+    published_shapes: dict[str, tuple[int, ...]] | None
+    inputs: GoldenArrays
+    outputs: GoldenArrays
+    inner: GoldenArrays | None
+    schedules: list[Schedule]
+
+    @classmethod
+    def read(cls, golden: Path) -> Self:
+        """Read a set.
+
+        Args:
+            golden: Its folder, with ``manifest.json``, ``inputs.npz`` and ``outputs.npz``, or the folder above it;
+                ``keys_reduced.json`` is in either of the two.
+
+        Returns:
+            The set.
+
+        Raises:
+            InputError: If anything in it is absent or damaged.
+        """
+        below = golden / "dev"
+        folder = below if (below / "manifest.json").is_file() else golden
+        golden_directory(folder, "dev", "manifest.json", "inputs.npz", "outputs.npz")
+        keys = _beside(folder, "keys_reduced.json")
+        if keys is None:
+            raise InputError(f"the golden set {folder} has no keys_reduced.json in it or beside it; copy it there")
+        published, schedules = _beside(folder, "keys.json"), _beside(folder, "timesteps_30.json")
+        inner = folder / "taps.npz"
+        manifest = read_recipe(folder / "manifest.json", _Manifest, "does not describe a golden set of MagicDriveDiT")
+        return cls(
+            folder,
+            manifest,
+            _config(manifest, folder / "manifest.json"),
+            read_shapes(keys),
+            None if published is None else read_shapes(published),
+            GoldenArrays.read(folder / "inputs.npz"),
+            GoldenArrays.read(folder / "outputs.npz"),
+            GoldenArrays.read(inner) if inner.is_file() else None,
+            [] if schedules is None else _read_schedules(schedules),
+        )
+
+    def case(self, name: str) -> Case:
+        """A clip.
+
+        Args:
+            name: Its letter.
+
+        Returns:
+            What the set stores of it.
+
+        Raises:
+            InputError: If it is not all there or of another shape than the network takes.
+        """
+        stored, config = self.inputs, self.config
+        views, caption = config.views, config.caption_channels
+        prefix = f"{name}.in."
+        masks = _whole(stored, f"{prefix}bbox_masks", 1, None, views, None)[0].transpose(0, 1)
+        frames, boxes = masks.shape[1:]
+        words = _whole(stored, f"{prefix}text_mask", 1, None)[0].bool()
+        high, wide, rate = (float(stored.floats(f"{prefix}{part}", 1)[0]) for part in ("height", "width", "fps"))
+        size = LatentSize.of(frames, round(high), round(wide))
+        conditions = Conditions(
+            bboxes=self.numbers(f"{prefix}bbox_bboxes", 1, frames, 1, boxes, 8, 3)[0].transpose(0, 1),
+            classes=_whole(stored, f"{prefix}bbox_classes", 1, frames, 1, boxes)[0].transpose(0, 1),
+            masks=masks,
+            box_latent=self.numbers(f"{prefix}bbox_latent_per_box", boxes, config.hidden),
+            cams=self.numbers(f"{prefix}cams", 1, frames, views, 3, 7)[0].transpose(0, 1)[:, :, None],
+            rel_pos=self.numbers(f"{prefix}rel_pos", 1, frames, 4, 4)[0],
+            maps=self.numbers(f"{prefix}maps", 1, frames, config.map_layers, None, None)[0],
+            text=TextStates(self.numbers(f"{prefix}y", 1, 1, len(words), caption)[0, 0], words),
+            fps=rate,
+            height=round(high),
+            width=round(wide),
+            negative_text=TextStates(self.numbers(f"{prefix}y_neg", 1, 1, len(words), caption)[0, 0], words),
+        )
+        return Case(
+            conditions,
+            self.numbers(f"{prefix}z", 1, config.packed_channels, size.frames, size.rows, size.columns),
+            self.numbers(f"{prefix}timestep", 1),
+        )
+
+    def numbers(self, name: str, *shape: int | None) -> Tensor:
+        """An input in single precision; arguments and errors as in `GoldenArrays.floats`."""
+        return torch.from_numpy(self.inputs.floats(name, *shape)).float()
+
+
+def _whole(stored: GoldenArrays, name: str, *shape: int | None) -> Tensor:
+    return torch.from_numpy(stored.integers(name, *shape))
+
+
+def _beside(folder: Path, name: str) -> Path | None:
+    """A file in a folder or the one above it."""
+    return next((place / name for place in (folder, folder.parent) if (place / name).is_file()), None)
+
+
+def _config(manifest: _Manifest, path: Path) -> MagicDriveConfig:
+    try:
+        return manifest.config()
+    except ValueError as error:
+        raise InputError(f"{path} describes a network that cannot be built ({error}); fetch the set again") from error
+
+
+def _read_schedules(path: Path) -> list[Schedule]:
+    try:
+        return TypeAdapter(list[Schedule]).validate_python(read_json(path))
+    except ValidationError as error:
+        raise InputError(
+            f"{path} is no list of schedules with {', '.join(Schedule.model_fields)}; fetch it again"
+        ) from error

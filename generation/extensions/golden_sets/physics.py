@@ -1,0 +1,188 @@
+"""`challenger-bench verify physics`: the reference's motion model against golden trajectories."""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleState, simulate
+from benchmark.dynamics.reference_path import WAYPOINTS, reference_path
+from benchmark.errors import InputError
+from benchmark.geometry import Bools, Floats, to_global
+from benchmark.report.words import counted
+from benchmark.verification.checks import Check, Comparison
+from benchmark.verification.golden import GoldenArrays, golden_directory
+from generation.extensions.golden_sets.built_in import BUILT_IN
+from generation.extensions.golden_sets.degenerate import STEPS, compare_degenerate
+
+TOLERANCE: Final = 1e-6
+"""Metres, radians and the units made of them and frames, for well-conditioned candidates in double precision."""
+SOON_FRAMES: Final = 13
+"""Frames over which the sets say how sensitive the others are."""
+SOON_TOLERANCE_M: Final = 1e-3
+"""Where a candidate moves less than this when its waypoints move by a micrometre, it must agree as well as this."""
+SHORTEST_CHORD_M: Final = 1e-6
+"""The direction of a shorter displacement is decided by signs of zero or by rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """Candidates of one initial state, as the set has them."""
+
+    members: NDArray[np.int64]
+    state: VehicleState
+    length_m: float
+
+
+def verify_physics(golden: Path | None = None) -> list[Check]:
+    """Compare `MotionModel.reference` with a golden set.
+
+    Args:
+        golden: Directory with ``physics.npz`` and, optionally, ``physics_degenerate.npz``; the built-in set by default.
+
+    Returns:
+        One check for each quantity.
+
+    Raises:
+        InputError: If the set cannot be used.
+    """
+    folder = golden_directory(golden or BUILT_IN / "physics", "physics", "physics.npz")
+    stored = GoldenArrays.read(folder / "physics.npz")
+    waypoints = stored.floats("waypoints_local", None, WAYPOINTS, 3)
+    groups = _groups(stored, len(waypoints))
+    comparison = Comparison()
+    # What overflows is not finite, and then fails by itself.
+    with np.errstate(over="ignore", invalid="ignore"):
+        motion = _simulate(waypoints, groups)
+        _compare_motion(comparison, stored, motion)
+        _compare_ill_conditioned(comparison, stored, motion)
+        _compare_paths(comparison, stored, waypoints, groups)
+        _compare_broken_candidates(comparison, waypoints, groups[0])
+        if (folder / "physics_degenerate.npz").is_file():
+            compare_degenerate(comparison, GoldenArrays.read(folder / "physics_degenerate.npz"))
+    return comparison.checks()
+
+
+def _groups(stored: GoldenArrays, candidates: int) -> list[_Group]:
+    """The initial states that have candidates."""
+    columns = stored.columns("group_columns", "rear_x", "rear_y", "rear_heading", "speed_per_step", "length")
+    rows = stored.floats("groups", None, None)
+    number = stored.integers("group", candidates)
+    if not candidates or max(columns) >= rows.shape[1] or number.min() < 0 or number.max() >= len(rows):
+        raise InputError(f"the groups in {stored.path} do not fit its candidates; make the file again")
+    found = []
+    for index in np.unique(number):
+        x, y, heading, speed, length = rows[index, columns]
+        if not length > 0.0:
+            raise InputError(f"group {index} in {stored.path} has length {length:g} m; make the file again")
+        state = VehicleState(np.array([x, y, heading]), float(speed))
+        found.append(_Group(np.flatnonzero(number == index), state, float(length)))
+    return found
+
+
+def _simulate(waypoints: Floats, groups: list[_Group]) -> SimulatedMotion:
+    """All candidates, each from the state of its group."""
+    order = np.argsort(np.concatenate([group.members for group in groups]))
+    parts = [
+        simulate(waypoints[group.members], group.state, group.length_m, steps=STEPS, model=MotionModel.reference())
+        for group in groups
+    ]
+    names = [each.name for each in fields(SimulatedMotion)]
+    return SimulatedMotion(**{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names})
+
+
+def _compare_motion(comparison: Comparison, stored: GoldenArrays, motion: SimulatedMotion) -> None:
+    """The well-conditioned candidates over all frames."""
+    count = len(motion.center)
+    good = stored.verdicts("well_conditioned", count)
+    center = stored.floats("center_pose", count, STEPS + 1, 3)[good]
+    state = stored.floats("state", count, STEPS + 1, None)
+    at = stored.columns("state_columns", "x_rear", "y_rear", "heading", "velocity_x", "accel_x", "steering_angle")
+    commands = stored.floats("commands", count, STEPS, None)
+    command_at = stored.columns("command_columns", "acceleration", "steering_rate")
+    if max(at) >= state.shape[2] or max(command_at) >= commands.shape[2]:
+        raise InputError(f"state or commands in {stored.path} have fewer columns than names; make the file again")
+    state, commands = state[good][..., at], commands[good][..., command_at]
+    ours, ours_state, ours_commands = motion.center[good], motion.states[good], motion.commands[good]
+    comparison.numbers("centre position (m)", ours[..., :2], center[..., :2], TOLERANCE)
+    comparison.numbers("centre heading (rad)", ours[..., 2], center[..., 2], TOLERANCE, angle=True)
+    comparison.numbers("rear axle position (m)", ours_state[..., :2], state[..., :2], TOLERANCE)
+    comparison.numbers("rear axle heading (rad)", ours_state[..., 2], state[..., 2], TOLERANCE, angle=True)
+    comparison.numbers("speed (m/frame)", ours_state[..., 3], state[..., 3], TOLERANCE)
+    comparison.numbers("acceleration (m/frame^2)", ours_state[..., 4], state[..., 4], TOLERANCE)
+    comparison.numbers("steering angle (rad)", ours_state[..., 5], state[..., 5], TOLERANCE)
+    comparison.numbers("commanded acceleration (m/frame^2)", ours_commands[..., 0], commands[..., 0], TOLERANCE)
+    comparison.numbers("commanded steering rate (rad/frame)", ours_commands[..., 1], commands[..., 1], TOLERANCE)
+    comparison.note(
+        "centre position (m)", f"{np.count_nonzero(good)} of {counted(count, 'candidate')} are well-conditioned"
+    )
+
+
+def _compare_ill_conditioned(comparison: Comparison, stored: GoldenArrays, motion: SimulatedMotion) -> None:
+    """The others: as far as their sensitivity allows, and finite in any case."""
+    count = len(motion.center)
+    other = ~stored.verdicts("well_conditioned", count)
+    if not other.any():
+        return
+    center = stored.floats("center_pose", count, STEPS + 1, 3)
+    soon = other & (stored.floats("sensitivity_13_steps_m", count) < SOON_TOLERANCE_M)
+    frames = slice(0, SOON_FRAMES + 1)
+    comparison.verdicts("other candidates that are not finite", ~np.isfinite(motion.center[other]).all(axis=(1, 2)))
+    if soon.any():
+        quantity = f"centre position of others, first {SOON_FRAMES} frames (m)"
+        comparison.numbers(quantity, motion.center[soon, frames, :2], center[soon, frames, :2], SOON_TOLERANCE_M)
+        comparison.note(quantity, counted(int(np.count_nonzero(soon)), "candidate"))
+    free = other & ~soon
+    if free.any():
+        error = np.abs(motion.center[free, frames, :2] - center[free, frames, :2]).max(axis=(1, 2))
+        comparison.note(
+            "other candidates that are not finite",
+            f"nothing more is asked of {np.count_nonzero(free)} whose golden result hangs on the last bit; "
+            f"{np.count_nonzero(error < SOON_TOLERANCE_M)} of them agree",
+        )
+
+
+def _compare_paths(comparison: Comparison, stored: GoldenArrays, waypoints: Floats, groups: list[_Group]) -> None:
+    """Reference poses of all candidates, and the profiles fitted to those that are well-conditioned."""
+    count = len(waypoints)
+    good = stored.verdicts("well_conditioned", count)
+    path = reference_path(waypoints[..., :2], dt=1.0, frames_per_waypoint=5, smooth=False)
+    speed = stored.floats("velocity_profile", count, STEPS)
+    curvature = stored.floats("curvature_profile", count, STEPS)
+    comparison.numbers("speed profile (m/frame)", path.speed.T[good], speed[good], TOLERANCE)
+    comparison.numbers("curvature profile (rad/m)", path.curvature.T[good], curvature[good], TOLERANCE)
+    local = stored.floats("reference_local", count, STEPS + 1, 3)
+    distinct = _has_direction(local)
+    position, heading = path.position.transpose(2, 0, 1), path.heading.T
+    comparison.numbers("reference position (m)", position, local[..., :2], TOLERANCE)
+    placed = stored.floats("reference_global", count, STEPS + 1, 3)
+    for group in groups:
+        there = to_global(position[group.members], group.state.pose)
+        comparison.numbers("reference position, global (m)", there, placed[group.members][..., :2], TOLERANCE)
+    if distinct.any():
+        quantity = "reference heading (rad)"
+        comparison.numbers(quantity, heading[distinct], local[distinct][:, 2], TOLERANCE, angle=True)
+        left_out = np.count_nonzero(~distinct)
+        if left_out:
+            comparison.note(quantity, f"{left_out} poses without displacement left out: signs of zero decide there")
+
+
+def _has_direction(poses: Floats) -> Bools:
+    """(B, F + 1) whether the displacement that a pose's heading is taken from is long enough to have one."""
+    chord = np.linalg.norm(poses[:, 2:, :2] - poses[:, :-2, :2], axis=-1) >= SHORTEST_CHORD_M
+    return np.concatenate([chord[:, :1], chord, chord[:, -1:]], axis=1)
+
+
+def _compare_broken_candidates(comparison: Comparison, waypoints: Floats, group: _Group) -> None:
+    """A candidate with NaN and one with infinity are dropped; their neighbours do not change by a bit."""
+    clean = np.resize(waypoints[group.members], (max(3, len(group.members)), WAYPOINTS, 3))
+    broken = clean.copy()
+    broken[0, 7, 0], broken[1, 3, 1] = np.nan, np.inf
+    model = MotionModel.reference()
+    alone = simulate(clean, group.state, group.length_m, steps=STEPS, model=model)
+    beside = simulate(broken, group.state, group.length_m, steps=STEPS, model=model)
+    comparison.verdicts("candidates with NaN or infinity that are kept", beside.finite[:2])
+    quantity = "neighbours of NaN and infinity (m)"
+    comparison.numbers(quantity, beside.center[2:][alone.finite[2:]], alone.center[2:][alone.finite[2:]], 0.0)

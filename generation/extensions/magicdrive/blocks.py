@@ -1,0 +1,141 @@
+"""Transformer blocks of MagicDriveDiT (section 7 of the specification).
+
+Tokens are (b, V, t, S, C): scenes, views, latent frames, places in a frame row by row, channels. Modulations are
+(b, 1, 1 or t, 1, C): one for all latent frames, or one for each where some frames are given.
+"""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from generation.extensions.magicdrive.config import MagicDriveConfig
+from generation.extensions.magicdrive.layers import Mlp, RootMeanSquareNorm, Rotation, SelfAttention, modulated, parted
+from generation.extensions.magicdrive.tokens import ConditionTokens
+
+
+class CrossAttention(nn.Module):
+    """Every token asks the condition tokens of its view and latent frame."""
+
+    def __init__(self, channels: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.q_linear = nn.Linear(channels, channels)
+        self.kv_linear = nn.Linear(channels, 2 * channels)
+        self.proj = nn.Linear(channels, channels)
+
+    def keys_values(self, tokens: ConditionTokens) -> ConditionTokens:
+        """Keys and values of condition tokens; they do not depend on the timestep."""
+        return tokens.map(self.kv_linear)
+
+    def forward(self, x: Tensor, keys_values: ConditionTokens) -> Tensor:
+        """Attend.
+
+        Args:
+            x: (b, V, t, S, C), not normalised.
+            keys_values: Of `keys_values`.
+
+        Returns:
+            (b, V, t, S, C).
+        """
+        q = parted(self.q_linear(x).flatten(0, 2), -1, self.heads, -1).transpose(1, 2)
+        joined = parted(keys_values.sequence().flatten(0, 2), -1, 2, self.heads, -1)
+        k, v = joined.permute(2, 0, 3, 1, 4).unbind(0)
+        attended = F.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
+        out: Tensor = self.proj(attended).view_as(x)
+        return out
+
+
+class CrossViewAttention(nn.Module):
+    """Every view asks its two neighbours, each on its own, at the same latent frame; the two answers are added."""
+
+    def __init__(self, channels: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.qkv = nn.Linear(channels, 3 * channels, bias=False)
+        self.q_norm = RootMeanSquareNorm(channels // heads)
+        self.k_norm = RootMeanSquareNorm(channels // heads)
+        self.proj = nn.Linear(channels, channels)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Attend.
+
+        Args:
+            x: (b, V, t, S, C), normalised.
+
+        Returns:
+            (b, V, t, S, C).
+        """
+        q, k, v = parted(self.qkv(x), -1, 3, self.heads, -1).transpose(3, 5).unbind(4)
+        q, k = self.q_norm(q), self.k_norm(k)
+        views = x.shape[1]
+        sums = []
+        for view in range(views):
+            own = q[:, view].flatten(0, 1)
+            left, right = (
+                F.scaled_dot_product_attention(own, k[:, near].flatten(0, 1), v[:, near].flatten(0, 1))
+                for near in ((view - 1) % views, (view + 1) % views)
+            )
+            sums.append((left + right).transpose(1, 2).flatten(2))
+        summed = parted(torch.stack(sums), 1, x.shape[0], -1).transpose(0, 1)
+        # The bias belongs to each of the two answers.
+        return F.linear(summed, self.proj.weight, 2 * self.proj.bias)
+
+
+class Block(nn.Module):
+    """Self-attention, cross-attention to the conditions, attention between views where there is one, and an MLP."""
+
+    def __init__(self, config: MagicDriveConfig, *, temporal: bool, between_views: bool, skip: bool) -> None:
+        """Build a block.
+
+        Args:
+            config: Sizes.
+            temporal: Whether sequences are places over latent frames, or frames over places.
+            between_views: Whether views look at their neighbours.
+            skip: Whether it has the projection that hands its output to the base stream.
+        """
+        super().__init__()
+        channels, heads = config.hidden, config.heads
+        self.temporal = temporal
+        self.scale_shift_table = nn.Parameter(torch.randn(6, channels) / channels**0.5)
+        if between_views:
+            self.scale_shift_table_mva = nn.Parameter(torch.randn(3, channels) / channels**0.5)
+        self.attn = SelfAttention(channels, heads)
+        self.cross_attn = CrossAttention(channels, heads)
+        self.mlp = Mlp(channels, 4 * channels, channels)
+        self.cross_view_attn = CrossViewAttention(channels, heads) if between_views else None
+        if between_views:
+            self.mva_proj = nn.Linear(channels, channels)
+        if skip:
+            self.after_proj = nn.Linear(channels, channels)
+
+    def forward(
+        self, x: Tensor, modulation: Tensor, keys_values: ConditionTokens, rotation: Rotation | None = None
+    ) -> Tensor:
+        """One block.
+
+        Args:
+            x: (b, V, t, S, C).
+            modulation: (b, 1 or t, 6C) of the time and frame rate.
+            keys_values: Of its cross-attention.
+            rotation: Of the latent frames, for a temporal block.
+
+        Returns:
+            (b, V, t, S, C).
+        """
+        rows = self.scale_shift_table + parted(modulation, -1, 6, -1)
+        shift_a, scale_a, gate_a, shift_m, scale_m, gate_m = rows[:, None, :, None].unbind(-2)
+        x = torch.addcmul(x, gate_a, self._attended(modulated(x, shift_a, scale_a), rotation))
+        x = x + self.cross_attn(x, keys_values)
+        if self.cross_view_attn is not None:
+            # The published network takes the first three numbers of the modulation, not its first three rows.
+            shift, scale, gate = (self.scale_shift_table_mva + modulation[..., :3, None])[:, None, :, None].unbind(-2)
+            x = x + self.mva_proj(gate * self.cross_view_attn(modulated(x, shift, scale)))
+        return torch.addcmul(x, gate_m, self.mlp(modulated(x, shift_m, scale_m)))
+
+    def _attended(self, x: Tensor, rotation: Rotation | None) -> Tensor:
+        if self.temporal:
+            frames_last = x.transpose(2, 3)
+            over_time: Tensor = self.attn(frames_last.flatten(0, 2), rotation).view(frames_last.shape).transpose(2, 3)
+            return over_time
+        out: Tensor = self.attn(x.flatten(0, 2)).view_as(x)
+        return out

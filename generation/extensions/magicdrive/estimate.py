@@ -1,0 +1,189 @@
+"""How long a scene takes and how much memory, before anything is loaded (section 18).
+
+Operations are counted by formula; how fast the device does them is measured on one layer of the network, or given.
+"""
+
+import functools
+import math
+import time
+from dataclasses import dataclass
+from typing import Final
+
+import torch
+from torch import nn
+
+from benchmark.scene import Scene
+from generation.extensions.magicdrive.bev_map import MAP_CELLS
+from generation.extensions.magicdrive.clip import SMALL_HEIGHT_PX, padded_frames
+from generation.extensions.magicdrive.config import MagicDriveConfig
+from generation.extensions.magicdrive.cost import Workload, operations
+from generation.extensions.magicdrive.image_geometry import ImageGeometry
+from generation.extensions.magicdrive.latents import LatentSize
+from generation.extensions.magicdrive.layers import modulated
+from generation.extensions.magicdrive.model import MagicDriveDiT
+from generation.pipeline.estimate import duration
+
+T5_NUMBERS: Final = 4.76e9
+"""Numbers of the published text encoder; a token costs twice as many operations."""
+_DECODER_BYTES: Final = 0.72 * 2**30
+_DECODER_BYTES_A_PIXEL: Final = 49_100
+"""In bfloat16: a line through the sizes that the model's authors measured, 4.82 GiB at 224x400, 16.24 at 424x800."""
+_CHUNK_OPERATIONS: Final = 13.3e12
+_FIRST_CHUNK_OPERATIONS: Final = 15.2e12
+"""Of decoding 2, or at the start of an odd number 3, latent frames of a view of 224x400."""
+_COUNTED_PIXELS: Final = 224 * 400
+_LIVE_TENSORS: Final = 16
+"""Tensors of the size of all tokens that live at the same time in an evaluation: 13 measured, and some air."""
+_TOKENS_A_WORD: Final = 1.5
+_PROBE_TOKENS: Final = {"cuda": 1 << 15, "cpu": 1 << 7}
+_GIB: Final = 2**30
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """One network at work; the stages of a scene follow each other.
+
+    Attributes:
+        name: What is done.
+        operations: Floating-point operations.
+        gib: Memory of the device, GiB, weights included.
+    """
+
+    name: str
+    operations: float
+    gib: float
+
+
+@dataclass(frozen=True, slots=True)
+class RenderingEstimate:
+    """What a scene costs.
+
+    Attributes:
+        frames: Of the scene.
+        size: Of the pictures that the model draws, height and width.
+        stages: In their order.
+        device: For people.
+        tera_operations: That the device does in a second, 10^12.
+        measured: Whether that was measured here, or given.
+    """
+
+    frames: int
+    size: tuple[int, int]
+    stages: tuple[Stage, ...]
+    device: str
+    tera_operations: float
+    measured: bool
+
+    @property
+    def seconds(self) -> float:
+        """About how long a scene takes, without reading weights."""
+        return sum(stage.operations for stage in self.stages) / (self.tera_operations * 1e12)
+
+    def plain(self) -> str:
+        """A few lines for people."""
+        height, width = self.size
+        known = "measured on one of its layers" if self.measured else "as given"
+        lines = [
+            f"a scene of {self.frames} frames and six views at {height}x{width}: about {duration(self.seconds)} on "
+            f"{self.device} at {self.tera_operations:.3g} TFLOP/s ({known}), without reading weights"
+        ]
+        for stage in self.stages:
+            seconds = stage.operations / (self.tera_operations * 1e12)
+            lines.append(
+                f"  {stage.name:<12} {stage.operations / 1e15:>8.3f} PFLOP {duration(seconds):>8} {stage.gib:>6.1f} GiB"
+            )
+        return "\n".join(lines)
+
+
+def rendering_stages(
+    scene: Scene,
+    geometry: ImageGeometry,
+    config: MagicDriveConfig,
+    *,
+    steps: int,
+    words: str,
+    dtype: torch.dtype,
+) -> tuple[Stage, ...]:
+    """Count what a scene costs.
+
+    Args:
+        scene: The scene.
+        geometry: Sizes of the pictures.
+        config: Sizes of the network.
+        steps: Of sampling.
+        words: The prompt.
+        dtype: What transformer and decoder compute in.
+
+    Returns:
+        The stages in their order.
+    """
+    frames = len(padded_frames(range(len(scene.timestamps_us))))
+    size = LatentSize.of(frames, geometry.height, geometry.width, config.rows_multiple)
+    cells = MAP_CELLS if geometry.height <= SMALL_HEIGHT_PX else 2 * MAP_CELLS
+    text_tokens = min(math.ceil(_TOKENS_A_WORD * len(words.split())) + 2, config.text_tokens)
+    clip = Workload(frames, size, text_tokens, max(len(scene.agents), 1), (cells, cells))
+    number_bytes = torch.finfo(dtype).bits // 8
+    tokens = config.views * size.frames * size.tokens
+    pixels = geometry.height * geometry.width
+    decoding = size.frames // 2 * _CHUNK_OPERATIONS
+    if size.frames % 2:
+        decoding += _FIRST_CHUNK_OPERATIONS - _CHUNK_OPERATIONS * (size.frames > 1)
+    live = _LIVE_TENSORS * tokens * config.hidden
+    return (
+        Stage("words", 2 * T5_NUMBERS * config.text_tokens, T5_NUMBERS * 4 / _GIB + 1),
+        Stage(
+            "transformer",
+            operations(config, clip).scene(steps),
+            number_bytes * (live + network_numbers(config)) / _GIB,
+        ),
+        Stage(
+            "decoder",
+            config.views * decoding * pixels / _COUNTED_PIXELS,
+            (_DECODER_BYTES + _DECODER_BYTES_A_PIXEL * pixels) * number_bytes / 2 / _GIB,
+        ),
+    )
+
+
+@functools.cache
+def network_numbers(config: MagicDriveConfig) -> int:
+    """Numbers of the transformer."""
+    with torch.device("meta"):
+        network = MagicDriveDiT(config)
+    return sum(tensor.numel() for tensor in network.state_dict().values())
+
+
+@functools.cache
+def measured_speed(device: torch.device, dtype: torch.dtype, channels: int) -> float:
+    """How fast a device computes what the network mostly is: norm, modulation and the two products of an MLP.
+
+    Args:
+        device: The device.
+        dtype: The precision.
+        channels: Of a token.
+
+    Returns:
+        10^12 operations in a second.
+    """
+    tokens = _PROBE_TOKENS["cuda" if device.type == "cuda" else "cpu"]
+    layer = nn.Sequential(nn.Linear(channels, 4 * channels), nn.GELU("tanh"), nn.Linear(4 * channels, channels))
+    layer = layer.to(device, dtype)
+    x = torch.ones(tokens, channels, device=device, dtype=dtype)
+    shift = torch.zeros(channels, device=device, dtype=dtype)
+
+    @torch.no_grad()
+    def seconds(times: int) -> float:
+        started = _clock(device)
+        for _ in range(times):
+            x.add(layer(modulated(x, shift, shift)))
+        return _clock(device) - started
+
+    seconds(1)
+    times = 10 if device.type == "cuda" else 1
+    return times * 16.0 * tokens * channels**2 / seconds(times) / 1e12
+
+
+def _clock(device: torch.device) -> float:
+    if device.type != "cuda":
+        return time.process_time()
+    torch.cuda.synchronize(device)
+    return time.perf_counter()

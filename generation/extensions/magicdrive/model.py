@@ -1,0 +1,334 @@
+"""MagicDriveDiT: latents of six videos, and what is known about the scene, to the velocity of rectified flow.
+
+Written from the specification of `MagicDriveSTDiT3-XL/2`; names and shapes of tensors are those of its weights file.
+What does not depend on the timestep is computed once for a scene and branch (`encode`), the rest at every step
+(`forward`).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from generation.extensions.magicdrive.blocks import Block
+from generation.extensions.magicdrive.conditions import Conditions
+from generation.extensions.magicdrive.config import MagicDriveConfig
+from generation.extensions.magicdrive.encoders import (
+    BoxEncoder,
+    CameraEncoder,
+    EgoEncoder,
+    MapEncoder,
+    MapTimeEncoder,
+    TextEncoder,
+)
+from generation.extensions.magicdrive.latents import LatentSize, packed_views, unpacked_views, unpatched
+from generation.extensions.magicdrive.layers import RotaryFrequencies, Rotation, modulated, rounded_to_bfloat16
+from generation.extensions.magicdrive.position import PatchEmbedding, ScalarEmbedding, grid_embedding
+from generation.extensions.magicdrive.tokens import ConditionTokens
+
+
+@dataclass(frozen=True, slots=True)
+class Encoded:
+    """What the transformer needs to know of a clip, or of a batch of clips of one size.
+
+    Attributes:
+        tokens: Condition tokens.
+        control: (b, 1, t, S, C) map features and positions, with which the control stream starts.
+        position: (S, C) embedding of places.
+        rate: (b, C) embedding of the frame rate.
+        size: Of the latent.
+        keys_values: What each block's cross-attention makes of the tokens, in the order of `MagicDriveDiT.blocks`, if
+            it is kept.
+    """
+
+    tokens: ConditionTokens
+    control: Tensor
+    position: Tensor
+    rate: Tensor
+    size: LatentSize
+    keys_values: tuple[ConditionTokens, ...] | None = None
+
+    @classmethod
+    def batched(cls, parts: Sequence[Self]) -> Self:
+        """Several clips, or branches of guidance, as one batch.
+
+        Args:
+            parts: Of one size and image size, with equal numbers of text and box tokens.
+
+        Returns:
+            The batch, without kept keys and values.
+
+        Raises:
+            ValueError: If they are of different sizes.
+        """
+        first = parts[0]
+        if any(part.size != first.size or not torch.equal(part.position, first.position) for part in parts):
+            raise ValueError("clips of different sizes cannot be one batch")
+        return cls(
+            tokens=ConditionTokens.batched([part.tokens for part in parts]),
+            control=torch.cat([part.control for part in parts]),
+            position=first.position,
+            rate=torch.cat([part.rate for part in parts]),
+            size=first.size,
+        )
+
+
+class FinalLayer(nn.Module):
+    """Tokens become velocities of latent cells."""
+
+    def __init__(self, channels: int, out: int) -> None:
+        super().__init__()
+        self.scale_shift_table = nn.Parameter(torch.randn(2, channels) / channels**0.5)
+        self.linear = nn.Linear(channels, out)
+
+    def forward(self, x: Tensor, time: Tensor, time_of_given: Tensor, given: Tensor | None) -> Tensor:
+        """Project.
+
+        Args:
+            x: (b, V, t, S, C).
+            time: (b, C) of the step.
+            time_of_given: (b, C) of frames that are given.
+            given: (b, t) bool, or ``None`` if no frame is.
+
+        Returns:
+            (b, V, t, S, numbers of a patch).
+        """
+        out = self._modulated(x, time)
+        if given is not None:
+            # The published network modulates given frames twice; the sampler discards what comes of it.
+            out = torch.where(given[:, None, :, None, None], self._modulated(out, time_of_given), out)
+        velocity: Tensor = self.linear(out)
+        return velocity
+
+    def _modulated(self, x: Tensor, time: Tensor) -> Tensor:
+        shift, scale = (self.scale_shift_table + time[:, None])[:, None, None, None].unbind(-2)
+        return modulated(x, shift, scale)
+
+
+class MagicDriveDiT(nn.Module):
+    """The network.
+
+    Attributes:
+        config: Its sizes.
+    """
+
+    def __init__(self, config: MagicDriveConfig) -> None:
+        super().__init__()
+        self.config = config
+        channels = config.hidden
+        self.base_token: Tensor
+        self.register_buffer("base_token", torch.randn(channels))
+        self.rope = RotaryFrequencies(channels // config.heads)
+        self.x_embedder = PatchEmbedding(config.latent_channels, channels)
+        self.t_embedder = ScalarEmbedding(channels)
+        self.t_block = nn.Sequential(nn.SiLU(), nn.Linear(channels, 6 * channels))
+        self.y_embedder = TextEncoder(config)
+        self.fps_embedder = ScalarEmbedding(channels)
+        self.x_control_embedder = PatchEmbedding(config.latent_channels, channels)
+        self.camera_embedder = CameraEncoder(config)
+        self.frame_embedder = EgoEncoder(config)
+        self.bbox_embedder = BoxEncoder(config)
+        self.controlnet_cond_embedder = MapEncoder(config)
+        self.controlnet_cond_embedder_temp = MapTimeEncoder(config)
+        self.controlnet_cond_patchifier = PatchEmbedding(channels, channels)
+        base, control = range(config.depth), range(config.control_depth)
+        self.base_blocks_s = nn.ModuleList(Block(config, temporal=False, between_views=True, skip=False) for _ in base)
+        self.base_blocks_t = nn.ModuleList(Block(config, temporal=True, between_views=False, skip=False) for _ in base)
+        self.before_proj = nn.Linear(channels, channels)
+        self.control_blocks_s = nn.ModuleList(
+            Block(config, temporal=False, between_views=False, skip=True) for _ in control
+        )
+        self.control_blocks_t = nn.ModuleList(
+            Block(config, temporal=True, between_views=False, skip=True) for _ in control
+        )
+        self.final_layer = FinalLayer(channels, 4 * config.latent_channels)
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Precision of the weights, in which everything is computed that is not said to be exact."""
+        return self.before_proj.weight.dtype
+
+    @property
+    def blocks(self) -> Iterator[tuple[Block, bool]]:
+        """All blocks in the order in which they are used, and whether each belongs to the control stream."""
+        for level in range(self.config.depth):
+            controlled = level < self.config.control_depth
+            for base, control in (
+                (self.base_blocks_s, self.control_blocks_s),
+                (self.base_blocks_t, self.control_blocks_t),
+            ):
+                yield _block(base, level), False
+                if controlled:
+                    yield _block(control, level), True
+
+    def compile_blocks(self, backend: str = "inductor") -> None:
+        """Have PyTorch compile the blocks in place: once for each of their four kinds, not for each block.
+
+        Args:
+            backend: Of `torch.compile`.
+        """
+        # Scenes differ in words and boxes: each kind is compiled once for the first and once for all numbers of them.
+        torch._dynamo.config.recompile_limit = max(torch._dynamo.config.recompile_limit, 32)
+        for block, _ in self.blocks:
+            block.compile(backend=backend, fullgraph=True)
+
+    def size_of(self, conditions: Conditions, rows_multiple: int | None = None) -> LatentSize:
+        """Size of the latent of a clip.
+
+        Args:
+            conditions: Of the clip.
+            rows_multiple: To what rows of tokens are padded; as the configuration says by default.
+
+        Returns:
+            The size.
+        """
+        multiple = self.config.rows_multiple if rows_multiple is None else rows_multiple
+        return LatentSize.of(conditions.frames, conditions.height, conditions.width, multiple)
+
+    def encode(
+        self,
+        conditions: Conditions,
+        *,
+        box_repeats: int = 1,
+        rows_multiple: int | None = None,
+        keep_keys_values: bool = False,
+    ) -> Encoded:
+        """Everything that does not depend on the timestep.
+
+        Args:
+            conditions: Of one clip, on the network's device.
+            box_repeats: How often each box counts: the null branch has one empty box in place of many equal ones.
+            rows_multiple: To what rows of tokens are padded; as the configuration says by default.
+            keep_keys_values: Whether to keep what the blocks make of the tokens, for speed.
+
+        Returns:
+            A batch of one.
+
+        Raises:
+            ValueError: If the conditions are for another network.
+        """
+        config = self.config
+        own = (conditions.views, conditions.box_latent.shape[-1], conditions.text.hidden.shape[-1])
+        if own != (config.views, config.hidden, config.caption_channels):
+            raise ValueError(
+                f"conditions with views, box and text channels {own} are for another network than {config}"
+            )
+        size = self.size_of(conditions, rows_multiple)
+        tokens = ConditionTokens(
+            ego=self._ego_tokens(conditions)[None, None, :, None],
+            camera=self._camera_tokens(conditions)[None, :, None, None],
+            text=self._text_tokens(conditions)[None, None, None],
+            boxes=self._box_tokens(conditions)[None],
+            box_repeats=box_repeats,
+        )
+        kept = tuple(block.cross_attn.keys_values(tokens) for block, _ in self.blocks) if keep_keys_values else None
+        rate = self._entering(torch.tensor([conditions.fps], device=self.base_token.device))
+        position = grid_embedding(
+            *size.grid,
+            (conditions.height, conditions.width),
+            config.hidden,
+            rounded=config.rounded,
+            device=self.base_token.device,
+        ).to(self.dtype)
+        control = self._map_tokens(conditions.maps, size) + position
+        return Encoded(tokens, control, position, self.fps_embedder(rate), size, kept)
+
+    def forward(self, latent: Tensor, timestep: Tensor, encoded: Encoded, given: Tensor | None = None) -> Tensor:
+        """Velocity of the flow from noise to data.
+
+        Args:
+            latent: (b, 96, t, h, w), channel-major and view-minor.
+            timestep: (b,) from 1000, pure noise, to 0.
+            encoded: The conditions of the batch.
+            given: (b, t) bool, True for latent frames that are known and without noise; ``None`` if no frame is.
+
+        Returns:
+            (b, 96, t, h, w) in single precision.
+
+        Raises:
+            ValueError: If the latent is not of the size of the conditions.
+        """
+        size = encoded.size
+        wanted = (self.config.packed_channels, size.frames, size.rows, size.columns)
+        if latent.shape[1:] != wanted:
+            raise ValueError(f"the latent has shape {tuple(latent.shape)}, and the conditions are for (b, {wanted})")
+        cells = unpacked_views(latent, self.config.views).to(self.dtype)
+        cells = F.pad(cells, (0, 0, 0, size.padded_rows - size.rows))
+        time = self.t_embedder(self._entering(timestep)) + encoded.rate
+        time_of_given = time if given is None else self.t_embedder(torch.zeros_like(timestep).float()) + encoded.rate
+        if given is None:
+            modulation = self.t_block(time)[:, None]
+        else:
+            modulation = torch.where(
+                given[..., None], self.t_block(time_of_given)[:, None], self.t_block(time)[:, None]
+            )
+        rotation = self.rope.rotation(size.frames, self.dtype, rounded=self.config.rounded)
+        x = self._transformed(cells, modulation, encoded, rotation)
+        patches = self.final_layer(x, time, time_of_given, given)
+        return packed_views(unpatched(patches, size)).float()
+
+    def _transformed(self, cells: Tensor, modulation: Tensor, encoded: Encoded, rotation: Rotation) -> Tensor:
+        """Both streams; the control stream adds to the base stream after each of its blocks."""
+        x: Tensor = self.x_embedder(cells) + encoded.position
+        c: Tensor = self.x_control_embedder(cells) + encoded.control
+        kept = encoded.keys_values
+        for index, (block, of_control) in enumerate(self.blocks):
+            keys_values = kept[index] if kept is not None else block.cross_attn.keys_values(encoded.tokens)
+            if of_control:
+                c = block(c, modulation, keys_values, rotation)
+                x = x + block.after_proj(c)
+            else:
+                x = block(x, modulation, keys_values, rotation)
+        return x
+
+    def _text_tokens(self, conditions: Conditions) -> Tensor:
+        """(L, C) tokens of the words and, as published, of one token of padding."""
+        states = conditions.text.hidden
+        count = min(int(conditions.text.mask.sum()) + 1, len(states))
+        tokens: Tensor = self.y_embedder(self._entering(states[:count]).to(self.dtype))
+        return tokens
+
+    def _box_tokens(self, conditions: Conditions) -> Tensor:
+        """(V, t, n, C), view by view because a clip has many boxes."""
+        latent = self._entering(conditions.box_latent)
+        shared = len(conditions.bboxes) == 1
+        views = []
+        for view, masks in enumerate(conditions.masks):
+            own = 0 if shared else view
+            corners = self._entering(conditions.bboxes[own])
+            views.append(self.bbox_embedder(corners, conditions.classes[own], masks, latent) + self.base_token)
+        return torch.stack(views)
+
+    def _camera_tokens(self, conditions: Conditions) -> Tensor:
+        """(V, C) of the first frame."""
+        tokens: Tensor = self.camera_embedder(self._entering(conditions.cams[:, 0, 0])) + self.base_token
+        return tokens
+
+    def _ego_tokens(self, conditions: Conditions) -> Tensor:
+        """(t, C)."""
+        tokens: Tensor = self.frame_embedder(self._entering(conditions.rel_pos[:, :3])) + self.base_token
+        return tokens
+
+    def _map_tokens(self, maps: Tensor, size: LatentSize) -> Tensor:
+        """(1, 1, t, S, C) features of the map, the same for all views."""
+        features = self.controlnet_cond_embedder_temp(self.controlnet_cond_embedder(maps.to(self.dtype)))
+        features = features.transpose(0, 1)[None]
+        wanted = (size.frames, size.rows, size.columns)
+        if features.shape[2:] != wanted:
+            features = F.interpolate(features, wanted, mode="nearest")
+        features = F.pad(features, (0, 0, 0, size.padded_rows - size.rows))
+        tokens: Tensor = self.before_proj(self.controlnet_cond_patchifier(features[:, None]))
+        return tokens
+
+    def _entering(self, numbers: Tensor) -> Tensor:
+        """Numbers in single precision, rounded as those were that the published weights saw in training."""
+        return rounded_to_bfloat16(numbers) if self.config.rounded else numbers.float()
+
+
+def _block(blocks: nn.ModuleList, level: int) -> Block:
+    block = blocks[level]
+    assert isinstance(block, Block)
+    return block

@@ -1,0 +1,329 @@
+"""The photorealistic renderer: a scene is drawn as six videos by MagicDriveDiT from the published weights.
+
+The main path, from the top: conditions of the whole scene, words through the text encoder, noise to latents by the
+transformer, latents to pictures by the decoder. What takes long is kept on disk, so that a killed command goes on.
+"""
+
+import gc
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from benchmark.errors import InputError
+from benchmark.machine.devices import device_of, device_of_worker
+from benchmark.machine.storage import content_key, content_seed, file_name, writing_to
+from benchmark.machine.workers import worker_number
+from benchmark.scene import Camera, EgoTrack, Scene
+from generation.extensions.magicdrive.autoencoder import VideoDecoder
+from generation.extensions.magicdrive.checkpoint import load_official
+from generation.extensions.magicdrive.clip import MOST_FRAMES, Clip, clip_of, padded_frames, published_length
+from generation.extensions.magicdrive.conditions import MODEL_CAMERAS, TextStates
+from generation.extensions.magicdrive.config import MagicDriveConfig
+from generation.extensions.magicdrive.estimate import RenderingEstimate, measured_speed, rendering_stages
+from generation.extensions.magicdrive.image_geometry import ImageGeometry
+from generation.extensions.magicdrive.kept_tensors import keep_tensor, kept_tensor
+from generation.extensions.magicdrive.latents import unpacked_views
+from generation.extensions.magicdrive.model import MagicDriveDiT
+from generation.extensions.magicdrive.prompt import PromptLook, prompt_of
+from generation.extensions.magicdrive.sampling import SamplingOptions, SamplingState, first_state, sample
+from generation.extensions.magicdrive.sensor_frames import camera_tracks, model_order
+from generation.extensions.magicdrive.text import T5TextEncoder
+from generation.extensions.magicdrive.weights import NetworkFiles
+from generation.nuscenes_writer.plan import digest
+from generation.render.contract import Images, require_frames
+
+RENDERER_VERSION: Final = 1
+_KEEP_EVERY_STEPS: Final = 5
+
+
+@dataclass(frozen=True, slots=True)
+class RenderSettings:
+    """How to draw.
+
+    Attributes:
+        geometry: Sizes of the pictures.
+        look: Light and weather that are asked for.
+        seed: Of noise and of the looks of objects. Both depend on the recorded scene besides and not on who drives
+            adversarially in it, so that a scene and its variants look alike.
+        sampling: Steps and guidance.
+        device: ``cpu``, ``cuda`` (with several workers all GPUs of the machine), ``cuda:1``; ``auto`` for GPUs where
+            there are any.
+        tera_operations: Operations that the device does in a second, 10^12, for estimates; measured by default.
+    """
+
+    geometry: ImageGeometry = field(default_factory=ImageGeometry)
+    look: PromptLook = PromptLook.RECORDED
+    seed: int = 0
+    sampling: SamplingOptions = field(default_factory=SamplingOptions)
+    device: str = "auto"
+    tera_operations: float | None = None
+
+
+class MagicDriveRenderer:
+    """Draws a scene as MagicDriveDiT imagines it; see `generation.render.contract.Renderer`.
+
+    Conditions of both branches are encoded once a scene. The text encoder is loaded for words that were not encoded
+    before and let go of; transformer and decoder stay for the next scene. Views are decoded one after the other.
+    """
+
+    name = "magicdrive"
+
+    def __init__(
+        self,
+        settings: RenderSettings,
+        files: NetworkFiles | None,
+        work: Path,
+        config: MagicDriveConfig | None = None,
+    ) -> None:
+        """Say what is drawn with what; nothing is loaded.
+
+        Args:
+            settings: How to draw.
+            files: The weights; ``None`` for estimates only.
+            work: Folder for what is kept between stages. Only the speed of later commands depends on it.
+            config: Sizes of the transformer; the published ones by default.
+
+        """
+        self.settings, self.files, self.work = settings, files, work
+        self.config = config or MagicDriveConfig.full()
+        # Not asked of PyTorch where it is named: on a cluster the command's own machine need not have one.
+        named = settings.device.startswith("cuda")
+        self._on_gpu = named or (settings.device == "auto" and torch.cuda.is_available())
+
+    @property
+    def version(self) -> str:
+        """Everything that the pictures depend on beside the scene, in words; weights by their hash."""
+        settings, files = self.settings, self.files
+        sampling = settings.sampling
+        weights = None if files is None else [files.fingerprint, files.text_fingerprint]
+        details = content_key(weights, digest(sampling), digest(self.config))[:12]
+        precision = str(self._dtype).removeprefix("torch.")
+        return (
+            f"{RENDERER_VERSION}, {settings.geometry.height}x{settings.geometry.width}, {settings.look.value}, seed "
+            f"{settings.seed}, {sampling.steps} steps, guidance {sampling.guidance:g} ({sampling.mode}), "
+            f"{precision} on {'cuda' if self._on_gpu else 'cpu'}, weights and details {details}"
+        )
+
+    @property
+    def _dtype(self) -> torch.dtype:
+        return torch.bfloat16 if self._on_gpu else torch.float32
+
+    def cameras(self, scene: Scene) -> tuple[Camera, ...]:
+        """The six cameras that are drawn, with the calibration of what is written."""
+        return tuple(self.settings.geometry.camera(scene.cameras[index]) for index in sorted(model_order(scene)))
+
+    def cut(self, scene: Scene) -> Scene:
+        """The scene in the length of the published data sets (`published_length`)."""
+        count = len(scene.timestamps_us)
+        kept = published_length(count)
+        return scene if kept == count else scene.first_frames(kept)
+
+    def camera_tracks(self, scene: Scene) -> Mapping[str, EgoTrack]:
+        """Where the ego is at the times of each camera: the model draws what a camera saw at its own sweep."""
+        return camera_tracks(scene)
+
+    def estimate(self, scene: Scene) -> RenderingEstimate:
+        """What a scene costs; nothing of it is drawn, and no weights are needed.
+
+        Args:
+            scene: The scene; its end is left out as `cut` does.
+
+        Returns:
+            Operations, seconds and memory by stage.
+
+        Raises:
+            InputError: If the scene cannot be drawn, or there is no such device here to measure the speed of.
+        """
+        scene = self.cut(scene)
+        _require_drawable(scene)
+        settings = self.settings
+        prompt = prompt_of(scene, settings.look)
+        stages = rendering_stages(
+            scene,
+            settings.geometry,
+            self.config,
+            steps=settings.sampling.steps,
+            words=prompt.positive,
+            dtype=self._dtype,
+        )
+        speed = settings.tera_operations
+        if speed is None:
+            speed = measured_speed(device_of(settings.device), self._dtype, self.config.hidden)
+        return RenderingEstimate(
+            frames=len(scene.timestamps_us),
+            size=(settings.geometry.height, settings.geometry.width),
+            stages=stages,
+            device="a GPU" if self._on_gpu else "the processor",
+            tera_operations=speed,
+            measured=settings.tera_operations is None,
+        )
+
+    def scene_seconds(self, scene: Scene) -> float:
+        """About how long a scene takes."""
+        return self.estimate(scene).seconds
+
+    def render(self, scene: Scene, frames: Sequence[int]) -> Iterator[Images]:
+        """Draw a scene, and give some of its frames.
+
+        Args:
+            scene: The scene; all of its frames are drawn, because the model draws videos.
+            frames: Frame indices in ``scene.timestamps_us``.
+
+        Yields:
+            RGB images by camera name, for each frame in order.
+
+        Raises:
+            InputError: If a frame is not in the scene, the scene is too long, weights are missing or damaged, or the
+                device has too little memory.
+        """
+        _require_drawable(scene)
+        require_frames(scene, frames)
+        if not len(frames):
+            return
+        geometry = self.settings.geometry
+        clip = clip_of(
+            scene,
+            padded_frames(range(len(scene.timestamps_us))),
+            height=geometry.height,
+            width=geometry.width,
+            look=self.settings.look,
+        )
+        drawing = _Drawing(self, clip)
+        videos = drawing.videos()
+        for frame in frames:
+            yield {name: geometry.picture(video[frame]) for name, video in videos.items()}
+        drawing.forget_videos()
+
+
+def _require_drawable(scene: Scene) -> None:
+    model_order(scene)
+    count = len(scene.timestamps_us)
+    if count > MOST_FRAMES:
+        raise InputError(
+            f"{scene.name} has {count} frames; MagicDriveDiT draws at most {MOST_FRAMES} (20 s at 12 Hz), cut the scene"
+        )
+
+
+class _Drawing:
+    """One scene on its way from conditions to videos."""
+
+    def __init__(self, renderer: MagicDriveRenderer, clip: Clip) -> None:
+        if renderer.files is None:
+            raise InputError("the renderer was made for estimates; give it weights to draw")
+        self._settings, self._config, self._files = renderer.settings, renderer.config, renderer.files
+        self._work, self._dtype = renderer.work, renderer._dtype
+        self._clip = clip
+        self._key = content_key("latents and videos", renderer.version, digest(clip))
+        self._folder = renderer.work / "scenes" / f"{file_name(clip.scene)}-{self._key[:16]}"
+        self._device = device_of_worker(renderer.settings.device, worker_number())
+
+    def videos(self) -> dict[str, NDArray[np.uint8]]:
+        """(T, height, width, 3) by camera; those that were decoded before are read."""
+        found: dict[str, NDArray[np.uint8]] = {}
+        latent: Tensor | None = None
+        for view, camera in enumerate(MODEL_CAMERAS):
+            kept = kept_tensor(self._video_path(camera), self._key)
+            if kept is None:
+                with _repeatable(self._device, self._clip.scene):
+                    latent = self._latent() if latent is None else latent
+                    decoder = _loaded_decoder(self._files.autoencoder, self._device, self._dtype)
+                    video = decoder.frames(unpacked_views(latent, len(MODEL_CAMERAS))[0, view])
+                keep_tensor(self._video_path(camera), self._key, video)
+            else:
+                video = kept[0]
+            found[camera] = np.asarray(video.numpy())
+        return found
+
+    def forget_videos(self) -> None:
+        """Remove what can be decoded again in no time; latents stay, so that another output size costs little."""
+        for camera in MODEL_CAMERAS:
+            path = self._video_path(camera)
+            with writing_to(path):
+                path.unlink(missing_ok=True)
+
+    def _video_path(self, camera: str) -> Path:
+        return self._folder / f"{camera}.safetensors"
+
+    def _latent(self) -> Tensor:
+        """(1, 96, t, h, w), sampled from where an earlier command was killed."""
+        path, options = self._folder / "latent.safetensors", self._settings.sampling
+        state = SamplingState.load(path, self._key)
+        if state is not None and state.step == options.steps:
+            return state.latent
+        text, negative = self._words()
+        seed = content_seed("magicdrive", self._clip.scene, self._settings.seed)
+        conditions = self._clip.conditions(text, negative, latent_width=self._config.hidden, seed=seed)
+        network = _loaded_transformer(self._files.transformer, self._config, self._device, self._dtype)
+
+        def keep(state: SamplingState) -> None:
+            if state.step % _KEEP_EVERY_STEPS == 0 or state.step == options.steps:
+                state.save(path, self._key)
+
+        begun = state or first_state(network, conditions, seed)
+        latent = sample(network, conditions, begun, options, on_step=keep).cpu()
+        _free(self._device)
+        return latent
+
+    def _words(self) -> tuple[TextStates, TextStates | None]:
+        """Prompt and negative prompt through the text encoder; those that were encoded before are read."""
+        prompt, tokens = self._clip.prompt, self._config.text_tokens
+        encoder: T5TextEncoder | None = None
+        found: list[TextStates] = []
+        for words in (prompt.positive, prompt.negative):
+            if words is None:
+                continue
+            key = content_key("words", words, self._files.text_fingerprint, tokens, self._device.type)
+            path = self._work / "words" / f"{key[:32]}.safetensors"
+            kept = kept_tensor(path, key)
+            if kept is None:
+                encoder = encoder or T5TextEncoder(self._files.text_encoder, self._device, tokens)
+                states = encoder.encode(words)
+                keep_tensor(path, key, states.hidden, {"words": int(states.mask.sum())})
+            else:
+                states = TextStates(kept[0], torch.arange(len(kept[0])) < kept[1]["words"])
+            found.append(states)
+        if encoder is not None:
+            # Its parts refer to each other, and there are 19 GB of them.
+            encoder = None
+            gc.collect()
+            _free(self._device)
+        return found[0], found[1] if len(found) > 1 else None
+
+
+@lru_cache(maxsize=1)
+def _loaded_transformer(
+    path: Path, config: MagicDriveConfig, device: torch.device, dtype: torch.dtype
+) -> MagicDriveDiT:
+    return load_official(path, config, device=device, dtype=dtype)
+
+
+@lru_cache(maxsize=1)
+def _loaded_decoder(folder: Path, device: torch.device, dtype: torch.dtype) -> VideoDecoder:
+    return VideoDecoder.load(folder, device, dtype)
+
+
+def _free(device: torch.device) -> None:
+    """Give memory that nothing refers to back to the device, for the next network."""
+    if device.type == "cuda":
+        torch.cuda.empty_cache()
+
+
+@contextmanager
+def _repeatable(device: torch.device, scene: str) -> Iterator[None]:
+    """The same kernels every time, and a sentence where memory runs out."""
+    try:
+        with torch.backends.cudnn.flags(enabled=True, benchmark=False, deterministic=True):
+            yield
+    except torch.cuda.OutOfMemoryError as error:
+        raise InputError(
+            f"{scene} does not fit into the memory of {device}; see what each stage needs with --dry-run, free the GPU "
+            "of other work or choose a smaller --render-size (finished work is kept)"
+        ) from error

@@ -1,0 +1,233 @@
+"""From noise to latents: rectified flow with guidance (section 8 of the specification)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import torch
+from torch import Tensor
+
+from benchmark.errors import InputError
+from benchmark.machine.storage import content_seed
+from generation.extensions.magicdrive.conditions import Conditions
+from generation.extensions.magicdrive.guidance import GuidanceMode, GuidedModel
+from generation.extensions.magicdrive.kept_tensors import keep_tensor, kept_tensor
+from generation.extensions.magicdrive.layers import rounded_to_bfloat16
+from generation.extensions.magicdrive.model import MagicDriveDiT
+
+PURE_NOISE: Final = 1000.0
+"""Timestep at which there is nothing but noise; at 0 there is none."""
+_TRAINED_PIXELS: Final = 512 * 512
+
+
+@dataclass(frozen=True, slots=True)
+class SamplingOptions:
+    """How to sample; the defaults are those of the published pipeline.
+
+    Attributes:
+        steps: Evaluations of each branch.
+        guidance: Scale of guidance.
+        mode: What the null branch is told, see `GuidedModel.of`.
+        together: Whether both branches are one batch: the same velocities, fewer and larger kernels, twice the memory.
+        keep_keys_values: Whether keys and values of the conditions are kept: the same velocities, 1 % fewer operations.
+    """
+
+    steps: int = 30
+    guidance: float = 2.0
+    mode: GuidanceMode = "rflow-slice"
+    together: bool = False
+    keep_keys_values: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class GivenFrames:
+    """Latent frames that are known, so that a clip goes on from another one.
+
+    Attributes:
+        latent: (1, 96, t, h, w); only the frames that are given matter.
+        generate: (t,) 1 for frames to generate, 0 for given ones; a frame with a share in between is known until the
+            timestep falls below that share of 1000, then gets noise and is generated too.
+    """
+
+    latent: Tensor
+    generate: Tensor
+
+
+@dataclass(frozen=True, slots=True)
+class SamplingState:
+    """Everything that sampling needs to go on.
+
+    Attributes:
+        step: Steps that are done.
+        latent: (1, 96, t, h, w) float32.
+        seed: Of all noise.
+    """
+
+    step: int
+    latent: Tensor
+    seed: int
+
+    def save(self, path: Path, key: str) -> None:
+        """Write the state, whole or not at all.
+
+        Args:
+            path: A .safetensors file.
+            key: Content key of everything that the state depends on.
+
+        Raises:
+            InputError: If it cannot be written.
+        """
+        keep_tensor(path, key, self.latent, {"step": self.step, "seed": self.seed})
+
+    @classmethod
+    def load(cls, path: Path, key: str) -> "SamplingState | None":
+        """Read a state.
+
+        Args:
+            path: A file of `save`.
+            key: Content key of what is being sampled.
+
+        Returns:
+            The state, on the processor; ``None`` if it is absent, damaged or of something else, to be made again.
+        """
+        found = kept_tensor(path, key)
+        if found is None:
+            return None
+        latent, facts = found
+        return cls(facts["step"], latent, facts["seed"])
+
+
+def timesteps(height: int, width: int, frames: int, steps: int, *, rounded: bool) -> Tensor:
+    """Timesteps at which the network is asked: the larger the video, the longer it stays near pure noise.
+
+    Args:
+        height: Of an image, pixels.
+        width: Of an image, pixels.
+        frames: Of the clip.
+        steps: How many timesteps.
+        rounded: Whether the size is computed with in bfloat16, as in the published pipeline.
+
+    Returns:
+        (steps,) falling from 1000.
+    """
+    number_type = torch.bfloat16 if rounded else torch.float32
+    high, wide, long = torch.tensor([height, width, frames], dtype=torch.float32).to(number_type)[:, None]
+    latent_frames = long if frames == 1 else long // 4 + long % 2
+    shift = (high * wide / _TRAINED_PIXELS).sqrt() * latent_frames.sqrt()
+    even = torch.tensor([(1.0 - step / steps) * PURE_NOISE for step in range(steps)]) / PURE_NOISE
+    times: Tensor = shift * even / (1 + (shift - 1) * even) * PURE_NOISE
+    return times
+
+
+def first_state(model: MagicDriveDiT, conditions: Conditions, seed: int) -> SamplingState:
+    """Pure noise, the same on every device.
+
+    Args:
+        model: The network.
+        conditions: Of the clip.
+        seed: Of all noise; make it of content.
+
+    Returns:
+        The state before the first step.
+    """
+    size = model.size_of(conditions)
+    shape = (1, model.config.packed_channels, size.frames, size.rows, size.columns)
+    noise = torch.randn(shape, generator=torch.Generator().manual_seed(seed))
+    return SamplingState(0, rounded_to_bfloat16(noise) if model.config.rounded else noise, seed)
+
+
+@torch.no_grad()
+def sample(
+    model: MagicDriveDiT,
+    conditions: Conditions,
+    state: SamplingState,
+    options: SamplingOptions | None = None,
+    *,
+    given: GivenFrames | None = None,
+    on_step: Callable[[SamplingState], None] | None = None,
+) -> Tensor:
+    """Sample the latents of one clip.
+
+    Args:
+        model: The network.
+        conditions: Of the clip, on any device.
+        state: From `first_state`, or one that was saved after a step.
+        options: How.
+        given: Latent frames that are known.
+        on_step: Called after each step, for progress and for saving.
+
+    Returns:
+        (1, 96, t, h, w) float32 on the network's device (`generation.extensions.magicdrive.latents.unpacked_views`
+        takes the views apart).
+
+    Raises:
+        InputError: If velocities are not finite.
+    """
+    options = options or SamplingOptions()
+    device = model.base_token.device
+    guided = GuidedModel.of(
+        model,
+        conditions.to(device),
+        mode=options.mode,
+        scale=options.guidance,
+        together=options.together,
+        keep_keys_values=options.keep_keys_values,
+    )
+    size = (conditions.height, conditions.width, conditions.frames)
+    times = timesteps(*size, options.steps, rounded=model.config.rounded).tolist()
+    flow = _Flow(guided, times, given, device)
+    latent = flow.started(state.latent.to(device)) if state.step == 0 else state.latent.to(device)
+    for step in range(state.step, options.steps):
+        latent = flow.stepped(latent, step, state.seed)
+        if not bool(torch.isfinite(latent).all()):
+            raise InputError(
+                f"the network gives NaN or infinity at step {step + 1} of {options.steps}; check the weights and the "
+                "device with: challenger-bench verify model --model magicdrive --golden DIR"
+            )
+        if on_step is not None:
+            on_step(SamplingState(step + 1, latent, state.seed))
+    return latent
+
+
+class _Flow:
+    """Steps along the guided velocity."""
+
+    def __init__(
+        self, guided: GuidedModel, times: list[float], given: GivenFrames | None, device: torch.device
+    ) -> None:
+        self._guided, self._times, self._device = guided, times, device
+        self._given = None if given is None else given.latent.to(device)
+        # Compared on the processor: a step must not wait for the device to know which frames are its.
+        self._generate = None if given is None else given.generate.float().cpu()
+
+    def started(self, noise: Tensor) -> Tensor:
+        """Noise, but for the frames that are known at first."""
+        if self._given is None or self._generate is None:
+            return noise
+        return torch.where(self._frames(self._generate == 1), noise, self._given)
+
+    def stepped(self, latent: Tensor, step: int, seed: int) -> Tensor:
+        """The latent after one step more."""
+        time = self._times[step]
+        following = self._times[step + 1] if step + 1 < len(self._times) else 0.0
+        timestep = torch.tensor([time], device=self._device)
+        if self._generate is None:
+            return latent + self._guided.velocity(latent, timestep) * ((time - following) / PURE_NOISE)
+        active = self._generate * PURE_NOISE >= time
+        before = self._generate == 1
+        if step:
+            before = before | (self._generate * PURE_NOISE >= self._times[step - 1])
+        if bool((active & ~before).any()):
+            generator = torch.Generator().manual_seed(content_seed("joining frames", seed, step))
+            noise = torch.randn(latent.shape, generator=generator).to(self._device)
+            level = time / PURE_NOISE
+            noisy = level * noise + (1 - level) * latent
+            latent = torch.where(self._frames(active & ~before), noisy, latent)
+        known = None if bool(active.all()) else ~active[None].to(self._device)
+        moved = latent + self._guided.velocity(latent, timestep, known) * ((time - following) / PURE_NOISE)
+        return torch.where(self._frames(active), moved, latent)
+
+    def _frames(self, chosen: Tensor) -> Tensor:
+        """(t,) for a latent's shape."""
+        return chosen.to(self._device)[None, None, :, None, None]

@@ -1,0 +1,147 @@
+"""Frames of lidar and cameras over a clip, and what the model is told about them (sections 4.3, 4.4 and 9)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from benchmark.errors import InputError
+from benchmark.geometry import Floats, rotation_matrix, transform_matrix
+from benchmark.scene import Camera, EgoTrack, Scene
+from generation.extensions.magicdrive.conditions import MODEL_CAMERAS
+
+CALIBRATION_SIZE: Final = (1600, 900)
+"""Image size, pixels, for which the model wants intrinsic matrices, whatever size it draws."""
+_NEGLIGIBLE: Final = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class SensorFrames:
+    """Where the sensors are at the frames of a clip; V cameras in the model's order.
+
+    Attributes:
+        lidar: (T, 4, 4) lidar frame to global frame, metres.
+        cameras: (V, T, 4, 4) camera axes (x right, y down, z forward) to global frame, metres.
+        intrinsics: (V, 3, 3) pinhole matrices for images of 1600 x 900 pixels.
+    """
+
+    lidar: Floats
+    cameras: Floats
+    intrinsics: Floats
+
+    @classmethod
+    def of(cls, scene: Scene, frames: NDArray[np.int64]) -> Self:
+        """Place the sensors.
+
+        Args:
+            scene: The scene. Where its source has sweeps of its own each sensor stands where its sweep was taken, as
+                in the model's training; otherwise all share the ego pose of the frame.
+            frames: (T,) frame indices.
+
+        Returns:
+            The frames.
+
+        Raises:
+            InputError: If one of the six cameras is missing.
+        """
+        order = model_order(scene)
+        chosen = [scene.cameras[index] for index in order]
+        intrinsics = np.stack([camera.resized(*CALIBRATION_SIZE).intrinsic for camera in chosen])
+        if scene.sweep_poses is not None:
+            swept = scene.sweep_poses
+            return cls(swept.lidar[frames], swept.cameras[np.array(order)][:, frames], intrinsics)
+        ego = _ego_poses(scene, frames)
+        mounts = np.stack([transform_matrix(camera.rotation, camera.translation) for camera in chosen])
+        lidar = transform_matrix(scene.lidar.rotation, scene.lidar.translation)
+        return cls(ego @ lidar, ego[None] @ mounts[:, None], intrinsics)
+
+    @property
+    def lidar_from_camera(self) -> Floats:
+        """(V, T, 4, 4) camera axes to the lidar frame of the same frame, by way of the global frame."""
+        return np.asarray(np.linalg.inv(self.lidar)[None] @ self.cameras)
+
+    @property
+    def camera_from_lidar(self) -> Floats:
+        """(V, T, 4, 4) lidar frame to the camera axes of the same frame."""
+        return np.asarray(np.linalg.inv(self.cameras) @ self.lidar[None])
+
+
+def camera_parameters(sensors: SensorFrames) -> NDArray[np.float32]:
+    """What the model is told about its cameras.
+
+    Args:
+        sensors: V cameras over T frames.
+
+    Returns:
+        (V, T, 3, 7) intrinsic matrix beside the camera->lidar transform.
+    """
+    transforms = sensors.lidar_from_camera[:, :, :3]
+    intrinsics = np.broadcast_to(sensors.intrinsics[:, None], (*transforms.shape[:2], 3, 3))
+    return np.asarray(np.concatenate([intrinsics, transforms], axis=-1), np.float32)
+
+
+def ego_motion(sensors: SensorFrames) -> NDArray[np.float32]:
+    """What the model is told about the way of the ego.
+
+    Args:
+        sensors: Lidar over T frames.
+
+    Returns:
+        (T, 4, 4) transforms of points from the first lidar frame to this one; the identity first, and no dust: entries
+        below one millionth are zero.
+    """
+    motion = np.linalg.inv(sensors.lidar) @ sensors.lidar[0]
+    motion[0] = np.eye(4)
+    motion[np.abs(motion) < _NEGLIGIBLE] = 0.0
+    return np.asarray(motion, np.float32)
+
+
+def model_order(scene: Scene) -> Sequence[int]:
+    """Index of each of the model's cameras in the scene; raises `InputError` if one is missing or has no lens."""
+    names = [camera.name for camera in scene.cameras]
+    missing = [name for name in MODEL_CAMERAS if name not in names]
+    if missing:
+        there = ", ".join(names) or "none"
+        raise InputError(
+            f"{scene.name} has no camera {missing[0]} (it has {there}); MagicDriveDiT draws the six views of nuScenes, "
+            "add its calibration or import the scene with the standard rig"
+        )
+    cameras: list[Camera] = [scene.cameras[names.index(name)] for name in MODEL_CAMERAS]
+    for camera in cameras:
+        focal = camera.intrinsic[[0, 1], [0, 1]]
+        if not np.isfinite(camera.intrinsic).all() or not (focal > 0).all():
+            raise InputError(
+                f"camera {camera.name} of {scene.name} has no positive focal lengths; correct its camera_intrinsic in "
+                "calibrated_sensor.json"
+            )
+    return [names.index(name) for name in MODEL_CAMERAS]
+
+
+def _ego_poses(scene: Scene, frames: NDArray[np.int64]) -> Floats:
+    """(T, 4, 4) ego frame to global frame."""
+    poses = np.tile(np.eye(4), (len(frames), 1, 1))
+    poses[:, :3, :3] = rotation_matrix(scene.ego.rotation[frames])
+    poses[:, :3, 3] = scene.ego.position[frames]
+    return poses
+
+
+def camera_tracks(scene: Scene) -> dict[str, EgoTrack]:
+    """Ego motion at the times of each camera.
+
+    Args:
+        scene: The scene.
+
+    Returns:
+        Tracks by camera name; none where all sensors share the ego pose of the frame.
+    """
+    if scene.sweep_poses is None:
+        return {}
+    tracks = {}
+    for camera, poses in zip(scene.cameras, scene.sweep_poses.cameras, strict=True):
+        ego = poses @ np.linalg.inv(transform_matrix(camera.rotation, camera.translation))
+        quaternions = Rotation.from_matrix(ego[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
+        tracks[camera.name] = EgoTrack(ego[:, :3, 3], quaternions)
+    return tracks

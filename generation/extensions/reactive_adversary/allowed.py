@@ -1,0 +1,212 @@
+"""What an adversary may drive: nobody but the ego is ever touched, and every plan ends well, to the last frame."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+
+from benchmark.closed_loop.following import INSTANT_US
+from benchmark.dynamics.bicycle import DriverLimits
+from benchmark.geometry import Bools, Floats, boxes_overlap, wrap_angle
+from benchmark.interactions.tracks import Integers, Tracks
+from benchmark.scene import Scene
+
+AIR_M: Final = 0.1
+"""Between bodies, on every side: what is driven is looked at every 0.05 s alone."""
+AHEAD_FRAMES: Final = 60
+"""How far others who answer are expected, and how much of a plan is kept for them: 5 s."""
+GENTLE_M_S2: Final = 2.5
+BRAKING_M_S2: Final = (GENTLE_M_S2, DriverLimits().braking_m_s2, 8.0)
+"""How it brakes where no candidate is allowed: gently, as hard as a driver does, as hard as tyres do."""
+LATER_FRAMES: Final = 6
+"""A plan may end with brakes at once, or any number of half seconds later."""
+_CHUNK: Final = 10
+"""Instants that bodies are bounded over: 0.5 s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Surrounded:
+    """Everybody but an adversary and the ego, every 0.05 s from a planning frame to the scene's last.
+
+    Attributes:
+        frame_seconds: (K + 1,) of the frames that can be planned, since the planning frame; the first is 0.
+        seconds: (R,) instants after it, to the last frame: those at which the drive places everybody, and frames.
+        boxes: (R, N, 5) of everybody.
+        present: (R, N) who is there.
+        reach: (N,) half of the diagonals.
+        low: (C, N, 2) where nobody's centre is below within a run of instants; infinite for who is absent.
+        high: (C, N, 2) nor above.
+        size: (2,) length and width of the adversary, with the air around it.
+    """
+
+    frame_seconds: Floats
+    seconds: Floats
+    boxes: Floats
+    present: Bools
+    reach: Floats
+    low: Floats
+    high: Floats
+    size: Floats
+
+    @classmethod
+    def of(cls, scene: Scene, agent: int, frame: int, clock_us: int) -> Self:
+        """Those of a scene.
+
+        Args:
+            scene: The scene, everybody where they will be.
+            agent: The adversary.
+            frame: The planning frame.
+            clock_us: Any time of the drive's clock.
+        """
+        now_us = int(scene.timestamps_us[frame])
+        frames = (scene.timestamps_us[frame:] - now_us) / 1e6
+        clock = np.arange((clock_us - now_us) % INSTANT_US, scene.timestamps_us[-1] - now_us + 1, INSTANT_US) / 1e6
+        seconds = np.unique(np.concatenate([clock, frames]))
+        seconds = seconds[seconds > 0.0]
+        boxes, present = Tracks.of_scene(scene).agents_at(
+            np.minimum(seconds + float(scene.seconds[frame]), float(scene.seconds[-1]))
+        )
+        present[agent] = False
+        boxes, present = np.ascontiguousarray(boxes.transpose(1, 0, 2)), np.ascontiguousarray(present.T)
+        begins = np.arange(0, len(seconds), _CHUNK)
+        there, centre = present[..., None], boxes[..., :2]
+        low = np.minimum.reduceat(np.where(there, centre, np.inf), begins, axis=0)
+        high = np.maximum.reduceat(np.where(there, centre, -np.inf), begins, axis=0)
+        reach = 0.5 * np.hypot(*scene.agents.size[:, :2].T)
+        size = scene.agents.size[agent, :2] + 2.0 * AIR_M
+        return cls(frames, seconds, boxes, present, reach, low, high, size)
+
+    def clear_for(self, poses: Floats, first: int = 0) -> float:
+        """How long a motion touches nobody.
+
+        Args:
+            poses: (F, 3) of the box centre at the planning frame and at those after it.
+            first: Frame of them from which on it is looked at.
+
+        Returns:
+            Seconds to the last instant before it touches somebody; infinite where it never does.
+        """
+        known = self.frame_seconds[: len(poses)]
+        count = int(np.searchsorted(self.seconds, known[-1] + 1e-9, side="right"))
+        begin = int(np.searchsorted(self.seconds, known[first] + 1e-9, side="right")) // _CHUNK * _CHUNK
+        if begin >= count:
+            return np.inf
+        seconds = self.seconds[begin:count]
+        own = np.empty((len(seconds), 5))
+        own[:, 0], own[:, 1], own[:, 4] = (
+            np.interp(seconds, known, column)
+            for column in (poses[: len(known), 0], poses[: len(known), 1], np.unwrap(poses[: len(known), 2]))
+        )
+        own[:, 2:4] = self.size
+        row, other = self._near(own, begin)
+        hit = boxes_overlap(own[row - begin], self.boxes[row, other])
+        if not hit.any():
+            return np.inf
+        touched = int(row[hit].min())
+        return float(self.seconds[touched - 1]) if touched else 0.0
+
+    def _near(self, own: Floats, begin: int) -> tuple[Integers, Integers]:
+        """Instants and indices of who may be touched by (I, 5) boxes, at the instants from one on."""
+        begins = np.arange(0, len(own), _CHUNK)
+        reach = self.reach + 0.5 * float(np.hypot(*self.size)) + 1e-6
+        chunks = slice(begin // _CHUNK, begin // _CHUNK + len(begins))
+        lowest = np.minimum.reduceat(own[:, :2], begins, axis=0)[:, None] - reach[:, None]
+        highest = np.maximum.reduceat(own[:, :2], begins, axis=0)[:, None] + reach[:, None]
+        may = ((self.low[chunks] <= highest) & (self.high[chunks] >= lowest)).all(axis=-1)
+        chunk, other = np.nonzero(may)
+        row = (chunk[:, None] * _CHUNK + np.arange(_CHUNK)).ravel()
+        other = np.repeat(other, _CHUNK)
+        inside = row < len(own)
+        row, other = row[inside], other[inside]
+        away = self.boxes[row + begin, other, :2] - own[row, :2]
+        near = self.present[row + begin, other] & ((away**2).sum(axis=1) <= reach[other] ** 2)
+        return row[near] + begin, other[near]
+
+    def endings(self, poses: Floats, executed: int) -> Iterator[Floats]:
+        """Ways in which a motion may go on to the scene's last frame once its first frames are driven.
+
+        It goes on as it is known, and then at its speed; or it brakes on its own path, at once or any number of half
+        seconds later, and stands.
+
+        Args:
+            poses: (F, 3) of the box centre at the planning frame and at those after it.
+            executed: How many of them are driven in any case.
+
+        Yields:
+            (K + 1, 3) poses, those that brake gently first.
+        """
+        count = len(self.frame_seconds)
+        end = min(len(poses), count) - 1
+        first = min(executed, end)
+        yield braked(poses, end, self.frame_seconds, 0.0)
+        if first < count - 1:
+            for braking in BRAKING_M_S2:
+                for later in range(first, end + 1, LATER_FRAMES):
+                    yield braked(poses, later, self.frame_seconds, braking)
+
+    def ending(self, poses: Floats, executed: int) -> Floats | None:
+        """The first of them that touches nobody, ever; ``None`` if there is none."""
+        last = min(executed, len(self.frame_seconds) - 1)
+        if self.clear_for(poses[: last + 1]) < np.inf:
+            return None
+        for found in self.endings(poses, executed):
+            if self.clear_for(found, last) == np.inf:
+                return found
+        return None
+
+    def longest(self, motions: Iterable[Floats]) -> Floats:
+        """The first of some motions that last longest before they touch somebody."""
+        return max(motions, key=self.clear_for)
+
+
+def braked(poses: Floats, first: int, seconds: Floats, braking_m_s2: float) -> Floats:
+    """A motion that is driven to some frame and then braked on its own path.
+
+    Args:
+        poses: (F, 3) of the box centre, one a frame.
+        first: Frame of them from which it brakes.
+        seconds: (K,) of the frames; those beyond the F are reached on the last heading.
+        braking_m_s2: Deceleration; 0 goes on at the speed that it has.
+
+    Returns:
+        (K, 3) poses.
+    """
+    count = len(seconds)
+    path = poses[: min(len(poses), count)]
+    steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
+    station = np.concatenate([[0.0], np.cumsum(steps)])
+    before = max(first - 1, 0)
+    after = min(before + 1, len(path) - 1)
+    span = float(seconds[after] - seconds[before]) if after > before else 1.0
+    speed = float(station[after] - station[before]) / span
+    time = seconds[first:] - seconds[first]
+    if braking_m_s2 > 0.0:
+        time = np.minimum(time, speed / braking_m_s2)
+    goal = station[min(first, len(path) - 1)] + speed * time - 0.5 * braking_m_s2 * time**2
+    yaw = np.unwrap(path[:, 2])
+    beyond = np.maximum(goal - station[-1], 0.0)
+    ahead = np.array([np.cos(path[-1, 2]), np.sin(path[-1, 2])])
+    # Where it stood on its path there is no way between two stations, and none is asked for.
+    place = np.column_stack([np.interp(goal, station, path[:, axis]) for axis in range(2)]) + beyond[:, None] * ahead
+    turned = wrap_angle(np.interp(goal, station, yaw))
+    return np.concatenate([path[:first], np.column_stack([place, turned])])
+
+
+def in_order(scores: Floats, most: int) -> Iterator[tuple[int, int]]:
+    """Round and index of the best candidates, the best first, and of as many from all over the rest.
+
+    Args:
+        scores: (R, B), lower is better; infinite ones are left out.
+        most: How many at most.
+
+    Yields:
+        Their places.
+    """
+    flat = scores.ravel()
+    order: Integers = np.argsort(flat, kind="stable")
+    order = order[np.isfinite(flat[order])]
+    # The best are all alike: what stops one of them stops the others.
+    spread = np.unique(np.linspace(0, max(len(order) - 1, 0), most - most // 2).astype(np.int64))
+    for place in order[np.union1d(np.arange(min(most // 2, len(order))), spread[: len(order)])].tolist():
+        yield divmod(place, scores.shape[1])

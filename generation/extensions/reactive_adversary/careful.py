@@ -1,0 +1,223 @@
+"""Whether a careful human would survive a candidate: all candidates of a batch at once, along the ego's way.
+
+In open loop an adversary never touches the recorded ego, and that keeps it fair. In closed loop the ego may do
+anything, and only somebody who may be hit is ever in anybody's way. So the search asks what a careful and competent
+human would do in the ego's place (`benchmark.interactions`, on the path alone: two seconds to contact, 0.75 s of
+reaction, braking that rises to 0.774 g, and the speed that is left kept), in the world with everybody in it, and
+whether that driver is hit: by the candidate, or by anybody else because of it.
+"""
+
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+
+from benchmark.constants import FRAME_HZ
+from benchmark.dynamics.bicycle import SimulatedMotion
+from benchmark.geometry import Bools, Floats
+from benchmark.interactions.rules import CAREFUL_TIME_S, HARDEST_BRAKING, REACTION_S
+from benchmark.machine.last_made import LastMade
+from benchmark.scene import Scene
+from generation.search.ego_way import EgoWay, ego_way
+
+EVERY_FRAMES: Final = 2
+LOOK_FRAMES: Final = 60
+"""5 s; candidates are known for 3 s of them and go on at their speed."""
+BLIND_FRAMES: Final = 12
+"""Until the next plan."""
+_RISE_M_S3: Final = 12.65
+_AIR_ALONG_M: Final = 1.0
+_AIR_ASIDE_M: Final = 0.4
+_ASIDE_M_S: Final = 0.1
+"""What is nearer than this, in the ego's way and beside it, is as good as touched: where the ego will be is not known,
+and less so the farther ahead."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bodies:
+    """P bodies at S + 1 instants, along the ego's way; the first instant is now.
+
+    Attributes:
+        rear: (P, S + 1) lowest stations, metres; infinite where it is not there.
+        front: (P, S + 1) highest ones.
+        beside: (P, S + 1) metres from the ego's strip, negative where it reaches in.
+    """
+
+    rear: Floats
+    front: Floats
+    beside: Floats
+
+    @classmethod
+    def of(cls, way: EgoWay, poses: Floats, size: Floats, frames: tuple[int, int]) -> Self:
+        """Bodies of (P, F, 3) poses and (P, 2) sizes, somewhere between two frames."""
+        station, offset, turn = way.places(poses, *frames)
+        cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+        length, width = size[:, :1], size[:, 1:]
+        along, across = 0.5 * (cos * length + sin * width), 0.5 * (sin * length + cos * width)
+        return cls(station - along, station + along, np.abs(offset) - across - 0.5 * way.width_m)
+
+    def going_on(self, count: int) -> "Bodies":
+        """The same at so many more instants, at the speed of the last step."""
+        if count <= 0:
+            return self
+        step = self.rear[:, -1:] - self.rear[:, -2:-1]
+        way = step * np.arange(1, count + 1)
+        rear, front = (np.concatenate([each, each[:, -1:] + way], axis=1) for each in (self.rear, self.front))
+        return Bodies(rear, front, np.concatenate([self.beside, np.repeat(self.beside[:, -1:], count, axis=1)], axis=1))
+
+
+@dataclass(frozen=True, slots=True)
+class CarefulAhead:
+    """A careful human in the ego's place, and everybody else.
+
+    Attributes:
+        way: The ego's way.
+        frame: The planning frame.
+        station: Of the ego's centre, metres.
+        speed: m/s.
+        others: Everybody but the adversary who is ever in the ego's strip.
+        steps: (S,) frames after the planning frame.
+        lost: Whether the careful human is hit by others if there is no adversary.
+    """
+
+    way: EgoWay
+    frame: int
+    station: float
+    speed: float
+    others: Bodies
+    steps: tuple[int, ...]
+    lost: bool
+
+    @classmethod
+    def of(cls, scene: Scene, agent: int, frame: int, speed: float, look_frames: int = LOOK_FRAMES) -> Self:
+        """The careful human of a planning frame.
+
+        Args:
+            scene: With the ego as it is expected to drive on.
+            agent: The adversary.
+            frame: The planning frame.
+            speed: Of the ego there, m/s.
+            look_frames: How far is looked.
+        """
+        last = min(frame + look_frames, len(scene.timestamps_us) - 1)
+        steps = tuple(range(EVERY_FRAMES, last - frame + 1, EVERY_FRAMES)) or (last - frame,)
+        way = ego_way(scene)
+        others = _others(scene, agent, way, frame, steps)
+        found = cls(way, frame, float(way.station[frame]), speed, others, steps, False)
+        nobody = Bodies(*(np.full((1, len(steps) + 1), np.inf) for _ in range(3)))
+        return cls(way, frame, found.station, speed, others, steps, bool(found.hits(nobody)[0]))
+
+    def hit(self, motion: SimulatedMotion, size: Floats) -> Bools:
+        """(B,) whether the careful human is hit, or would surely be soon after.
+
+        Args:
+            motion: Of B candidates.
+            size: (2,) length and width of the adversary.
+        """
+        return self.hits(self.placed(motion, size))
+
+    def met(self, placed: Bodies, *, in_front: bool = True) -> Bools:
+        """(B,) whether an ego that does not react and somebody meet.
+
+        Args:
+            placed: B bodies.
+            in_front: Whether only those count who are in front of it: who comes from the side may hit the ego.
+        """
+        time = np.arange(len(self.steps) + 1) * EVERY_FRAMES / FRAME_HZ
+        station, half = self.station + self.speed * time, 0.5 * self.way.length_m
+        over = (placed.rear < station + half) & (placed.front > station - half) & (placed.beside <= 0.0)
+        first = np.argmax(over, axis=1)
+        rows = np.arange(len(over))
+        ahead = placed.rear[rows, first] > station[first] if in_front else True
+        return np.asarray(over.any(axis=1) & ~over[:, 0] & ahead)
+
+    def follows(self, now: Floats, size: Floats) -> bool:
+        """Whether somebody at (1, 3) is behind the ego."""
+        body = Bodies.of(self.way, now[None], size[None], (self.frame, self.frame))
+        return bool(body.rear[0, 0] < self.station - 0.5 * self.way.length_m)
+
+    def placed(self, motion: SimulatedMotion, size: Floats) -> Bodies:
+        """Candidates along the ego's way."""
+        known = [step for step in self.steps if step < motion.center.shape[1]]
+        center = np.where(motion.finite[:, None, None], motion.center[:, [0, *known]], 0.0)
+        sizes = np.broadcast_to(size, (len(center), 2))
+        bodies = Bodies.of(self.way, center, sizes, (self.frame, self.frame + self.steps[-1]))
+        return bodies.going_on(len(self.steps) - len(known))
+
+    @np.errstate(invalid="ignore")
+    def hits(self, placed: Bodies) -> Bools:
+        """(B,) as `hit`, of B bodies; one that is nowhere has no speed."""
+        rear, front, beside, others = placed.rear, placed.front, placed.beside, self.others
+        count, half = len(rear), 0.5 * self.way.length_m
+        dt = EVERY_FRAMES / FRAME_HZ
+        station, speed = np.full(count, self.station), np.full(count, self.speed)
+        waiting, braking = np.full(count, REACTION_S), np.zeros(count)
+        hit, lost = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+        in_way = others.beside <= 0.0
+        for step in range(len(self.steps)):
+            unsafe = _unsafe(rear[:, step : step + 2], front[:, step], beside[:, step], station, speed, half)
+            # Most of the others are in the ego's way for a while only.
+            there = np.flatnonzero(in_way[:, step])
+            if len(there):
+                ahead, along = others.rear[there, step : step + 2, None], others.front[there, step, None]
+                unsafe |= _unsafe(ahead, along, others.beside[there, step, None], station, speed, half).any(axis=0)
+            ready = unsafe & (waiting <= 0.0)
+            waiting = np.where(unsafe, waiting - dt, waiting)
+            braking = np.where(ready, np.minimum(braking + _RISE_M_S3 * dt, HARDEST_BRAKING), braking)
+            after = np.maximum(speed - np.where(ready, braking, 0.0) * dt, 0.0)
+            station, speed = station + 0.5 * dt * (speed + after), after
+            over = (rear[:, step + 1] < station + half + _AIR_ALONG_M) & (front[:, step + 1] > station - half)
+            hit |= over & (beside[:, step + 1] <= _AIR_ASIDE_M + _ASIDE_M_S * (step + 1) * dt)
+            there = np.flatnonzero(in_way[:, step + 1])
+            now = others.rear[there, step + 1, None] < station + half
+            lost |= (now & (others.front[there, step + 1, None] > station - half)).any(axis=0)
+        if np.isfinite(rear[:, -1]).all():
+            gap = rear[:, -1] - station - half
+            closing = np.maximum(speed - (rear[:, -1] - rear[:, -2]) / dt, 0.0)
+            needed = closing * np.maximum(waiting, 0.0) + closing**2 / (2.0 * HARDEST_BRAKING)
+            hit |= (beside[:, -1] <= 0.0) & (gap > -half) & (gap < needed)
+        # Whoever would be hit by others in any case is not hit because of a candidate.
+        return np.asarray(hit | (lost & (not self.lost)))
+
+    def lacking(self, placed: Bodies) -> Floats:
+        """(B,) metres that are missing to stop behind the ego, for who comes up behind it, if it brakes from now on.
+
+        It is planned anew after a second, and brakes no earlier.
+
+        Args:
+            placed: B bodies.
+        """
+        at, half = min(BLIND_FRAMES // EVERY_FRAMES, len(self.steps)), 0.5 * self.way.length_m
+        speed = np.maximum(placed.rear[:, at] - placed.rear[:, at - 1], 0.0) * (FRAME_HZ / EVERY_FRAMES)
+        stops = placed.front[:, at] + speed**2 / (2.0 * HARDEST_BRAKING)
+        behind = (placed.rear[:, 0] < self.station - half) & (placed.beside[:, at] <= _AIR_ASIDE_M)
+        missing = stops - (self.station - half + self.speed**2 / (2.0 * HARDEST_BRAKING))
+        return np.asarray(behind * np.maximum(missing, 0.0))
+
+
+careful_ahead: Final = LastMade[Scene, CarefulAhead](CarefulAhead.of, kept=2)
+"""`CarefulAhead.of`: a planning frame asks for it of its candidates, and of what it chose."""
+
+
+def _unsafe(rear: Floats, front: Floats, beside: Floats, station: Floats, speed: Floats, half: float) -> Bools:
+    """(..., B) whether a careful human has somebody in its way less than two seconds ahead."""
+    gap = rear[:, 0] - station - half
+    closing = speed - (rear[:, 1] - rear[:, 0]) * (FRAME_HZ / EVERY_FRAMES)
+    near = (gap <= 0.0) | ((closing > 0.0) & (gap <= CAREFUL_TIME_S * closing))
+    return np.asarray((beside <= 0.0) & (front > station) & near)
+
+
+def _others(scene: Scene, agent: int, way: EgoWay, frame: int, steps: tuple[int, ...]) -> Bodies:
+    """Everybody but the adversary who is ever in the ego's strip; nobody who is in the ego's body now."""
+    agents = scene.agents
+    at = [frame, *(frame + step for step in steps)]
+    there = np.flatnonzero(agents.valid[:, at].any(axis=1))
+    there = there[there != agent]
+    grid = np.ix_(there, at)
+    poses = np.concatenate([agents.position[grid][..., :2], agents.yaw[grid][..., None]], axis=-1)
+    found = Bodies.of(way, poses, agents.size[there, :2], (at[0], at[-1]))
+    beside = np.where(agents.valid[grid], found.beside, np.inf)
+    own, half = way.station[frame], 0.5 * way.length_m
+    inside = (found.rear[:, 0] < own + half) & (found.front[:, 0] > own - half) & (beside[:, 0] <= 0.0)
+    kept = (beside <= 0.0).any(axis=1) & ~inside
+    return Bodies(found.rear[kept], found.front[kept], beside[kept])

@@ -1,0 +1,59 @@
+"""What an adversary considered at a planning frame, as it is shown (`benchmark.records.considered`)."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from benchmark.dynamics.bicycle import MotionModel, VehicleState
+from benchmark.records.considered import ConsideredFrame, Did
+from benchmark.scene import Scene
+from benchmark.scene_pages.motion import origin_of
+from generation.search.hyperparameters import HyperParameters
+from generation.search.refinement import Refinement
+from generation.search.rounds import rounds_of
+
+
+def considered_frame(
+    scene: Scene,
+    agent: int,
+    frame: int,
+    state: VehicleState,
+    found: Refinement | None,
+    picked: tuple[int, int] | None,
+    hyper: HyperParameters,
+    model: MotionModel,
+    *,
+    as_made: bool,
+) -> Mapping[str, Any]:
+    """What is kept of a planning frame.
+
+    Args:
+        scene: The scene as it was planned in.
+        agent: The adversary.
+        frame: The planning frame.
+        state: Its motion there.
+        found: The search; ``None`` where there was none.
+        picked: Round and index of what was driven; ``None`` where no candidate was.
+        hyper: Settings of the search.
+        model: Its physics.
+        as_made: Whether the track that the scene was made with went on.
+
+    Returns:
+        A `ConsideredFrame` as JSON: candidates of the round that the driven one is from, else of the best round.
+    """
+    did: Did = "track" if as_made else "slowed" if picked is None else "searched"
+    shown: dict[str, Any] = {"frame": frame, "time_us": int(scene.timestamps_us[frame]), "did": did}
+    if found is None:
+        return ConsideredFrame.model_validate(shown).model_dump(mode="json")
+    number, index = picked or (found.round, found.chosen)
+    rounds = rounds_of(scene, agent, frame, state, replace(found, round=number, chosen=index), hyper, model)
+    best, origin = rounds.rounds[number], np.array(origin_of(scene))
+    lines = np.array(best.candidates, np.float64).reshape(len(best.candidates), -1, 2) + origin
+    shown |= {
+        "candidates": np.round(lines, 2).tolist(),
+        "scores": best.scores,
+        "chosen": None if picked is None else rounds.chosen,
+    }
+    return ConsideredFrame.model_validate(shown).model_dump(mode="json")

@@ -1,0 +1,109 @@
+"""Which vehicle of a scene becomes the adversary of a drive, from when on, and its policy."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+
+from benchmark.closed_loop.contract import AgentPolicy
+from benchmark.errors import InputError
+from benchmark.machine.last_made import LastMade
+from benchmark.scene import Scene
+from generation.extensions.reactive_adversary.policy import Adversary
+from generation.extensions.reactive_adversary.settings import AdversarySettings
+from generation.search.candidates import launch_frame, nearness
+from generation.search.definition import PackagedPrior, PriorFactory
+from generation.search.eligibility import eligibility_of
+from generation.search.hyperparameters import HyperParameters
+
+
+@dataclass(frozen=True, slots=True)
+class InTheLoop:
+    """Makes adversaries that are planned while somebody drives (`AdversaryMaker`).
+
+    Attributes:
+        settings: Budget, knowledge and search.
+        prior: Makes the diffusion model.
+        prior_fingerprint: Of that model.
+    """
+
+    settings: AdversarySettings
+    prior: PriorFactory = field(default_factory=PackagedPrior)
+    prior_fingerprint: str = ""
+
+    @classmethod
+    def of(cls, settings: AdversarySettings, prior: PriorFactory | None = None) -> "InTheLoop":
+        """The maker; the packaged model by default."""
+        found = prior or PackagedPrior()
+        return cls(settings, found, found().fingerprint)
+
+    @property
+    def others(self) -> str:
+        """Policy of the others."""
+        return self.settings.others
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """What is measured."""
+        return self.settings.facts(self.prior_fingerprint)
+
+    def possible(self, scene: Scene) -> bool:
+        """Whether a scene has an adversary, or a vehicle that the search would try."""
+        return bool(vehicles_of(scene, self.settings.hyper))
+
+    def policy(
+        self, scene: Scene, run: int, start_us: int, others: Callable[[int], AgentPolicy[Any]]
+    ) -> AgentPolicy[Any]:
+        """The policy of a scene; raises `InputError` where no vehicle can become an adversary."""
+        vehicles = vehicles_of(scene, self.settings.hyper)
+        if not vehicles:
+            raise InputError(f"no vehicle of {scene.name} can become an adversary; leave the scene out with --scenes")
+        agent = vehicles[run % len(vehicles)]
+        start = hand_over(scene, agent, start_us, self.settings.hyper)
+        # Imported late: it brings torch, which nothing else in this module needs.
+        from generation.diffusion.prior import diversify
+
+        return Adversary(scene, agent, start, run, self.settings, others(agent), self.prior(), diversify)
+
+
+def _vehicles(scene: Scene, hyper: HyperParameters) -> tuple[int, ...]:
+    known = [agent for agent, name in enumerate(scene.agents.ids) if name in scene.adversaries]
+    if known:
+        return tuple(known)
+    chosen = [each.agent for each in eligibility_of(scene, hyper, 0).chosen]
+    return tuple(sorted(chosen, key=lambda agent: (-nearness(scene, agent, hyper), agent)))
+
+
+vehicles_of: Final = LastMade[Scene, tuple[int, ...]](_vehicles, kept=4)
+"""Vehicles that runs take in turn: the adversaries of an adversarial scene, else those that open loop would try, by
+how soon they can be in the ego's way."""
+
+
+def hand_over(scene: Scene, agent: int, start_us: int, hyper: HyperParameters) -> int:
+    """Frame at which a vehicle leaves its recording, never before the drive starts.
+
+    A vehicle of a recording does when open loop would launch it; a known adversary at once, since it has to meet
+    somebody who is not where the recording was.
+
+    Args:
+        scene: The scene.
+        agent: The vehicle.
+        start_us: When the drive starts.
+        hyper: Settings of the search.
+
+    Returns:
+        The frame, at which the vehicle is there.
+
+    Raises:
+        InputError: If the vehicle is not there any more when the drive starts.
+    """
+    begun = int(np.searchsorted(scene.timestamps_us, start_us))
+    launch = 0 if scene.agents.ids[agent] in scene.adversaries else launch_frame(scene, agent, hyper)
+    there = np.flatnonzero(scene.agents.valid[agent])
+    after = there[there >= max(begun, launch or 0)]
+    if not len(after):
+        after = there[there >= begun]
+    if not len(after):
+        raise InputError(f"the vehicle {scene.agents.ids[agent]} of {scene.name} is gone before the drive starts")
+    return int(after[0])

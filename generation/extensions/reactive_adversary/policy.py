@@ -1,0 +1,379 @@
+"""The policy ``adversary``: the search of open loop, again and again, against where the ego really is.
+
+Everybody else behaves by a policy of their own. At each planning frame the scene is what has happened so far, what is
+expected of the ego, and what the others will do; `generation.search.planning` plans in it, and what it finds best is
+driven to the next planning frame, if from there on it can end without touching anybody but the ego, to the scene's last
+frame (`generation.extensions.reactive_adversary.allowed`). That ending is kept, and driven where nothing better is
+found.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+
+from benchmark.closed_loop.adversary import ADVERSARY, AdversaryTrack, Handover, Replanning, rounded
+from benchmark.closed_loop.contract import AgentPolicy, Moment, Moved
+from benchmark.closed_loop.following import SUBSTEP_US
+from benchmark.constants import FRAME_HZ
+from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleState, rear_axle
+from benchmark.geometry import Floats, to_local
+from benchmark.machine.storage import content_seed
+from benchmark.scene import Scene
+from generation.extensions.reactive_adversary.against import PlanningAgainst, ego_speed
+from generation.extensions.reactive_adversary.allowed import AHEAD_FRAMES, BRAKING_M_S2, Surrounded, braked, in_order
+from generation.extensions.reactive_adversary.answering import Answering, with_expected_others
+from generation.extensions.reactive_adversary.careful import CarefulAhead, careful_ahead
+from generation.extensions.reactive_adversary.considered import considered_frame
+from generation.extensions.reactive_adversary.expecting import Seen, expected_ego
+from generation.extensions.reactive_adversary.settings import LONGEST_FRAMES, AdversarySettings, Knows
+from generation.search.adversary import ALGORITHM_VERSION, scene_identity
+from generation.search.planning import Planning
+from generation.search.proposals import Diversify, Prior, run_together
+from generation.search.recorded_motion import initial_state
+from generation.search.refinement import NothingToDraw, Refinement, scores_together
+
+MOST_TRIED: Final = 96
+"""Candidates that are asked after the best one of a search, where that may not be driven."""
+_FAR_M: Final = 5.0
+"""Nearer than this to the edge of the area around the ego, an adversary looks at the road around itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """What an adversary remembers; a value.
+
+    Attributes:
+        others: Memory of everybody else's policy.
+        seen: Where the ego has been.
+        state: Its motion at the end of what is planned.
+        track: (F, 3) what is planned, from the hand-over on.
+        ahead: (60, 3) how what was planned last would have gone on.
+        ending: (K, 3) how it goes on to the scene's last frame where nothing better is found: it touches nobody, if the
+            others do as they were expected to do when it was looked at.
+        randomness: State of its generator of random numbers.
+        replanned: Its planning frames.
+        as_made: Whether it is still on the track that the scene was made with.
+    """
+
+    others: Any
+    seen: Seen
+    state: VehicleState
+    track: Floats
+    ahead: Floats
+    ending: Floats
+    randomness: Any
+    replanned: tuple[Replanning, ...] = ()
+    as_made: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class _Chosen:
+    """What is driven next.
+
+    Attributes:
+        executed: (F, 3) poses after the planning frame.
+        ahead: (60, 3) those after them, as they are meant.
+        ending: (K, 3) those after them to the last frame that touch nobody, as far as is known.
+        state: The motion at the end of what is driven.
+        replanning: What is noted of it.
+        as_made: Whether the adversary stays on the track that the scene was made with.
+        picked: Round and index of the candidate that it is, if it is one.
+    """
+
+    executed: Floats
+    ahead: Floats
+    ending: Floats
+    state: VehicleState
+    replanning: Replanning
+    as_made: bool = False
+    picked: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Adversary:
+    """The policy.
+
+    Attributes:
+        scene: The scene that is driven.
+        agent: Index of the vehicle.
+        start: Frame of its hand-over.
+        run: Its seed.
+        settings: Budget, knowledge and search.
+        others: Policy of everybody else.
+        prior: Diffusion model.
+        diversify: Spread of first batches.
+        name: Of the policy.
+        draws: It draws from the content of the scene and its run, whatever the engine gives.
+    """
+
+    scene: Scene
+    agent: int
+    start: int
+    run: int
+    settings: AdversarySettings
+    others: AgentPolicy[Any]
+    prior: Prior
+    diversify: Diversify
+    name: str = ADVERSARY
+    draws: bool = False
+    handover: Handover = field(init=False, repr=False)
+    model: MotionModel = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "handover", Handover.of(self.scene, self.agent, self.start))
+        object.__setattr__(self, "model", self.settings.hyper.motion_model())
+
+    def init(self, time_us: int, key: int) -> tuple[Memory, Moved]:
+        """Everybody where they are; nothing is planned yet."""
+        memory, moved = self.others.init(time_us, key)
+        hyper, agent_id = self.settings.hyper, self.scene.agents.ids[self.agent]
+        content = (scene_identity(self.scene), agent_id, self.run, hyper.fingerprint, self.prior.fingerprint)
+        rng = np.random.default_rng(content_seed(*content, ALGORITHM_VERSION, 0))
+        planning = self._planning(self.scene, rng)
+        first = planning.first_pose()
+        own = Memory(
+            others=memory,
+            seen=Seen.recorded(self.scene, time_us),
+            state=planning.first_state(),
+            track=first[None],
+            ahead=np.repeat(first[None], AHEAD_FRAMES, axis=0),
+            ending=self._recorded_ending(first, time_us),
+            randomness=rng.bit_generator.state,
+        )
+        return own, moved
+
+    def act(self, memory: Memory, moment: Moment, key: int) -> tuple[Memory, Moved]:
+        """The next 0.1 s, planned anew where what was planned does not reach so far."""
+        seen = memory.seen if memory.seen.times_us[-1] >= moment.time_us else memory.seen.then(moment)
+        memory = replace(memory, seen=seen)
+        times, last = self.scene.timestamps_us, len(self.scene.timestamps_us) - 1
+        while (frame := self.start + len(memory.track) - 1) < last and times[frame] < moment.time_us + SUBSTEP_US:
+            memory = self._planned(memory, moment, frame)
+        others, moved = self.others.act(memory.others, moment, key)
+        return replace(memory, others=others), self.handover.moved(moved, rounded(memory.track), moment.time_us)
+
+    def adversary(self, memory: Memory) -> AdversaryTrack:
+        """Where it has been planned to go so far."""
+        return AdversaryTrack(self.agent, self.start, rounded(memory.track), memory.replanned)
+
+    def _planning(self, scene: Scene, rng: np.random.Generator, road_around: Floats | None = None) -> Planning:
+        stages = {"physics": 0.0, "scoring": 0.0}
+        hyper = self.settings.hyper
+        # Open loop knows where the ego will be, and keeps clear of it.
+        kind = Planning if self.settings.knows is Knows.RECORDING else PlanningAgainst
+        return kind(
+            scene, self.agent, self.start, hyper, self.diversify, self.model, rng, stages, road_around=road_around
+        )
+
+    def _planned(self, memory: Memory, moment: Moment, frame: int) -> Memory:
+        """Plan at a frame and drive on to the next one."""
+        ego = expected_ego(self.scene, memory.seen, moment.plan, self.settings.knows)
+        scene = replace(self.scene, ego=ego, sweep_poses=None)
+        if self.settings.others != "replay":
+            own = np.concatenate([memory.track, memory.ahead])
+            others = Answering(self.others, memory.others, self.handover, own)
+            scene = with_expected_others(scene, others, moment, frame)
+        rng = np.random.default_rng()
+        rng.bit_generator.state = memory.randomness
+        planning = self._planning(scene, rng, self._road_around(scene, frame, memory.track[-1]))
+        steps = min(self.settings.every_frames, len(scene.timestamps_us) - 1 - frame)
+        around = Surrounded.of(scene, self.agent, frame, moment.time_us)
+        chosen, found = self._as_made(scene, around, frame, steps, memory), None
+        if chosen is None:
+            found = self._searched(planning, frame, memory)
+            chosen = self._chosen(scene, around, frame, steps, found, memory)
+            if self.settings.knows is not Knows.RECORDING:
+                chosen = self._yielding(scene, around, frame, steps, chosen, memory)
+        noted = self._noted(scene, frame, memory.state, found, chosen)
+        return replace(
+            memory,
+            state=chosen.state,
+            track=np.concatenate([memory.track, chosen.executed]),
+            ahead=chosen.ahead,
+            ending=chosen.ending,
+            randomness=rng.bit_generator.state,
+            replanned=(*memory.replanned, noted),
+            as_made=chosen.as_made,
+        )
+
+    def _recorded_ending(self, first: Floats, time_us: int) -> Floats:
+        """(K, 3) the rest of its recording after the hand-over, or brakes where that ends or touches somebody."""
+        scene, agents = self.scene, self.scene.agents
+        around = Surrounded.of(scene, self.agent, self.start, time_us)
+        gone = np.flatnonzero(~agents.valid[self.agent, self.start :])
+        there = slice(self.start, self.start + int(gone[0]) if len(gone) else None)
+        poses = np.column_stack([agents.position[self.agent, there, :2], agents.yaw[self.agent, there]])
+        poses = np.concatenate([first[None], poses[1:]])
+        found = around.ending(poses, 0)
+        return (around.longest(around.endings(poses, 0)) if found is None else found)[1:]
+
+    def _as_made(self, scene: Scene, around: Surrounded, frame: int, steps: int, memory: Memory) -> _Chosen | None:
+        """The rest of the track that the scene was made with, if the adversary is still on it and may drive it."""
+        known = self.scene.agents.ids[self.agent] in self.scene.adversaries
+        if not known or not memory.as_made or self.settings.knows is Knows.RECORDING:
+            return None
+        agents = scene.agents
+        last = len(scene.timestamps_us) - 1
+        if not agents.valid[self.agent, frame : last + 1].all():
+            return None
+        poses = np.column_stack([agents.position[self.agent, :, :2], agents.yaw[self.agent]])[frame : last + 1]
+        ending = around.ending(poses, steps)
+        if ending is None:
+            return None
+        if not memory.seen.as_recorded(self.scene) and not self._meets(scene, frame, poses):
+            return None
+        state = initial_state(scene, self.agent, frame + steps, self.model.limits)
+        replanning = Replanning(frame, None, braked=False)
+        return _Chosen(poses[1 : steps + 1], _ahead(poses, steps), ending[steps + 1 :], state, replanning, as_made=True)
+
+    def _meets(self, scene: Scene, frame: int, poses: Floats) -> bool:
+        """Whether an ego that does not react would run into a track, however late."""
+        size = self.scene.agents.size[self.agent, :2]
+        careful = CarefulAhead.of(scene, self.agent, frame, ego_speed(scene, frame), len(poses))
+        return bool(careful.met(careful.placed(driven_motion(poses, float(size[0])), size), in_front=False)[0])
+
+    def _yielding(
+        self, scene: Scene, around: Surrounded, frame: int, steps: int, chosen: _Chosen, memory: Memory
+    ) -> _Chosen:
+        """What was chosen, or the brakes where a careful human does not survive it but survives them."""
+        size = self.scene.agents.size[self.agent, :2]
+        careful = careful_ahead(scene, self.agent, frame, ego_speed(scene, frame))
+        now = memory.track[-1:]
+
+        def hits(poses: Floats) -> bool:
+            return bool(careful.hit(driven_motion(poses[: LONGEST_FRAMES + 1], float(size[0])), size)[0])
+
+        if not hits(np.concatenate([now, chosen.executed, chosen.ahead])):
+            return chosen
+        slowed = self._slowed_by(BRAKING_M_S2, around, memory)
+        clear = [each for each in slowed if around.clear_for(each) == np.inf]
+        for poses in clear:
+            if not hits(poses):
+                return self._as_braked(frame, steps, poses)
+        # Whoever is behind the ego and can do nothing that is safe does what is nearest to it.
+        return self._as_braked(frame, steps, clear[-1]) if clear and careful.follows(now, size) else chosen
+
+    def _searched(self, planning: Planning, frame: int, memory: Memory) -> Refinement | None:
+        """What the search finds; nothing where it has nothing to draw from."""
+        try:
+            (found,), _ = run_together([planning.plan(frame, memory.state, memory.track)], self.prior)
+        except NothingToDraw:
+            return None
+        return found
+
+    def _road_around(self, scene: Scene, frame: int, pose: Floats) -> Floats | None:
+        """Around the ego, as the search looks; around itself where the area around the ego has lost it."""
+        half = self.settings.hyper.half_extent_m - _FAR_M
+        lost = np.abs(to_local(pose[:2], scene.ego.pose[frame])).max() > half
+        return pose.copy() if lost else None
+
+    def _chosen(
+        self, scene: Scene, around: Surrounded, frame: int, steps: int, found: Refinement | None, memory: Memory
+    ) -> _Chosen:
+        """The best candidate that may be driven, or the brakes."""
+        # Whoever is off the road already may come back to it, however.
+        on_road = bool(scene.road_map.is_drivable(memory.track[-1, :2]))
+        for number, index in () if found is None else self._candidates(found):
+            assert found is not None
+            motion = found.batches[number].evaluated.motion
+            if not motion.finite[index] or (on_road and _leaves_road(found, number, index, steps)):
+                continue
+            ending = around.ending(motion.center[index], steps)
+            if ending is not None:
+                return self._as_searched(frame, steps, found, number, index, ending)
+        return self._last_resort(around, frame, steps, memory)
+
+    def _as_searched(
+        self, frame: int, steps: int, found: Refinement, number: int, index: int, ending: Floats
+    ) -> _Chosen:
+        """A candidate of the search, and how it may end."""
+        motion = found.batches[number].evaluated.motion
+        score = float(scores_together(found.batches, self.settings.hyper)[number, index])
+        return _Chosen(
+            motion.center[index, 1 : steps + 1],
+            _ahead(motion.center[index], steps),
+            ending[steps + 1 :],
+            motion.state(index, steps),
+            Replanning(frame, score, braked=False),
+            picked=(number, index),
+        )
+
+    def _candidates(self, found: Refinement) -> "Any":
+        """Round and index: what the search chose, then the others by score."""
+        yield found.round, found.chosen
+        yield from in_order(scores_together(found.batches, self.settings.hyper), MOST_TRIED)
+
+    def _noted(
+        self, scene: Scene, frame: int, state: VehicleState, found: Refinement | None, chosen: _Chosen
+    ) -> Replanning:
+        """What is noted of a planning frame."""
+        if not self.settings.keep_considered:
+            return chosen.replanning
+        hyper, picked = self.settings.hyper, chosen.picked
+        considered = considered_frame(
+            scene, self.agent, frame, state, found, picked, hyper, self.model, as_made=chosen.as_made
+        )
+        return replace(chosen.replanning, considered=considered)
+
+    def _last_resort(self, around: Surrounded, frame: int, steps: int, memory: Memory) -> _Chosen:
+        """Brake on the path that was meant, as gently as touches nobody; or what was kept; or what lasts longest."""
+        kept = np.concatenate([memory.track[-1:], memory.ending])
+        slowed = self._slowed_by((0.0, *BRAKING_M_S2), around, memory)
+        return self._as_braked(frame, steps, around.longest((*slowed, kept)))
+
+    def _slowed_by(self, brakings: Sequence[float], around: Surrounded, memory: Memory) -> list[Floats]:
+        """Poses to the scene's last frame of who brakes from now on, so hard, on the path that was meant."""
+        path = np.concatenate([memory.track[-1:], memory.ahead])
+        return [self._slowed(path, around.frame_seconds, memory.state, each) for each in brakings]
+
+    def _as_braked(self, frame: int, steps: int, poses: Floats) -> _Chosen:
+        """Poses from the planning frame to the last one that no search found."""
+        executed = poses[1 : steps + 1]
+        way = executed[-1, :2] - poses[steps - 1, :2]
+        state = VehicleState(
+            rear_axle(executed[-1], float(self.scene.agents.size[self.agent, 0])), float(np.hypot(*way)) * FRAME_HZ
+        )
+        replanning = Replanning(frame, None, braked=True)
+        return _Chosen(executed, _ahead(poses, steps), poses[steps + 1 :], state, replanning)
+
+    @staticmethod
+    def _slowed(path: Floats, seconds: Floats, state: VehicleState, braking_m_s2: float) -> Floats:
+        """(K, 3) poses of who leaves its plan's speed for a steady braking from now on."""
+        # A pose before now gives the path the speed that it is driven with.
+        back = np.array([np.cos(path[0, 2]), np.sin(path[0, 2])]) / FRAME_HZ * state.speed
+        before = np.array([[*(path[0, :2] - back), path[0, 2]]])
+        times = np.concatenate([[-1.0 / FRAME_HZ], seconds])
+        return braked(np.concatenate([before, path]), 1, times, braking_m_s2)[1:]
+
+
+def driven_motion(poses: Floats, length_m: float) -> SimulatedMotion:
+    """The motion of one track, as if a candidate had done it.
+
+    Args:
+        poses: (S + 1, 3) of the box centre, one a frame.
+        length_m: Length of the vehicle.
+
+    Returns:
+        A batch of one; what the tracker asked for is not known.
+    """
+    axle = rear_axle(poses, length_m)
+    heading = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+    velocity = np.gradient(axle[:, :2], 1.0 / FRAME_HZ, axis=0) if len(poses) > 1 else np.zeros((1, 2))
+    speed = (velocity * heading).sum(axis=1)
+    acceleration = np.gradient(speed, 1.0 / FRAME_HZ) if len(poses) > 1 else np.zeros(1)
+    states = np.column_stack([axle, speed, acceleration, np.zeros(len(poses))])
+    return SimulatedMotion(poses[None], states[None], np.zeros((1, len(poses) - 1, 2)), np.ones(1, np.bool_))
+
+
+def _ahead(poses: Floats, steps: int) -> Floats:
+    """(60, 3) how a motion goes on after some frames; its last pose stands for what is beyond it."""
+    rest = poses[steps + 1 : steps + 1 + AHEAD_FRAMES]
+    missing = AHEAD_FRAMES - len(rest)
+    return np.concatenate([rest, np.repeat(poses[-1:], missing, axis=0)]) if missing else rest
+
+
+def _leaves_road(found: Refinement, number: int, index: int, steps: int) -> bool:
+    """Whether a candidate's centre is off the road in what would be executed."""
+    return bool(found.batches[number].evaluated.terms.center_off_road[index, :steps].any())

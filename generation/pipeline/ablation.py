@@ -1,0 +1,164 @@
+"""The paper's ablation study: the search with and without multi-round refinement (MTR) and trajectory scoring (TS).
+
+Each row is a build of its own with the same vehicles, and a planner is run on what survives. The paper reports "the
+percentage of samples that Challenger could successfully generate while the model failed to navigate safely": samples of
+discarded attempts count below the line and never above it.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmark.datasets.roots import DataSet, open_data
+from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.machine.storage import write_json
+from benchmark.metrics.rates import Rate, ratios_over_scenes
+from benchmark.protocols import protocol
+from benchmark.records.ablation import RECORD, SCHEMA, VARIANTS, AblationReport, AblationRow, Variant
+from benchmark.records.attempts import ATTEMPTS_FILE, Attempt, read_attempts
+from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import DataFacts, RateRow
+from generation.pipeline.report import BuildReport
+from generation.pipeline.settings import BuildSettings
+from generation.pipeline.split import NothingSurvivedError, build_split, source_scenes
+from generation.pipeline.surrogate import PROTOCOL, PlannerUnderTest, require_all_planned
+
+
+def ablate(source: DataSet, planner: PlannerUnderTest, settings: BuildSettings) -> AblationReport:
+    """Run the study; the same call resumes.
+
+    Args:
+        source: Recorded scenes.
+        planner: Who drives.
+        settings: The full search. Its ``out`` is the folder of the study, which holds one build for each row; limits on
+            what is kept, several adversaries and a surrogate do not apply.
+
+    Returns:
+        The study, which is also in ``ablation.json``.
+
+    Raises:
+        InputError: As `generation.pipeline.split.build_split`, or if the planner fails on samples.
+    """
+    names = source_scenes(source, settings)
+    samples = {name: sum(truth.by_clock.complete for truth in source.truth(name)) for name in names}
+    rows = tuple(_row(source, planner, settings, variant, samples) for variant in VARIANTS)
+    if len({row.attempted for row in rows}) > 1:
+        raise ValueError("rows of one study tried different vehicles")
+    report = AblationReport(
+        schema=SCHEMA,
+        data=DataFacts(name=source.name, version=source.version, fingerprint=source.fingerprint()),
+        scenes=names,
+        planner=planner.factory.facts,
+        protocol=(PROTOCOL, protocol(PROTOCOL).version),
+        seed=settings.seed,
+        hyper=asdict(settings.hyper),
+        prior_fingerprint=settings.prior().fingerprint,
+        rows=rows,
+    )
+    write_json(settings.out / RECORD, report.model_dump(mode="json", by_alias=True))
+    return report
+
+
+def ablation_estimate(source: DataSet, planner: PlannerUnderTest, settings: BuildSettings) -> str:
+    """How much work a study is, one line for each row; nothing is written.
+
+    Args:
+        source: As in `ablate`.
+        planner: As in `ablate`.
+        settings: As in `ablate`.
+
+    Returns:
+        Text for people.
+
+    Raises:
+        InputError: As `ablate`.
+    """
+    dry = replace(settings, dry_run=True)
+    reports = [build_split(source, "adv", _settings_of(variant, dry, planner)) for variant in VARIANTS]
+    return "\n".join(f"{variant.label}: {said.sentence()}" for variant, said in zip(VARIANTS, reports, strict=True))
+
+
+def _settings_of(variant: Variant, settings: BuildSettings, planner: PlannerUnderTest) -> BuildSettings:
+    return replace(
+        settings,
+        out=settings.out / variant.name,
+        timings=settings.timing / variant.name,
+        hyper=replace(settings.hyper, multi_round=variant.multi_round, scored=variant.scored),
+        adversaries=1,
+        surrogate=None,
+        per_scene=None,
+        total=None,
+        layout="suffixed",
+        renderer=settings.renderer if planner.images else None,
+    )
+
+
+def _row(
+    source: DataSet,
+    planner: PlannerUnderTest,
+    settings: BuildSettings,
+    variant: Variant,
+    samples: dict[str, int],
+) -> AblationRow:
+    """Build and judge one variant; ``samples`` are those that count, by recorded scene."""
+    row = _settings_of(variant, settings, planner)
+    record: RunRecord | None = None
+    try:
+        report = build_split(source, "adv", row)
+    except NothingSurvivedError as nothing:
+        report = nothing.report
+    else:
+        record = _evaluated(source, planner, row, settings.out / "runs" / variant.name)
+    return _counted(variant, report, read_attempts(row.out / ATTEMPTS_FILE), record, samples, settings.seed)
+
+
+def _evaluated(source: DataSet, planner: PlannerUnderTest, row: BuildSettings, runs: Path) -> RunRecord:
+    data = open_data(row.out, version=row.version, name=source.name)
+    settings = EvalSettings(protocols=(PROTOCOL,), workers=planner.workers, seed=row.seed)
+    record = evaluate(data, "adv", planner.factory, runs, settings)
+    require_all_planned(record)
+    return record
+
+
+def _counted(
+    variant: Variant,
+    report: BuildReport,
+    attempts: Sequence[Attempt],
+    record: RunRecord | None,
+    samples: dict[str, int],
+    seed: int,
+) -> AblationRow:
+    """Numbers of one variant, by recorded scene first: variants of one recording are resampled together."""
+    scene_of = {each.written: each.scene for each in attempts if each.written is not None}
+    colliding: Counter[str] = Counter()
+    judged: Counter[str] = Counter()
+    for row in () if record is None else record.rows:
+        outcome = row.outcomes[PROTOCOL]
+        if outcome.counted and outcome.collision is not None and not outcome.cut_short:
+            judged[scene_of[row.scene]] += 1
+            colliding[scene_of[row.scene]] += any(outcome.collision)
+    tried = Counter(each.scene for each in attempts)
+    scenes = sorted(samples)
+    above = np.array([[float(colliding[scene])] * 2 for scene in scenes]).reshape(-1, 2)
+    below = np.array([[float(tried[scene] * samples[scene]), float(judged[scene])] for scene in scenes]).reshape(-1, 2)
+    of_tried, of_kept = ratios_over_scenes(above, below, scenes, seed=seed)
+    gaps = [each.closest_approach.gap_m for each in attempts if each.kept and each.closest_approach is not None]
+    return AblationRow(
+        name=variant.name,
+        attempted=report.tried,
+        kept=report.survived,
+        discarded=dict(sorted(report.discarded.items())),
+        samples_attempted=int(below[:, 0].sum()),
+        samples_kept=int(below[:, 1].sum()),
+        colliding_samples=sum(colliding.values()),
+        rate_attempted=_rate_row(of_tried),
+        rate_kept=_rate_row(of_kept),
+        mean_gap_m=float(np.mean(gaps)) if gaps else None,
+    )
+
+
+def _rate_row(rate: Rate) -> RateRow:
+    return RateRow(**asdict(rate))

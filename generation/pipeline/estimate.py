@@ -1,0 +1,192 @@
+"""About how long a build takes: what finished work here took, else one small sample of each kind of work.
+
+Estimates are for people. No result depends on them.
+"""
+
+import functools
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from benchmark.geometry import Floats
+from benchmark.machine.workers import Executor, LocalProcesses, single_threaded
+from benchmark.report.words import counted
+from benchmark.scene import Scene
+from generation.pipeline.profile import mean_seconds
+from generation.render.contract import LongRenderer, Renderer
+from generation.search.candidates import launch_frame
+from generation.search.definition import Search, Unit
+from generation.search.planning import Planning
+from generation.search.proposals import Mutation, Sampling
+
+KEPT_SHARE = 0.4
+"""Share of attempts that is expected to pass verification while none has been made: about that of the town."""
+_PREVIOUS = np.array([-4.0, 0.0, 0.0])
+"""Pose half a second ago at 8 m/s: any will do to see how long an answer takes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """How much work there is, and about how long it takes.
+
+    Attributes:
+        attempts: Vehicles left to try, with those of later adversaries where several are wanted.
+        attempt_s: Processor seconds of one of them.
+        scenes: Scenes to render, at most or expected.
+        scene_s: Processor seconds of rendering one of them.
+        workers: Processes that share the planning, ``None`` where it is not known.
+        renderers: The same for the rendering.
+    """
+
+    attempts: int
+    attempt_s: float
+    scenes: int
+    scene_s: float
+    workers: int | None
+    renderers: int | None
+
+    def sentence(self) -> str:
+        """For people."""
+        parts = []
+        for what, unit, count, each, workers in (
+            ("planning", "attempt", self.attempts, self.attempt_s, self.workers),
+            ("rendering", "scene", self.scenes, self.scene_s, self.renderers),
+        ):
+            if count and each:
+                time_left = duration(count * each / (workers or 1))
+                parts.append((f"{time_left} of {what} ({counted(count, unit)} at {duration(each)})", _on(workers)))
+        if not parts:
+            return "about no time"
+        if self.workers == self.renderers:
+            return f"about {' and '.join(part for part, _ in parts)} {parts[0][1]}"
+        return f"about {' and '.join(f'{part} {on}' for part, on in parts)}"
+
+
+def _on(workers: int | None) -> str:
+    return "in all" if workers is None else f"on {workers} worker{'' if workers == 1 else 's'}"
+
+
+def duration(seconds: float) -> str:
+    """Seconds as people say them: 0.4 s, 35 s, 12 min, 3.5 h."""
+    for size, unit in ((3600.0, "h"), (60.0, "min")):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.{1 if seconds < 10 * size else 0}f} {unit}"
+    return f"{seconds:.2g} s" if seconds < 10 else f"{seconds:.0f} s"
+
+
+def planning_estimate(
+    search: Search, units: Sequence[Unit], left: Sequence[Unit], read: Callable[[str], Scene], adversaries: int
+) -> tuple[int, float]:
+    """Attempts that are left, and processor seconds of one of them.
+
+    Args:
+        search: What decides the results.
+        units: Vehicles to try first in each scene.
+        left: Those of them that are not done.
+        read: Gives a recorded scene by name.
+        adversaries: Wanted in each scene: whoever is kept begins a chain that tries about as many vehicles again.
+
+    Returns:
+        Number and seconds.
+    """
+    if not units:
+        return 0, 0.0
+    scenes = len({unit.scene_name for unit in units})
+    later = (adversaries - 1) * KEPT_SHARE * len(units) * max(len(units) / scenes - 1.0, 0.0)
+    count = len(left) + round(later)
+    known = mean_seconds([search.timing_path(unit) for unit in units])
+    if known is not None or not count:
+        return count, known or 0.0
+    unit = left[0] if left else units[0]
+    return count, attempt_seconds(search, read(unit.scene_name), unit)
+
+
+def attempt_seconds(search: Search, scene: Scene, unit: Unit) -> float:
+    """Processor seconds of one attempt: one network call of each kind and one evaluation, times how often they happen.
+
+    Args:
+        search: Settings and prior.
+        scene: The recorded scene.
+        unit: A vehicle in it that can be launched.
+
+    Returns:
+        Seconds of one full search; a second try doubles it, giving up early shortens it.
+    """
+    single_threaded()
+    hyper, prior = search.hyper, search.prior()
+    start = launch_frame(scene, unit.agent, hyper)
+    if start is None:
+        return 0.0
+    rng, stages = np.random.default_rng(0), {"physics": 0.0, "scoring": 0.0}
+    planning = Planning(scene, unit.agent, start, hyper, _as_they_are, hyper.motion_model(), rng, stages)
+    evaluation = planning.evaluation(start, planning.first_state(), planning.first_pose()[None])
+    waypoints = prior.answer([Sampling(hyper.candidates, _PREVIOUS, rng)])[0]
+
+    def evaluate() -> None:
+        evaluation(waypoints)
+
+    refinements = len(hyper.noise_levels())
+    sampling = _seconds(lambda: prior.answer([Sampling(hyper.candidates, _PREVIOUS, rng)]))
+    mutation = 0.0
+    if refinements:
+        level = hyper.noise_levels()[0]
+        mutation = _seconds(lambda: prior.answer([Mutation(waypoints, level, _PREVIOUS, rng)]))
+    frames = math.ceil((len(scene.timestamps_us) - 1 - start) / hyper.executed_frames)
+    return frames * (sampling + refinements * mutation + (refinements + 1) * _seconds(evaluate))
+
+
+def _as_they_are(waypoints: Floats, rng: np.random.Generator) -> Floats:
+    return waypoints
+
+
+def rendering_estimate(
+    renderer: Renderer | None, scene: Scene, frames: Literal["all", "keyframes"], timing: Path
+) -> float:
+    """Processor seconds of rendering one scene; of a renderer that takes long, what it says itself.
+
+    Args:
+        renderer: Draws the images; none take no time.
+        scene: A recorded scene.
+        frames: Which frames are drawn.
+        timing: Folder of notes on scenes that were rendered before.
+
+    Returns:
+        Seconds.
+    """
+    if renderer is None:
+        return 0.0
+    if isinstance(renderer, LongRenderer):
+        return renderer.scene_seconds(scene)
+    single_threaded()
+    count = len(scene.timestamps_us) if frames == "all" else len(scene.keyframes)
+    known = mean_seconds(sorted(timing.glob("*.timing.json"))[:100])
+    if known is not None:
+        return known
+    few = [int(frame) for frame in scene.keyframes[:4]]
+    one, some = (_seconds(functools.partial(_draw, renderer, scene, frames)) for frames in (few[:1], few))
+    # What a scene costs before its first picture is drawn is not paid again for each.
+    each = (some - one) / (len(few) - 1) if len(few) > 1 else one
+    return one + max(each, 0.0) * (count - 1)
+
+
+def _draw(renderer: Renderer, scene: Scene, frames: Sequence[int]) -> None:
+    for _ in renderer.render(scene, frames):
+        pass
+
+
+def workers_of(executor: Executor) -> int | None:
+    """How many processes an executor has, where that is known."""
+    return executor.workers if isinstance(executor, LocalProcesses) else None
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    """Processor seconds of a piece of work, after a first time that does not count."""
+    work()
+    begun = time.process_time()
+    work()
+    return time.process_time() - begun

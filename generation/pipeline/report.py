@@ -1,0 +1,177 @@
+"""What a build did: numbers for machines, a short table for people."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from benchmark.records.judgement import unsolvable
+from benchmark.report.words import counted
+from generation.pipeline.estimate import Estimate
+from generation.pipeline.profile import RuntimeTable
+from generation.search.chains import Chain, SearchResult
+from generation.search.eligibility import not_tried_together
+from generation.search.ground_truth_checks import masked_line, masked_together
+from generation.search.verify import Discard
+
+
+@dataclass(frozen=True, slots=True)
+class BuildReport:
+    """What was done.
+
+    Attributes:
+        split: Split that was built.
+        scenes: Source scenes looked at.
+        tried: Attempts, one per chosen vehicle.
+        finished_before: Attempts that were already on disk (dry run only).
+        survived: Generated scenes that passed verification with the wanted number of adversaries.
+        discarded: Number of attempts that did not pass verification, by reason.
+        written: Names of the scenes written, best first for ``adv``.
+        dropped: Number of attempts that passed verification but are not written, by reason.
+        not_tried: Number of objects that are not tried in the recorded scenes, by reason.
+        unsolvable: Scenes that passed everything else and that nobody could have avoided: ``dropped`` for that, and
+            ``written`` where they are kept; ``None`` where there was no search.
+        masked_steps: By protocol, steps of the written scenes that its ground-truth check takes from every planner:
+            because the recorded ego touches an ``adversary``, or only something else (``others``).
+        adversaries: In each scene written.
+        requests: By kind of manoeuvre, if any was asked for: of how many vehicles (``asked``), how many of them drive
+            in a direction in which they can do it (``tried``), attempts that passed verification and do it (``kept``),
+            and how many are ``written``.
+        surrogate: What the surrogate made of the survivors, if there was one.
+        estimate: How much work there is (dry run only).
+        runtime: How long the work took, on this or an earlier run; no part of the JSON, which is the same every time.
+        dry_run: Whether the work was only counted.
+        unlabelled: Recorded scenes that were skipped because they have no annotations; no part of the JSON where there
+            are none.
+    """
+
+    split: str
+    scenes: int
+    tried: int = 0
+    finished_before: int = 0
+    survived: int = 0
+    discarded: dict[str, int] = field(default_factory=dict)
+    written: tuple[str, ...] = ()
+    dropped: dict[str, int] = field(default_factory=dict)
+    not_tried: dict[str, int] = field(default_factory=dict)
+    unsolvable: dict[str, int] | None = None
+    masked_steps: dict[str, dict[str, int]] = field(default_factory=dict)
+    adversaries: int = 1
+    requests: dict[str, dict[str, int]] = field(default_factory=dict)
+    surrogate: dict[str, Any] | None = None
+    estimate: Estimate | None = None
+    runtime: RuntimeTable | None = None
+    dry_run: bool = False
+    unlabelled: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        scenes: int,
+        found: SearchResult,
+        written: Sequence[Chain],
+        surrogate: dict[str, Any] | None,
+        adversaries: int,
+    ) -> "BuildReport":
+        """The report on a finished search for adversaries."""
+        discarded = Counter(each.attempt.discard for each in found.tried if each.attempt.discard is not None)
+        # Later looks at the same scene, with adversaries in it, are in candidates.jsonl.
+        first_looks = [seen for earlier, seen in found.eligibility if not earlier]
+        return cls(
+            split="adv",
+            scenes=scenes,
+            tried=len(found.tried),
+            survived=len(found.chains),
+            discarded=dict(discarded),
+            written=tuple(chain.name for chain in written),
+            dropped=dict(Counter(reason.value for reason in found.dropped.values())),
+            not_tried=not_tried_together(first_looks),
+            unsolvable={
+                "dropped": discarded[Discard.UNSOLVABLE.value],
+                "written": sum(unsolvable(chain.judgements) for chain in written),
+            },
+            # The last adversary of a chain was looked at with all the others in the scene.
+            masked_steps=masked_together(chain.links[-1].attempt.masked_steps for chain in written),
+            adversaries=adversaries,
+            requests=_requests(found, written),
+            surrogate=surrogate,
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """The report as JSON values."""
+        values = asdict(self)
+        del values["runtime"]
+        values["unlabelled"] = list(self.unlabelled)
+        if not self.unlabelled:
+            del values["unlabelled"]
+        return {**values, "written": list(self.written)}
+
+    def sentence(self) -> str:
+        """One sentence for people."""
+        if self.dry_run:
+            work = (
+                ""
+                if self.split == "val-r"
+                else f", {counted(self.tried, 'vehicle')} to try ({self.finished_before} of them done)"
+            )
+            about = "" if self.estimate is None else f"; {self.estimate.sentence()}"
+            return f"would build {self.split} from {counted(self.scenes, 'scene')}{work}{about}; nothing was written"
+        if self.split == "val-r":
+            return f"{counted(len(self.written), 'scene')} rendered again"
+        reasons = ", ".join(f"{count} {reason}" for reason, count in sorted({**self.discarded, **self.dropped}.items()))
+        return (
+            f"{counted(self.scenes, 'scene')}, {counted(self.tried, 'vehicle')} tried, "
+            f"{counted(self.survived, 'scene')} passed verification (discarded: {reasons or 'none'}), "
+            f"{counted(len(self.written), 'scene')} written"
+        )
+
+    def summary(self) -> str:
+        """The sentence, and below it how many vehicles were kept and dropped, by reason, and what was skipped."""
+        if not self.unlabelled:
+            return self._summary()
+        names = ", ".join(self.unlabelled[:3]) + (", ..." if len(self.unlabelled) > 3 else "")
+        return f"{self._summary()}\n  skipped {counted(len(self.unlabelled), 'scene')} without annotations ({names})"
+
+    def _summary(self) -> str:
+        if self.dry_run or self.split == "val-r":
+            return self.sentence()
+        kept = self.tried - sum(self.discarded.values()) - sum(self.dropped.values())
+        rows = [("written", kept, f"in {counted(len(self.written), 'scene')}")]
+        for what, counts in (("discarded", self.discarded), ("not kept", self.dropped), ("not tried", self.not_tried)):
+            rows += [
+                (what, count, reason) for reason, count in sorted(counts.items(), key=lambda row: (-row[1], row[0]))
+            ]
+        lines = [
+            f"{counted(self.scenes, 'scene')}, {counted(self.tried, 'vehicle')} tried, "
+            f"{counted(len(self.written), 'scene')} written"
+        ]
+        lines += [f"  {what:<9} {count:>7}  {reason}" for what, count, reason in rows]
+        if self.unsolvable is not None:
+            lines.append(
+                f"  scenes that nobody could have avoided: {self.unsolvable['dropped']} dropped for it, "
+                f"{self.unsolvable['written']} among those written"
+            )
+        lines += [
+            f"  {kind}: asked of {counted(row['asked'], 'vehicle')}, {row['tried']} tried, {row['kept']} kept, "
+            f"{row['written']} written"
+            for kind, row in self.requests.items()
+        ]
+        if self.masked_steps:
+            lines.append(f"  {masked_line(self.masked_steps)}")
+        if self.surrogate is not None:
+            lines.append(
+                f"  {self.surrogate['planner']} fails {self.surrogate['scenes_failed']} of "
+                f"{counted(self.surrogate['scenes'], 'scene')}, {self.surrogate['colliding_samples']} of "
+                f"{counted(self.surrogate['samples'], 'sample')}"
+            )
+        return "\n".join(lines)
+
+
+def _requests(found: SearchResult, written: Sequence[Chain]) -> dict[str, dict[str, int]]:
+    """How often each kind was asked for, tried, kept and written."""
+    kept = Counter(tried.unit.asked for tried in found.tried if tried.attempt.kept)
+    wrote = Counter(link.unit.asked for chain in written for link in chain.links)
+    return {
+        kind.value: {"asked": each.vehicles, "tried": each.tried, "kept": kept[kind], "written": wrote[kind]}
+        for kind, each in found.requests.items()
+    }

@@ -1,0 +1,444 @@
+"""Building a split: choose vehicles, plan adversaries, keep the most challenging, render and write nuScenes format.
+
+Every step is resumable and gives the same bytes for any executor, on processors of one kind (docs/frozen-splits.md).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from benchmark.datasets.annotation_counts import require_annotated
+from benchmark.datasets.roots import DataSet
+from benchmark.errors import InputError, did_you_mean
+from benchmark.machine.storage import canonical_json, only_writer
+from benchmark.machine.workspace import is_generated
+from benchmark.records.attempts import ATTEMPTS_FILE
+from benchmark.records.review import Judged
+from benchmark.records.seed_splits import seed_of
+from benchmark.report.words import counted
+from benchmark.runs.kept_shards import SEARCH, require_shards
+from benchmark.scene import Scene
+from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set
+from generation.nuscenes_writer.plan import STATE_FOLDER
+from generation.pipeline.estimate import KEPT_SHARE, Estimate, planning_estimate, rendering_estimate, workers_of
+from generation.pipeline.profile import runtime_table
+from generation.pipeline.report import BuildReport
+from generation.pipeline.selection import Selection, select
+from generation.pipeline.settings import BuildSettings
+from generation.pipeline.shard_notes import forget_notes, require_drawn, search_folder, search_work, work_of_jobs
+from generation.pipeline.writing import (
+    WritingJob,
+    publish_judgements,
+    publish_realism,
+    publish_reports,
+    publish_rounds,
+    withdraw,
+    write_scenes,
+)
+from generation.search.attempts import kept_attempt
+from generation.search.chains import Chain, SearchResult, first_units, search_chains
+from generation.search.definition import Search
+from generation.search.eligibility import not_tried_together
+from generation.splits.building import require_not_frozen
+from generation.splits.format import Choice, FrozenRejection, require_freezable, write_frozen
+from generation.splits.freezing import freeze, search_facts
+from generation.splits.seeds import require_seed, search_hash
+
+
+class NothingSurvivedError(InputError):
+    """No adversarial scene came out of a build.
+
+    Attributes:
+        report: What was tried.
+    """
+
+    def __init__(self, sentence: str, report: BuildReport) -> None:
+        super().__init__(sentence)
+        self.report = report
+
+
+def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildReport:
+    """Build one split of a benchmark from recorded scenes.
+
+    Args:
+        source: Recorded scenes.
+        split: ``adv`` (adversarial), the same with one of several seeds (``adv-seed-3``), or ``val-r`` (the originals,
+            rendered again).
+        settings: What and where.
+
+    Returns:
+        What was done. The same is in ``report.json``, each attempt in ``attempts.jsonl`` and each choice of vehicles in
+        ``candidates.jsonl``, in the output root.
+
+    Raises:
+        InputError: If the split is another, a scene is unknown, nothing survives, another command is writing there, the
+            output is built from a frozen split, or it cannot be written.
+    """
+    names = ready_to_build(source, split, settings)
+    if split == "val-r":
+        return _build_originals(source, names, settings)
+    search = search_of(source, names, settings)
+    if settings.dry_run:
+        return replace(_counted(source, search, names, settings), split=split)
+    with only_writer(settings.out):
+        return _build_adversarial(source, split, search, names, settings)
+
+
+def ready_to_build(source: DataSet, split: str, settings: BuildSettings) -> tuple[str, ...]:
+    """Refuse what cannot be built.
+
+    Args:
+        source: Recorded scenes.
+        split: As of `build_split`.
+        settings: What and where.
+
+    Returns:
+        The recorded scenes that are used.
+
+    Raises:
+        InputError: As of `build_split`.
+    """
+    require_generated(split)
+    require_seed(split, settings.seed, f"--seed {settings.seed}")
+    require_not_frozen(settings.out)
+    if settings.freeze is not None:
+        require_freezable(split, settings.freeze)
+    return source_scenes(source, settings)
+
+
+def search_of(source: DataSet, names: Sequence[str], settings: BuildSettings) -> Search:
+    """What decides the attempts of a build.
+
+    Args:
+        source: Recorded scenes.
+        names: Which of them.
+        settings: What and where.
+
+    Returns:
+        It.
+
+    Raises:
+        InputError: If a scene has no map.
+    """
+    without_map = [name for name in names if not source.has_map(name)]
+    if without_map:
+        raise InputError(
+            f"{source.root} has no map expansion for {without_map[0]} ({len(without_map)} of "
+            f"{counted(len(names), 'scene')}), and "
+            "an adversary must know the road; put the map expansion's JSON files into maps/expansion"
+        )
+    return Search(
+        fingerprint=source.fingerprint(),
+        hyper=settings.hyper,
+        seed=settings.seed,
+        prior=settings.prior,
+        prior_fingerprint=settings.prior().fingerprint,
+        state=settings.out / STATE_FOLDER,
+        timings=settings.timing,
+        asked=settings.asked,
+    )
+
+
+def require_generated(split: str) -> None:
+    """Raise `InputError` for a split that cannot be generated."""
+    if not is_generated(split):
+        raise InputError(
+            f"cannot generate split {split!r}; the splits that can be generated are val-r and adv, and adv-seed-N with "
+            "seed N"
+        )
+
+
+def source_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
+    """Names of the recorded scenes that a build uses.
+
+    Args:
+        source: Recorded scenes.
+        settings: Which of them.
+
+    Returns:
+        The names, in order; scenes without annotations are skipped.
+
+    Raises:
+        InputError: If a scene is unknown, there are none, or none has annotations.
+    """
+    names = _asked_for(source, settings)
+    require_annotated(source, settings.source_split, names)
+    skipped = set(unlabelled_scenes(source, settings))
+    return tuple(name for name in names if name not in skipped)
+
+
+def _asked_for(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
+    if settings.scenes is None:
+        names = source.scene_names(settings.source_split)
+    else:
+        known = set(source.scene_names(None))
+        unknown = [name for name in settings.scenes if name not in known]
+        if unknown:
+            raise InputError(
+                f"{source.name} has no scene {', '.join(unknown)}; {did_you_mean(unknown[0], known)}it has "
+                f"{', '.join(sorted(known)[:8])} ..."
+            )
+        names = tuple(dict.fromkeys(settings.scenes))
+    if not names:
+        raise InputError(f"{source.name} has no scenes in split {settings.source_split}")
+    return names[: settings.limit]
+
+
+def unlabelled_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
+    """Scenes that a build asks for and skips: without annotations there is no traffic to change or to draw."""
+    names = _asked_for(source, settings)
+    counts = source.annotation_counts(names)
+    return tuple(name for name in names if not counts[name].annotations)
+
+
+def _counted(source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings) -> BuildReport:
+    """How much there is to do."""
+    chosen = first_units(search, source, names, keep=False)
+    units = [unit for _, of_scene in chosen for unit in of_scene]
+    with_rounds = settings.keep_rounds and settings.adversaries == 1
+    left = [unit for unit in units if kept_attempt(search, unit, with_rounds=with_rounds) is None]
+    count, each = planning_estimate(search, units, left, source.scene, settings.adversaries)
+    expected = round(KEPT_SHARE * len(units))
+    for most in (settings.per_scene, settings.variants):
+        expected = expected if most is None else min(expected, most * len(names))
+    if settings.total is not None:
+        expected = min(expected, settings.total)
+    scene_s = _rendering_seconds(source, names, settings)
+    planners, renderers = workers_of(settings.executor), workers_of(settings.where_rendered)
+    about = Estimate(count, each, expected, scene_s, planners, renderers)
+    return BuildReport(
+        "adv",
+        len(names),
+        len(units),
+        len(units) - len(left),
+        not_tried=not_tried_together([seen for seen, _ in chosen]),
+        adversaries=settings.adversaries,
+        estimate=about,
+        dry_run=True,
+        unlabelled=unlabelled_scenes(source, settings),
+    )
+
+
+def _rendering_seconds(source: DataSet, names: Sequence[str], settings: BuildSettings) -> float:
+    timing = settings.timing / "rendering"
+    return rendering_estimate(settings.renderer, source.scene(names[0]), settings.frames, timing)
+
+
+@dataclass(frozen=True, slots=True)
+class Selected:
+    """What a search found and what of it is written.
+
+    Attributes:
+        found: What was found.
+        chosen: What is written of it.
+        plan: The data set to write.
+        report: What is said of both.
+        files: The same as files, by name.
+    """
+
+    found: SearchResult
+    chosen: Selection
+    plan: DataSetPlan
+    report: BuildReport
+    files: dict[str, bytes]
+
+
+def searched(
+    source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings, *, keep: bool = True
+) -> SearchResult:
+    """`search_chains` as the settings of a build say; arguments and errors as of `selected`."""
+    return search_chains(
+        search,
+        source,
+        names,
+        settings.executor,
+        adversaries=settings.adversaries,
+        together=settings.together,
+        keep_rounds=settings.keep_rounds,
+        keep=keep,
+    )
+
+
+def selected(
+    source: DataSet,
+    split: str,
+    search: Search,
+    names: Sequence[str],
+    settings: BuildSettings,
+    *,
+    keep: bool = True,
+) -> Selected:
+    """Search, or find what was searched, and choose.
+
+    Args:
+        source: Recorded scenes.
+        split: Name of the split.
+        search: What decides the attempts.
+        names: Recorded scenes.
+        settings: What and where.
+        keep: Whether choices of vehicles are written.
+
+    Returns:
+        What was found and chosen; nothing is published.
+
+    Raises:
+        InputError: As of `search_chains` and `select`.
+    """
+    found = searched(source, search, names, settings, keep=keep)
+    plan = _plan(source, split, settings)
+    chosen = select(source, plan, found, settings)
+    said = None if chosen.judgement is None else chosen.judgement.as_json(settings.out)
+    report = BuildReport.of(len(names), found, chosen.chains, said, settings.adversaries)
+    report = replace(report, split=split, unlabelled=unlabelled_scenes(source, settings))
+    files = _report_files(report, found, chosen.chains)
+    files["search.json"] = (canonical_json(search.as_json(), indent=1) + "\n").encode()
+    plan = replace(plan, left_out=chosen.left_out)
+    if seed_of(split) is not None:
+        how = _choice(report, settings, plan.left_out)
+        plan = replace(plan, search=search_hash(search_facts(search), how, settings.adversaries))
+    return Selected(found, chosen, plan, report, files)
+
+
+def _build_adversarial(
+    source: DataSet, split: str, search: Search, names: Sequence[str], settings: BuildSettings
+) -> BuildReport:
+    require_shards(search_folder(settings.out), SEARCH, search_work(search, names, settings))
+    made = selected(source, split, search, names, settings)
+    found, chosen, plan, report = made.found, made.chosen, made.plan, made.report
+    require_drawn(settings.out, partial(work_of_jobs, source, plan, chosen.jobs))
+    forget_notes(settings.out)
+    publish_reports(settings.out, made.files)
+    if not chosen.jobs:
+        withdraw(settings.out)
+        raise NothingSurvivedError(
+            f"no adversarial scene survived: {report.sentence()}; {_what_to_do(report, settings)}",
+            report,
+        )
+    chosen.take_over(plan)
+    notes = _write(source, plan, chosen.jobs, settings)
+    if settings.freeze is not None:
+        how = _choice(report, settings, plan.left_out)
+        write_frozen(settings.freeze, freeze(source, plan, chosen.chains, search, how, settings.where_rendered))
+    return replace(report, runtime=runtime_table([search.timing_path(tried.unit) for tried in found.tried], notes))
+
+
+def _what_to_do(report: BuildReport, settings: BuildSettings) -> str:
+    """Advice for a search of which nothing came."""
+    if report.tried:
+        return f"try more scenes or another --seed (details in {settings.out / ATTEMPTS_FILE})"
+    reasons = sorted(report.not_tried.items(), key=lambda row: (-row[1], row[0]))
+    said = ", ".join(f"{count} {reason}" for reason, count in reasons) or "nothing is annotated"
+    return (
+        f"of {counted(sum(report.not_tried.values()), 'object')} none can be tried ({said}): choose other scenes with "
+        "--source-split or --scenes"
+    )
+
+
+def _choice(report: BuildReport, settings: BuildSettings, rejected: Sequence[tuple[int, Judged]]) -> Choice:
+    return Choice(
+        scenes=report.scenes,
+        tried=report.tried,
+        survived=report.survived,
+        per_scene=settings.per_scene,
+        variants=settings.variants,
+        asked=tuple(kind.value for kind in settings.asked) or None,
+        total=settings.total,
+        surrogate=None if report.surrogate is None else str(report.surrogate["planner"]),
+        rejected=_frozen_rejections(rejected),
+    )
+
+
+def _frozen_rejections(rejected: Sequence[tuple[int, Judged]]) -> tuple[FrozenRejection, ...] | None:
+    said = [FrozenRejection(name=each.name, token=each.token, reason=each.reason) for _, each in rejected]
+    return tuple(said) or None
+
+
+def originals(
+    source: DataSet, names: Sequence[str], settings: BuildSettings
+) -> tuple[DataSetPlan, list[WritingJob], dict[str, bytes]]:
+    """How recordings are rendered again.
+
+    Args:
+        source: Recorded scenes.
+        names: Which of them.
+        settings: What and where.
+
+    Returns:
+        The data set to write, its scenes, and what is said of it by file name.
+    """
+    jobs = [WritingJob(name.replace("/", "-"), name.replace("/", "-"), name, 0, _unchanged, {}) for name in names]
+    report = _report_of_originals(source, jobs, settings)
+    return _plan(source, "val-r", settings), jobs, _report_files(report, SearchResult(), [])
+
+
+def _build_originals(source: DataSet, names: Sequence[str], settings: BuildSettings) -> BuildReport:
+    if settings.dry_run:
+        each = _rendering_seconds(source, names, settings)
+        workers = workers_of(settings.where_rendered)
+        about = Estimate(0, 0.0, len(names), each, workers, workers)
+        skipped = unlabelled_scenes(source, settings)
+        return BuildReport("val-r", len(names), estimate=about, dry_run=True, unlabelled=skipped)
+    plan, jobs, files = originals(source, names, settings)
+    report = _report_of_originals(source, jobs, settings)
+    with only_writer(settings.out):
+        require_drawn(settings.out, partial(work_of_jobs, source, plan, jobs))
+        forget_notes(settings.out)
+        publish_reports(settings.out, files)
+        notes = _write(source, plan, jobs, settings)
+    return replace(report, runtime=runtime_table([], notes))
+
+
+def _report_of_originals(source: DataSet, jobs: Sequence[WritingJob], settings: BuildSettings) -> BuildReport:
+    written = tuple(job.name for job in jobs)
+    return BuildReport("val-r", len(jobs), written=written, unlabelled=unlabelled_scenes(source, settings))
+
+
+def _unchanged(scene: Scene) -> Scene:
+    return scene
+
+
+def _plan(source: DataSet, split: str, settings: BuildSettings) -> DataSetPlan:
+    return DataSetPlan(
+        root=settings.out,
+        version=settings.version,
+        split=split,
+        layout=settings.layout,
+        renderer=settings.renderer,
+        frames=settings.frames,
+        jpeg_quality=settings.jpeg_quality,
+        lossless=settings.lossless,
+        source=SourceInfo(name=source.name, fingerprint=source.fingerprint(), root=source.root, version=source.version),
+    )
+
+
+def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], settings: BuildSettings) -> list[Path]:
+    """Render, write and finish a data set; returns the notes on how long rendering took."""
+    timing = settings.timing / "rendering"
+    keys = write_scenes(plan, jobs, source.scene, settings.where_rendered, timing=timing)
+    publish_rounds(plan, jobs, keys)
+    publish_judgements(plan, jobs, keys)
+    finish_data_set(plan, keys)
+    publish_realism(plan, source)
+    return [timing / f"{key}.timing.json" for key in keys]
+
+
+def _report_files(report: BuildReport, found: SearchResult, written: Sequence[Chain]) -> dict[str, bytes]:
+    """What a build says of itself, by file name."""
+    name_of = {link.unit: chain.name for chain in written for link in chain.links}
+    attempts = []
+    for tried in found.tried:
+        fate = {
+            "earlier": tuple(link.agent_id for link in tried.unit.earlier),
+            "dropped": found.dropped.get(tried.unit),
+            "written": name_of.get(tried.unit),
+        }
+        attempts.append(tried.attempt.model_copy(update=fate).as_json())
+    candidates = [seen.row(earlier) for earlier, seen in found.eligibility]
+    files = {
+        "report.json": (canonical_json(report.as_json(), indent=1) + "\n").encode(),
+        ATTEMPTS_FILE: "".join(canonical_json(row) + "\n" for row in attempts).encode(),
+    }
+    if candidates:
+        files["candidates.jsonl"] = "".join(canonical_json(row) + "\n" for row in candidates).encode()
+    return files

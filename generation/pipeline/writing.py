@@ -1,0 +1,347 @@
+"""Generated scenes as a data set on disk: shipped to workers one by one, rendered, put together, or withdrawn."""
+
+import functools
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from benchmark.constants import NUSCENES_TABLES
+from benchmark.datasets.judged import (
+    JUDGEMENTS_FILE,
+    judgements_text,
+    read_judgements,
+    read_judgements_file,
+    stored_judgements,
+    stored_realism,
+)
+from benchmark.datasets.roots import DataSet, open_data
+from benchmark.datasets.tables import variant_folders
+from benchmark.errors import InputError
+from benchmark.fairness.scenes import TracksAtHand, judge_scene
+from benchmark.fairness.split_realism import split_realism
+from benchmark.machine.progress import Count
+from benchmark.machine.storage import canonical_json, read_json, read_kept_json, write_bytes, write_json, writing_to
+from benchmark.machine.workers import Executor
+from benchmark.records.judgement import DEFINITION, SceneJudgement
+from benchmark.records.scenes import KEPT_ROUNDS_FOLDER, RefinementTrace, kept_rounds_path
+from benchmark.scene import Scene
+from generation.nuscenes_writer import DataSetPlan
+from generation.nuscenes_writer.finish import PROVENANCE
+from generation.nuscenes_writer.plan import STATE_FOLDER
+from generation.nuscenes_writer.scenes import WrittenScene, read_state, was_there, written_scene
+
+
+@dataclass(frozen=True, slots=True)
+class WritingJob:
+    """One scene to write: a recording, or a variant of it.
+
+    Attributes:
+        name: Its name among all scenes of the build.
+        written_as: Its name in its root.
+        source_scene: Name of the recorded scene.
+        variant: Number of its root in the ``per-variant`` layout; part of its tokens in any.
+        make: Turns the recorded scene into what is written; picklable, as jobs go to workers.
+        report: What ``challenger.json`` says of it.
+        last_attempt: Content key of the attempt that made its last adversary, and the place of that among the scene's
+            adversaries; ``None`` for a recording.
+        identity: What its tokens are made of, if not its motion.
+        judgements: What is said of each of its adversaries.
+        tracks: How its adversaries were made, if it is to be judged where it is written.
+    """
+
+    name: str
+    written_as: str
+    source_scene: str
+    variant: int
+    make: Callable[[Scene], Scene]
+    report: dict[str, Any]
+    last_attempt: tuple[str, int] | None = None
+    identity: str | None = None
+    judgements: tuple[SceneJudgement, ...] = ()
+    tracks: TracksAtHand | None = None
+
+    def name_read(self, plan: DataSetPlan) -> str:
+        """Name by which `benchmark.datasets.roots.open_data` knows the scene."""
+        return f"v{self.variant}/{self.written_as}" if plan.layout == "per-variant" else self.written_as
+
+
+def write_scenes(
+    plan: DataSetPlan,
+    jobs: Sequence[WritingJob],
+    read: Callable[[str], Scene],
+    executor: Executor,
+    *,
+    timing: Path,
+    label: str = "rendering",
+) -> list[str]:
+    """Render and write scenes; those that are there already are left alone.
+
+    Args:
+        plan: The data set.
+        jobs: The scenes.
+        read: Gives a recorded scene by name; called here, so that workers need not open the source.
+        executor: Where scenes are rendered; the bytes do not depend on it.
+        timing: Folder for notes on how long rendering took; no result depends on them.
+        label: What is done, for people.
+
+    Returns:
+        Content keys in the order of the jobs, for `finish_data_set`.
+
+    Raises:
+        InputError: If a scene cannot be written, or workers are lost.
+    """
+    _leave_other_layout(plan)
+    # Variants of one recording after each other: it is read once.
+    order = sorted(range(len(jobs)), key=lambda index: (jobs[index].source_scene, index))
+
+    def shipments() -> Iterator[tuple[Scene, WritingJob]]:
+        for job in (jobs[index] for index in order):
+            yield job.make(read(job.source_scene)), job
+
+    work = functools.partial(_write_one, plan, timing)
+    count = Count(kept=was_there)
+    written = dict(zip(order, executor.map(work, shipments(), total=len(jobs), label=label, count=count), strict=True))
+    return [written[index].key for index in range(len(jobs))]
+
+
+def _write_one(plan: DataSetPlan, timing: Path, shipped: tuple[Scene, WritingJob]) -> WrittenScene:
+    scene, job = shipped
+    started = time.process_time()
+    written = written_scene(
+        plan,
+        scene,
+        name=job.written_as,
+        source_scene=job.source_scene,
+        report=job.report,
+        variant=job.variant,
+        identity=job.identity,
+    )
+    if job.tracks is not None:
+        _judge(plan, written.key, scene, job.tracks)
+    note = timing / f"{written.key}.timing.json"
+    # A scene that was complete takes no time: what it took when it was rendered stays.
+    if not note.exists():
+        value = {"scene": job.written_as, "seconds": {"rendering": time.process_time() - started}}
+        write_bytes(note, (canonical_json(value) + "\n").encode(), durable=False)
+    return written
+
+
+def publish_reports(root: Path, files: dict[str, bytes]) -> None:
+    """Write what a build says of itself; a finished data set that something else was said of is not finished any more.
+
+    Args:
+        root: Root of the build.
+        files: Content by file name.
+
+    Raises:
+        InputError: If they cannot be written.
+    """
+    if unfinish_others(root, files):
+        for name, data in files.items():
+            write_bytes(root / name, data)
+
+
+def unfinish_others(root: Path, files: dict[str, bytes]) -> bool:
+    """Take the mark of a finished data set away where other things are said of it than these.
+
+    Args:
+        root: Root of the build.
+        files: What a build says of itself, by file name.
+
+    Returns:
+        Whether other things were said, or nothing.
+
+    Raises:
+        InputError: If the mark cannot be removed.
+    """
+    if all((root / name).is_file() and (root / name).read_bytes() == data for name, data in files.items()):
+        return False
+    unfinish(root)
+    return True
+
+
+def publish_rounds(plan: DataSetPlan, jobs: Sequence[WritingJob], keys: Sequence[str]) -> None:
+    """Put the kept rounds of written scenes where scene pages look for them, and take those of others away.
+
+    Of a scene with several adversaries they are the last one's. A reader of the data set does not see them: they are no
+    part of its fingerprint.
+
+    Args:
+        plan: The data set.
+        jobs: Its scenes.
+        keys: What `write_scenes` returned for them.
+
+    Raises:
+        InputError: If kept rounds are damaged, or the disk refuses.
+    """
+    wanted = set()
+    for job, key in zip(jobs, keys, strict=True):
+        content = _rounds(plan, job, key)
+        if content is not None:
+            path = kept_rounds_path(plan.root, job.name_read(plan))
+            wanted.add(path)
+            if not path.is_file() or path.read_bytes() != content:
+                write_bytes(path, content)
+    for path in (plan.root / KEPT_ROUNDS_FOLDER).glob("*"):
+        if path not in wanted:
+            with writing_to(path):
+                path.unlink()
+
+
+def publish_judgements(
+    plan: DataSetPlan, jobs: Sequence[WritingJob], keys: Sequence[str]
+) -> list[tuple[SceneJudgement, ...]]:
+    """Put what is said of the scenes beside the tables of each root; it is no part of the fingerprint.
+
+    Args:
+        plan: The data set.
+        jobs: Its scenes.
+        keys: What `write_scenes` returned for them.
+
+    Returns:
+        The judgements of each scene, in the order of the jobs.
+
+    Raises:
+        InputError: If the disk refuses.
+    """
+    of_root: dict[Path, dict[str, tuple[SceneJudgement, ...]]] = {}
+    of_jobs = [
+        job.judgements if job.tracks is None else _kept_judgements(plan, key) or ()
+        for job, key in zip(jobs, keys, strict=True)
+    ]
+    for job, judged in zip(jobs, of_jobs, strict=True):
+        if judged:
+            root = plan.data_root(job.variant if plan.layout == "per-variant" else 0)
+            of_root.setdefault(root, {})[job.written_as] = judged
+    for root, scenes in of_root.items():
+        folder = root / plan.version
+        if _kept_file(folder) != scenes:
+            write_bytes(folder / JUDGEMENTS_FILE, judgements_text(scenes).encode())
+    return of_jobs
+
+
+def publish_realism(plan: DataSetPlan, source: DataSet) -> None:
+    """Compare the adversaries of a finished data set with its recordings, once, and say so beside their judgements.
+
+    Args:
+        plan: The data set, finished.
+        source: The recordings.
+
+    Raises:
+        InputError: If it cannot be read or written.
+    """
+    data = open_data(plan.root, version=plan.version)
+    judged = stored_judgements(data.root, data.version)
+    if not judged or stored_realism(data.root, data.version) is not None:
+        return
+    realism = split_realism(data, judged, source)
+    for folder in (plan.root / name for name in variant_folders(plan.root) or [""]):
+        scenes = read_judgements(folder / plan.version)
+        write_bytes(folder / plan.version / JUDGEMENTS_FILE, judgements_text(scenes, realism).encode())
+
+
+def _kept_file(folder: Path) -> dict[str, tuple[SceneJudgement, ...]] | None:
+    """What was published before; nothing if it is damaged, so that it is written again."""
+    try:
+        found = read_judgements_file(folder)
+    except InputError:
+        return None
+    return None if found is None else found.scenes
+
+
+def _judge(plan: DataSetPlan, key: str, scene: Scene, tracks: TracksAtHand) -> None:
+    """Judge a scene where it is written, once."""
+    if _kept_judgements(plan, key) is None:
+        judged = [each.model_dump(mode="json") for each in judge_scene(scene, tracks)]
+        write_json(_judgements_path(plan, key), {"definition": DEFINITION, "judgements": judged}, indent=None)
+
+
+def _kept_judgements(plan: DataSetPlan, key: str) -> tuple[SceneJudgement, ...] | None:
+    kept = read_kept_json(_judgements_path(plan, key))
+    if not isinstance(kept, dict) or kept.get("definition") != DEFINITION:
+        return None
+    try:
+        return tuple(SceneJudgement.model_validate(each) for each in kept["judgements"])
+    except (KeyError, TypeError, ValidationError):
+        # A damaged file is unfinished work: it is made again.
+        return None
+
+
+def _judgements_path(plan: DataSetPlan, key: str) -> Path:
+    return plan.state / "judgements" / f"{key}.json"
+
+
+def _rounds(plan: DataSetPlan, job: WritingJob, key: str) -> bytes | None:
+    """The rounds of a scene's last adversary under the names of the data set, if they were kept."""
+    if job.last_attempt is None:
+        return None
+    attempt, place = job.last_attempt
+    path, fragment = plan.state / "rounds" / f"{attempt}.json", read_state(plan.fragment_path(key))
+    if fragment is None or not path.is_file():
+        return None
+    try:
+        trace = RefinementTrace.model_validate(read_json(path))
+    except ValidationError as error:
+        raise InputError(f"{path} is damaged; delete it and run the same challenger-bench generate again") from error
+    named = trace.model_copy(update={"scene": job.name_read(plan), "agent": fragment["adversaries"][place]})
+    return (canonical_json(named.model_dump(mode="json", by_alias=True)) + "\n").encode()
+
+
+def _leave_other_layout(plan: DataSetPlan) -> None:
+    """Take away what an earlier build wrote in the other layout: whoever opens the folder would read that one."""
+    if not plan.state.is_dir():
+        return
+    suffixed = plan.layout == "suffixed"
+    roots = [plan.root / name for name in variant_folders(plan.root)] if suffixed else [plan.root]
+    tables = [root / plan.version / f"{table}.json" for root in roots for table in (*NUSCENES_TABLES, "splits")]
+    left = [table for table in tables if table.exists()]
+    if not left:
+        return
+    other = replace(plan, layout="per-variant" if suffixed else "suffixed")
+    claims = filter(None, map(read_state, sorted((plan.state / "claims").glob("*.json"))))
+    sensor_files = [other.data_root(claim["variant"]) / path for claim in claims for path in claim["files"]]
+    # The tables go last: a killed command finds by them that there is something to take away.
+    marks = (root / plan.version / name for root in roots for name in (PROVENANCE, JUDGEMENTS_FILE))
+    for path in (*marks, *sensor_files, *left):
+        with writing_to(path):
+            path.unlink(missing_ok=True)
+
+
+def unfinish(root: Path) -> None:
+    """Take the mark of a finished data set away, so that nobody reads it beside reports of another build.
+
+    Rounds and judgements go with it: they belong to the search that the reports are about.
+    """
+    for path in (*_marks(root), *(root / KEPT_ROUNDS_FOLDER).glob("*")):
+        with writing_to(path):
+            # Another shard may take it away at the same moment.
+            path.unlink(missing_ok=True)
+
+
+def withdraw(root: Path) -> None:
+    """Take away the tables of an earlier build, so that nobody takes them for the result of one that found nothing.
+
+    Pictures and the writer's notes stay: the next build that succeeds uses or removes them.
+
+    Args:
+        root: Root of the build.
+
+    Raises:
+        InputError: If they cannot be removed.
+    """
+    if not (root / STATE_FOLDER).is_dir():
+        return
+    unfinish(root)
+    for table in (*NUSCENES_TABLES, "splits"):
+        for path in (*root.glob(f"*/{table}.json"), *root.glob(f"v*/*/{table}.json")):
+            with writing_to(path):
+                path.unlink()
+
+
+def _marks(root: Path) -> list[Path]:
+    names = (PROVENANCE, JUDGEMENTS_FILE)
+    return [path for name in names for path in (*root.glob(f"*/{name}"), *root.glob(f"v*/*/{name}"))]

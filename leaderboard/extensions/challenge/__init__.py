@@ -1,0 +1,1 @@
+"""Tables of challenges on adversarial scenes."""

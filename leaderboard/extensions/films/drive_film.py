@@ -1,0 +1,264 @@
+"""Films of drives, frame by frame: what the planner saw, the driven world from above, how fast it went."""
+
+from collections.abc import Iterator
+from typing import Final
+
+import cv2
+import numpy as np
+
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.records.considered import Did
+from benchmark.records.drives import DriveRecord
+from benchmark.report.birdseye import SceneFromAbove
+from benchmark.report.canvas import SHIFT
+from benchmark.report.captions import LegendEntry, draw_entry, draw_swatch
+from benchmark.report.cells import MINIATURE_WORDS
+from benchmark.report.driven import DrivenSheet
+from benchmark.report.lettering import Picture, drawable, fitted, text_width, write_text
+from benchmark.report.overlays import Overlay
+from benchmark.report.palette import (
+    ADVERSARY,
+    BEST,
+    CONTACT,
+    EGO,
+    FAINT_INK,
+    INK,
+    ON_LIGHT,
+    PANEL,
+    PATH,
+    RULE,
+    TITLE,
+    TITLE_FAINT,
+    TITLE_INK,
+    mixed,
+    planner_style,
+)
+from leaderboard.extensions.films.cameras import CameraPictures
+from leaderboard.extensions.films.film import (
+    CAMERAS_PX,
+    HEIGHT_PX,
+    TITLE_PX,
+    WIDTH_PX,
+    FilmLayout,
+    FilmSettings,
+    composed,
+    film_frames,
+    from_above,
+)
+from leaderboard.tables.rows import marked
+
+HELD_S: Final = 1.5
+"""The last frame of a drive that did not reach the scene's end is shown so much longer."""
+DRIVE_FPS: Final = 10.0
+"""A drive has an instant each tenth of a second."""
+DID: Final[dict[Did, str]] = {
+    "track": "drives the scene's own track",
+    "searched": "drives what its search found",
+    "slowed": "nothing it found is allowed; brakes or goes on",
+}
+_EDGE_PX: Final = 14
+_CHART_PX: Final = 240
+_LEAST_TOP_M_S: Final = 5.0
+
+
+class DriveFilm:
+    """One drive's film."""
+
+    def __init__(self, driven: DrivenSheet, record: DriveRecord, name: str, settings: FilmSettings) -> None:
+        """Find what is to be shown.
+
+        Args:
+            driven: The drive.
+            record: The record that it is of.
+            name: The planner, as tables name it.
+            settings: How the film is made.
+
+        Raises:
+            InputError: If there are no pictures for the layout, or the drive ends before the film begins.
+        """
+        self.driven, self.record, self.name, self.settings = driven, record, name, settings
+        self.layout = _possible_layout(driven, settings.layout)
+        self._sheet, self._style = driven.stored.sheet, planner_style(0)
+        self._above = SceneFromAbove(self._sheet)
+        self._cameras = CameraPictures(driven.stored, *CAMERAS_PX[self.layout]) if self.layout in CAMERAS_PX else None
+        last = driven.last
+        frames = tuple(frame for frame in film_frames(self._sheet.scene, self._above, settings) if frame <= last)
+        if not frames:
+            raise InputError(
+                f"the drive of {self._sheet.scene} ends after {driven.seconds[last]:.1f} s, a film from "
+                f"{settings.begin_s} s on has no frames; choose an earlier --from"
+            )
+        whole = settings.end_s is None or settings.end_s >= driven.seconds[last]
+        held = round(HELD_S * settings.fps) if driven.row.end != "end" and whole else 0
+        self.frames: tuple[int, ...] = (*frames, *((last,) * held))
+
+    def __len__(self) -> int:
+        """How many frames it has."""
+        return len(self.frames)
+
+    def __iter__(self) -> Iterator[Picture]:
+        """Its frames, (height, width, 3) RGB."""
+        drawn: tuple[int, Picture] | None = None
+        size = (self.settings.width_px, self.settings.height_px)
+        for frame in self.frames:
+            if drawn is None or drawn[0] != frame:
+                whole = self._frame(frame)
+                same = size == (WIDTH_PX, HEIGHT_PX)
+                small = whole if same else cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
+                drawn = frame, np.asarray(small, np.uint8)
+            yield drawn[1]
+
+    def _frame(self, frame: int) -> Picture:
+        plan = self.driven.plan_at(frame, self.name, self._style)
+        overlays: list[Overlay] = [self.driven.path(), *([] if plan is None else [plan])]
+        considered = self.driven.candidates_at(frame) if self.settings.candidates else None
+        overlays += [] if considered is None else [considered]
+        return composed(
+            self.layout,
+            None if self._cameras is None else self._cameras.at(frame),
+            lambda image: self._draw_title(image, frame),
+            lambda width_px, height_px: from_above(self._above, frame, overlays, self.settings, width_px, height_px),
+            lambda image: self._draw_panel(image, frame),
+        )
+
+    def _draw_title(self, image: Picture, frame: int) -> None:
+        cv2.rectangle(image, (0, 0), (image.shape[1], image.shape[0]), TITLE, -1)
+        name, x, y = drawable(self._sheet.scene), 14.0, TITLE_PX / 2
+        write_text(image, name, (x, y), size_px=18, colour=TITLE_INK, bold=True)
+        x += text_width(name, size_px=18, bold=True) + 16
+        measured, run = self.record.facts.measured, self.driven.row.run
+        family = self.driven.row.family
+        numbered = f"{f', {family}' if family else ''}{f', run {run}' if self.record.facts.runs > 1 else ''}"
+        what = f"{drawable(measured.world)}, sensor {drawable(measured.sensor)}{numbered}"
+        where = f"closed loop: {what}; {drawable(self._sheet.data.name)} {drawable(self._sheet.split)}"
+        where = fitted(where, image.shape[1] - round(x) - 90, size_px=14)
+        write_text(image, where, (x, y), size_px=14, colour=TITLE_FAINT)
+        now = f"{self.driven.seconds[frame]:.1f} s"
+        write_text(image, now, (image.shape[1] - 14.0, y), size_px=18, colour=TITLE_INK, bold=True, anchor="right")
+
+    def _draw_panel(self, image: Picture, frame: int) -> None:
+        """Legend, who drives and what came of it so far, speed over time."""
+        miniature = self.record.facts.planner.miniature
+        top, right = self._draw_legend(image), float(image.shape[1] - _EDGE_PX)
+        draw_swatch(image, self._style, (_EDGE_PX, top + 12.0))
+        privileged = self.record.facts.planner.privileged
+        name = marked(drawable(self.name), privileged=privileged, miniature=miniature)
+        words, alarm = self._state(frame)
+        room = image.shape[1] - 70 - text_width(words, size_px=13, bold=alarm)
+        write_text(
+            image, fitted(name, room, size_px=14, bold=True), (_EDGE_PX + 40.0, top + 12.0), size_px=14, bold=True
+        )
+        colour = CONTACT if alarm else INK
+        write_text(image, words, (right, top + 12.0), size_px=13, bold=alarm, colour=colour, anchor="right")
+        outcome = self._outcome(frame)
+        lines = [(line, CONTACT) for line in outcome] or [(line, ADVERSARY) for line in self._pursuit(frame)]
+        for number, (line, shade) in enumerate(lines):
+            said = fitted(line, image.shape[1] - 2 * _EDGE_PX, size_px=13)
+            write_text(image, said, (_EDGE_PX, top + 34.0 + 18 * number), size_px=13, colour=shade)
+        foot = image.shape[0] - 12 - (16 if miniature else 0)
+        if miniature:
+            write_text(image, MINIATURE_WORDS, (_EDGE_PX, foot + 14.0), size_px=12, colour=FAINT_INK)
+        self._draw_speed(image, frame, max(top + 74, foot - _CHART_PX), foot)
+
+    def _draw_legend(self, image: Picture) -> int:
+        adversaries = any(agent.adversary for agent in self._sheet.agents)
+        entries = [
+            LegendEntry("box", EGO, "driven ego"),
+            *([LegendEntry("box", ADVERSARY, "adversary")] if adversaries else []),
+            LegendEntry("box", ON_LIGHT.vehicle, "others"),
+            LegendEntry("way", EGO, "what happened, 3 s"),
+            LegendEntry("path", PATH, "recorded path"),
+            *([LegendEntry("candidates", BEST, "considered")] if self._shows_considered else []),
+        ]
+        entries = entries if self.layout is not FilmLayout.CAMERAS else entries[1:2] if adversaries else []
+        x, y = float(_EDGE_PX), 18.0
+        for entry in entries:
+            if x > _EDGE_PX and x + 26 + text_width(entry.words, size_px=12) > image.shape[1] - _EDGE_PX:
+                x, y = float(_EDGE_PX), y + 20.0
+            x += draw_entry(image, entry, (x, y)) + 18
+        return round(y) + 16
+
+    def _state(self, frame: int) -> tuple[str, bool]:
+        """What the ego does now, and whether it is in a contact."""
+        contact = self.driven.contact
+        if contact is not None and self.driven.seconds[frame] >= contact.seconds - 1e-6:
+            return "contact", True
+        if frame < self.driven.begins:
+            return "not driving yet: the recorded ego", False
+        aside = np.hypot(*(self._at(frame) - self.driven.recorded).T).min()
+        return f"{aside:.1f} m beside the recorded path", False
+
+    def _at(self, frame: int) -> Floats:
+        ego = self._sheet.ego
+        ahead = ego.centre_ahead_m * np.array([np.cos(ego.yaw_rad[frame]), np.sin(ego.yaw_rad[frame])])
+        return np.asarray(np.array([ego.x_m[frame], ego.y_m[frame]]) + ahead)
+
+    @property
+    def _shows_considered(self) -> bool:
+        return self.settings.candidates and bool(self.driven.considered)
+
+    def _pursuit(self, frame: int) -> list[str]:
+        """What the adversary does now, where what it considered is shown."""
+        now = self.driven.considered_at(frame) if self._shows_considered else None
+        return [] if now is None else [f"adversary: {DID[now.did]}"]
+
+    def _outcome(self, frame: int) -> list[str]:
+        """Who touched the ego so far, and how it ended, once it has."""
+        row, driven = self.driven.row, self.driven
+        over = frame >= driven.last
+        since = driven.seconds[frame] - driven.seconds[driven.begins]
+        passed = [each for each in row.passed if since >= each.seconds]
+        lines = [f"touched by {drawable(each.category)}, not at fault: it is gone" for each in passed[-1:]]
+        if row.contact is not None and self._state(frame)[1]:
+            whom = f"{row.contact.category}{', the adversary' if row.contact.adversary else ''}"
+            blame = "at fault" if row.contact.at_fault else "not at fault"
+            return [
+                f"contact with {drawable(whom)} ({blame})",
+                f"impact {row.contact.impact_speed:.1f} m/s, delta-v {row.contact.delta_v_ego:.1f} m/s",
+            ]
+        if row.failure is not None and over:
+            return [f"the planner failed ({row.failure.reason}): nothing is scored"]
+        return lines
+
+    def _draw_speed(self, image: Picture, frame: int, top: int, bottom: int) -> None:
+        """Speed driven so far, over that of the recording."""
+        driven = self.driven
+        write_text(image, f"speed: {driven.speed[frame]:.1f} m/s", (_EDGE_PX, top + 8.0), size_px=12)
+        beside = _EDGE_PX + text_width("speed: 00.0 m/s", size_px=12) + 12
+        write_text(image, "(pale: recorded)", (beside, top + 8.0), size_px=12, colour=FAINT_INK)
+        high, low, right = top + 24, bottom - 8, image.shape[1] - 70
+        most = max(_LEAST_TOP_M_S, float(driven.speed.max()), float(driven.recorded_speed.max()))
+        end = max(float(driven.recorded_seconds[-1]), float(driven.seconds[-1]), 1e-3)
+
+        def line(seconds: Floats, speed: Floats) -> Floats:
+            x = _EDGE_PX + seconds / end * (right - _EDGE_PX)
+            return np.column_stack([x, low - np.clip(speed / most, 0.0, 1.0) * (low - high)])
+
+        for share in (0.0, 0.5, 1.0):
+            y = round(low - share * (low - high))
+            cv2.line(image, (_EDGE_PX, y), (right, y), RULE, 1)
+            write_text(image, f"{share * most:.0f} m/s", (right + 6.0, y), size_px=11, colour=FAINT_INK)
+        past = slice(0, frame + 1)
+        ways = (
+            (line(driven.recorded_seconds, driven.recorded_speed), mixed(EGO, PANEL, 0.65)),
+            (line(driven.seconds[past], driven.speed[past]), EGO),
+        )
+        for way, colour in ways:
+            fixed = np.round(way * (1 << SHIFT)).astype(np.int32)
+            cv2.polylines(image, [fixed], False, colour, 2, cv2.LINE_AA, SHIFT)
+        x, y_now = ways[1][0][-1]
+        alarm = self._state(frame)[1]
+        cv2.line(image, (round(x), high - 4), (round(x), low + 4), CONTACT if alarm else INK, 2 if alarm else 1)
+        cv2.circle(image, (round(x), round(y_now)), 4, CONTACT if alarm else EGO, -1, cv2.LINE_AA)
+
+
+def _possible_layout(driven: DrivenSheet, layout: FilmLayout) -> FilmLayout:
+    if driven.stored.sheet.pictures:
+        return layout
+    if layout is FilmLayout.CAMERAS:
+        raise InputError(
+            f"nothing drew pictures for the drive of {driven.row.scene}; film it with --layout birdseye, or drive with "
+            "--sensor schematic"
+        )
+    return FilmLayout.BIRDSEYE

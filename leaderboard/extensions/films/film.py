@@ -1,0 +1,262 @@
+"""Films of scenes, frame by frame: cameras, view from above, and each planner's samples so far."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+import cv2
+import numpy as np
+
+from benchmark.constants import FRAME_HZ
+from benchmark.errors import InputError
+from benchmark.records.run import RunRecord
+from benchmark.records.scenes import StoredSheet
+from benchmark.report.birdseye import SceneFromAbove
+from benchmark.report.captions import draw_scale_bar
+from benchmark.report.lettering import Picture, drawable, text_width, write_text
+from benchmark.report.overlays import EXACT, Overlay, candidates_overlay
+from benchmark.report.palette import PANEL, TITLE, TITLE_FAINT, TITLE_INK
+from leaderboard.extensions.films.cameras import CameraPictures
+from leaderboard.extensions.films.panel import MOST_PLANNERS, Panel
+from leaderboard.extensions.films.tracks import PlannerTrack, planner_tracks
+
+WIDTH_PX, HEIGHT_PX = 1280, 720
+TITLE_PX: Final = 44
+_EXTENT_M: Final = 24.0
+EGO_DOWN: Final = 0.62
+"""The road ahead matters more than the road behind."""
+_LATE_S: Final = 1e-6
+
+
+class FilmLayout(StrEnum):
+    """What a frame shows beside the planners' samples."""
+
+    BOTH = "both"
+    CAMERAS = "cameras"
+    BIRDSEYE = "birdseye"
+
+
+@dataclass(frozen=True, slots=True)
+class FilmSettings:
+    """How a film is made.
+
+    Attributes:
+        layout: What a frame shows.
+        protocol: Who judges; ``native`` is each planner's own.
+        begin_s: First moment, seconds after the scene's first frame.
+        end_s: Last moment; the scene's last frame by default.
+        fps: Frames a second; the film runs as fast as the scene did.
+        width_px: Width of the frames.
+        extent_m: Half the width of what is seen from above.
+        heading_up: Whether the ego's heading points up; else north does.
+        candidates: Whether to draw what the search chose from, where it was traced.
+
+    Raises:
+        InputError: If a number is out of its range.
+    """
+
+    layout: FilmLayout = FilmLayout.BOTH
+    protocol: str = EXACT
+    begin_s: float = 0.0
+    end_s: float | None = None
+    fps: float = float(FRAME_HZ)
+    width_px: int = WIDTH_PX
+    extent_m: float = _EXTENT_M
+    heading_up: bool = True
+    candidates: bool = True
+
+    def __post_init__(self) -> None:
+        if not 0.5 <= self.fps <= 60.0:
+            raise InputError(f"--fps must be 0.5 to 60 frames a second, got {self.fps}")
+        if self.width_px % 32 or not 320 <= self.width_px <= WIDTH_PX:
+            raise InputError(f"--width must be a multiple of 32 from 320 to {WIDTH_PX} pixels, got {self.width_px}")
+        if not 5.0 <= self.extent_m <= 200.0:
+            raise InputError(f"--extent must be 5 to 200 metres, got {self.extent_m}")
+        end = np.inf if self.end_s is None else self.end_s
+        if not 0.0 <= self.begin_s <= end:
+            raise InputError(f"--from must be 0 or more and not after --until, got {self.begin_s} and {self.end_s} s")
+
+    @property
+    def height_px(self) -> int:
+        """Height of the frames."""
+        return self.width_px * HEIGHT_PX // WIDTH_PX
+
+
+def composed(
+    layout: FilmLayout,
+    cameras: Picture | None,
+    title: Callable[[Picture], None],
+    above: Callable[[int, int], Picture],
+    panel: Callable[[Picture], None],
+) -> Picture:
+    """One frame: a title, cameras and below them a panel on the left, the view from above on the right.
+
+    Args:
+        layout: What is shown.
+        cameras: Pictures of the cameras; ``None`` where the layout has none.
+        title: Draws into the title's part.
+        above: Gives the view from above at a width and a height, pixels.
+        panel: Draws into what is left.
+
+    Returns:
+        (height, width, 3) RGB.
+    """
+    image: Picture = np.empty((HEIGHT_PX, WIDTH_PX, 3), np.uint8)
+    cv2.rectangle(image, (0, 0), (WIDTH_PX, HEIGHT_PX), PANEL, -1)
+    title(image[:TITLE_PX])
+    body, right, below = image[TITLE_PX:], WIDTH_PX, 0
+    if layout is not FilmLayout.CAMERAS:
+        width_px = ABOVE_PX[layout]
+        body[:, WIDTH_PX - width_px :] = above(width_px, HEIGHT_PX - TITLE_PX)
+        right -= width_px
+    if cameras is not None:
+        below, width_px = cameras.shape[:2]
+        left = (right - width_px) // 2
+        body[:below, left : left + width_px] = cameras
+    panel(body[below:, :right])
+    return image
+
+
+def from_above(
+    above: SceneFromAbove,
+    frame: int,
+    overlays: Sequence[Overlay],
+    settings: FilmSettings,
+    width_px: int,
+    height_px: int,
+) -> Picture:
+    """The view from above of a frame, with its scale."""
+    image, view = above.draw(
+        frame,
+        overlays,
+        width_px=width_px,
+        height_px=height_px,
+        extent_m=settings.extent_m,
+        heading_up=settings.heading_up,
+        middle=EGO_DOWN if settings.heading_up else 0.5,
+    )
+    draw_scale_bar(image, view)
+    return image
+
+
+class Film:
+    """One scene's film."""
+
+    def __init__(
+        self, stored: StoredSheet, records: Sequence[RunRecord], models: Sequence[str], settings: FilmSettings
+    ) -> None:
+        """Find what is to be shown.
+
+        Args:
+            stored: The scene.
+            records: Run records that have the planners' plans.
+            models: Planners to show, as tables name them.
+            settings: How the film is made.
+
+        Raises:
+            InputError: If a planner has no plans for the scene, there are too many, the scene has no pictures for the
+                layout, or ends before the film begins.
+        """
+        if len(set(models)) > MOST_PLANNERS:
+            raise InputError(
+                f"a film shows {MOST_PLANNERS} planners at most and {len(set(models))} were named; name fewer"
+            )
+        self.stored, self.settings = stored, settings
+        self._above = SceneFromAbove(stored.sheet)
+        self.tracks: tuple[PlannerTrack, ...] = planner_tracks(stored.sheet, records, models, settings.protocol)
+        self.layout = _possible_layout(stored, settings.layout)
+        self.frames: tuple[int, ...] = film_frames(stored.sheet.scene, self._above, settings)
+        self._panel = Panel(stored.sheet, self.tracks, from_above=self.layout is not FilmLayout.CAMERAS)
+        self._cameras = CameraPictures(stored, *CAMERAS_PX[self.layout]) if self.layout in CAMERAS_PX else None
+
+    def __len__(self) -> int:
+        """How many frames it has."""
+        return len(self.frames)
+
+    def __iter__(self) -> Iterator[Picture]:
+        """Its frames, (height, width, 3) RGB."""
+        for frame in self.frames:
+            whole = self._frame(frame)
+            size = (self.settings.width_px, self.settings.height_px)
+            small = whole if size == (WIDTH_PX, HEIGHT_PX) else cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
+            yield np.asarray(small, np.uint8)
+
+    def _frame(self, frame: int) -> Picture:
+        overlays = self._overlays(frame)
+
+        def panel(image: Picture) -> None:
+            height_px, width_px = image.shape[:2]
+            image[:] = self._panel.draw(width_px, height_px, overlays, frame)
+
+        return composed(
+            self.layout,
+            None if self._cameras is None else self._cameras.at(frame),
+            lambda image: self._draw_title(image, frame),
+            lambda width_px, height_px: from_above(self._above, frame, overlays, self.settings, width_px, height_px),
+            panel,
+        )
+
+    def _overlays(self, frame: int) -> list[Overlay]:
+        overlays: list[Overlay] = [plan for track in self.tracks if (plan := track.at(frame)) is not None]
+        if self.settings.candidates and self.stored.rounds is not None:
+            candidates = candidates_overlay(self.stored.sheet, self.stored.rounds, frame)
+            overlays.extend([] if candidates is None else [candidates])
+        return overlays
+
+    def _draw_title(self, image: Picture, frame: int) -> None:
+        sheet = self.stored.sheet
+        cv2.rectangle(image, (0, 0), (image.shape[1], image.shape[0]), TITLE, -1)
+        name, x, y = drawable(sheet.scene), 14.0, TITLE_PX / 2
+        write_text(image, name, (x, y), size_px=18, colour=TITLE_INK, bold=True)
+        x += text_width(name, size_px=18, bold=True) + 16
+        if sheet.manoeuvre is not None:
+            what = drawable(sheet.manoeuvre)
+            write_text(image, what, (x, y), size_px=17, colour=TITLE_INK)
+            x += text_width(what, size_px=17) + 16
+        where = f"{drawable(sheet.data.name)} {drawable(sheet.split)}"
+        write_text(image, where, (x, y), size_px=14, colour=TITLE_FAINT)
+        now = f"{self._above.seconds[frame]:.1f} s"
+        write_text(image, now, (image.shape[1] - 14.0, y), size_px=18, colour=TITLE_INK, bold=True, anchor="right")
+
+
+def _possible_layout(stored: StoredSheet, layout: FilmLayout) -> FilmLayout:
+    if stored.sheet.pictures and stored.sheet.cameras:
+        return layout
+    if layout is FilmLayout.CAMERAS:
+        raise InputError(
+            f"the sheet of {stored.sheet.scene} has no pictures of cameras; film it with --layout birdseye, or write "
+            "its sheet from a data set that has images"
+        )
+    return FilmLayout.BIRDSEYE
+
+
+def film_frames(scene: str, above: SceneFromAbove, settings: FilmSettings) -> tuple[int, ...]:
+    """The frame that is shown at each moment of a film: the last one that has been.
+
+    Args:
+        scene: Its name.
+        above: The scene.
+        settings: How the film is made.
+
+    Returns:
+        Frame indices.
+
+    Raises:
+        InputError: If the scene ends before the film begins.
+    """
+    seconds = above.seconds
+    end = float(seconds[-1]) if settings.end_s is None else min(settings.end_s, float(seconds[-1]))
+    if settings.begin_s > seconds[-1]:
+        raise InputError(
+            f"{scene} lasts {seconds[-1]:.1f} s, a film from {settings.begin_s} s on has no frames; "
+            "choose an earlier --from"
+        )
+    count = int((end - settings.begin_s) * settings.fps + _LATE_S) + 1
+    # A frame that is late by less than half its length is the one that is meant: recorders are not that exact.
+    moments = settings.begin_s + np.arange(count) / settings.fps + 0.5 / FRAME_HZ
+    return tuple(int(each) for each in np.clip(np.searchsorted(seconds, moments) - 1, 0, len(seconds) - 1))
+
+
+ABOVE_PX: Final = {FilmLayout.BOTH: 500, FilmLayout.BIRDSEYE: 820}
+CAMERAS_PX: Final = {FilmLayout.BOTH: (780, 320), FilmLayout.CAMERAS: (1280, 488)}

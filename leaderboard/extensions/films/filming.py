@@ -1,0 +1,237 @@
+"""Films of scenes on disk: from the sheets and run records of a workspace to files."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import Final
+
+from benchmark.errors import InputError
+from benchmark.machine.storage import file_name, write_bytes
+from benchmark.records.drives import DriveRecord
+from benchmark.records.run import RunRecord, find_records
+from benchmark.records.scenes import SCENES_FOLDER, SHEET_FILE, SPLIT_FILE, read_sheet, scene_folder, split_folder
+from benchmark.report.canvas import png
+from benchmark.report.driven import DrivenSheet
+from benchmark.report.lettering import Picture
+from benchmark.report.words import split_of
+from leaderboard.extensions.films.drive_film import DriveFilm
+from leaderboard.extensions.films.encoding import COMPACT, FINE, animated_webp, require_webm, webm
+from leaderboard.extensions.films.film import Film, FilmSettings
+
+LONGEST_WEBP: Final = 400
+"""Frames of an animated WebP, which is made in memory."""
+Watch = Callable[[Iterable[Picture], int, str], Iterable[Picture]]
+"""Passes frames on and shows how far the work is: frames, how many, what is done."""
+
+
+class FilmFormat(StrEnum):
+    """What is written."""
+
+    WEBM = "webm"
+    PNG = "png"
+    WEBP = "webp"
+
+
+def data_set_name(data: str) -> str:
+    """The name under which sheets and records know what ``--data`` names: that of its folder."""
+    return Path(data).resolve().name
+
+
+def planner_folder(root: Path, data: str, split: str) -> Path:
+    """Folder of the run records of a split, below the folder of all run records."""
+    return root / file_name(data_set_name(data)) / file_name(split)
+
+
+def sheet_folders(root: Path, data: str, split: str, scenes: Sequence[str] | None) -> list[Path]:
+    """Folders of the sheets of some scenes.
+
+    Args:
+        root: Folder of all sheets.
+        data: Name or root of the data set.
+        split: Its split.
+        scenes: Scene names; all that have a sheet by default.
+
+    Returns:
+        Folders, by scene.
+
+    Raises:
+        InputError: If a scene has no sheet.
+    """
+    data_name = data_set_name(data)
+    make = f"make it with: challenger-bench sheets --data {data} --split {split} --out {root.parent}"
+    if scenes is None:
+        found = sorted(split_folder(root, data_name, split).glob(f"{SCENES_FOLDER}/*/{SHEET_FILE}"))
+        if not found:
+            raise InputError(f"{split_of(split, data_name)} has no scene sheet below {root}; {_others(root)}{make}")
+        return [path.parent for path in found]
+    folders = [scene_folder(root, data_name, split, scene) for scene in scenes]
+    for scene, folder in zip(scenes, folders):
+        if not (folder / SHEET_FILE).is_file():
+            raise InputError(f"scene {scene} of {split_of(split, data_name)} has no sheet at {folder}; {make}")
+    return folders
+
+
+def _others(root: Path) -> str:
+    """What there are sheets of instead."""
+    found = sorted(f"{path.parent.name} of {path.parent.parent.name}" for path in root.glob(f"*/*/{SPLIT_FILE}"))
+    return f"there are those of split {', '.join(found)}; name one with --data and --split, or " if found else ""
+
+
+def write_films(
+    sheets: Path,
+    runs: Path | Sequence[Path],
+    data: str,
+    split: str,
+    to: Path,
+    models: Sequence[str] = (),
+    *,
+    scenes: Sequence[str] | None = None,
+    limit: int | None = None,
+    form: FilmFormat = FilmFormat.WEBM,
+    settings: FilmSettings | None = None,
+    watch: Watch = lambda frames, _total, _label: frames,
+) -> Iterator[Path]:
+    """Film scenes one after the other.
+
+    Args:
+        sheets: Folder of all sheets.
+        runs: Folder of all run records, or the folders of those that have the planners' plans.
+        data: Name or root of the data set.
+        split: Its split.
+        to: Folder to write to.
+        models: Planners to show, as tables name them.
+        scenes: Scene names; all that have a sheet by default.
+        limit: Only the first so many of them.
+        form: What is written.
+        settings: How films are made.
+        watch: Shows how far the work is.
+
+    Yields:
+        What was written of each scene (`write_film`).
+
+    Raises:
+        InputError: If a scene has no sheet, there are no records, or as `write_film` does.
+    """
+    folders = sheet_folders(sheets, data, split, scenes)[:limit]
+    places = [planner_folder(runs, data, split)] if isinstance(runs, Path) else runs
+    records = find_records(*places) if models else []
+    for folder in folders:
+        yield write_film(folder, records, models, to, form, settings or FilmSettings(), watch=watch)
+
+
+def write_film(
+    folder: Path,
+    records: Sequence[RunRecord],
+    models: Sequence[str],
+    to: Path,
+    form: FilmFormat,
+    settings: FilmSettings,
+    *,
+    watch: Watch = lambda frames, _total, _label: frames,
+) -> Path:
+    """Write one scene's film.
+
+    Args:
+        folder: Of the scene's sheet.
+        records: Run records that have the planners' plans.
+        models: Planners to show, as tables name them.
+        to: Folder to write to.
+        form: What is written: ``<scene>.webm``, ``<scene>.webp``, or a folder ``<scene>`` of PNG files that are
+            numbered from 0.
+        settings: How the film is made.
+        watch: Shows how far the work is.
+
+    Returns:
+        What was written.
+
+    Raises:
+        InputError: If something that the film shows is missing or damaged, the film is too long for its format, WebM
+            cannot be written here, or the folder of PNG files has other frames.
+    """
+    if form is FilmFormat.WEBM:
+        require_webm()
+    film = Film(read_sheet(folder), records, models, settings)
+    scene = film.stored.sheet.scene
+    return write_frames(film, to / file_name(scene), form, settings.fps, watch=watch, label=f"filming {scene}")
+
+
+def write_drive_film(
+    driven: DrivenSheet,
+    record: DriveRecord,
+    name: str,
+    to: Path,
+    form: FilmFormat,
+    settings: FilmSettings,
+    *,
+    watch: Watch = lambda frames, _total, _label: frames,
+) -> Path:
+    """Write one drive's film.
+
+    Args:
+        driven: The drive.
+        record: The record that it is of.
+        name: The planner, as tables name it.
+        to: Folder to write to.
+        form: What is written.
+        settings: How the film is made.
+        watch: Shows how far the work is.
+
+    Returns:
+        What was written: ``<scene>-<planner>-<engine>-<agents>-<sensor>``, then the latency and the run where there
+        are any, as `write_film` names it.
+
+    Raises:
+        InputError: As of `write_film`, or if there are no pictures for the layout.
+    """
+    film, facts = DriveFilm(driven, record, name, settings), record.facts
+    parts = [driven.row.scene, name, facts.measured.engine, facts.measured.agents, facts.measured.sensor]
+    parts += [f"{facts.measured.latency_ms}ms"] if facts.measured.latency_ms else []
+    parts += ["until-fault"] if facts.measured.until == "fault" else []
+    parts += [driven.row.family] if driven.row.family else []
+    parts += [f"run{driven.row.run}"] if facts.runs > 1 else []
+    target, label = to / file_name("-".join(parts)), f"filming {name} in {driven.row.scene}"
+    return write_frames(film, target, form, settings.fps, watch=watch, label=label)
+
+
+def write_frames(
+    film: Film | DriveFilm, target: Path, form: FilmFormat, fps: float, *, watch: Watch, label: str
+) -> Path:
+    """Write the frames of a film.
+
+    Args:
+        film: The film.
+        target: Where to, without a suffix.
+        form: What is written.
+        fps: Frames a second.
+        watch: Shows how far the work is.
+        label: What is said of it.
+
+    Returns:
+        What was written.
+
+    Raises:
+        InputError: If the film is too long for its format, or a folder of PNG files has other frames.
+    """
+    frames = watch(film, len(film), label)
+    if form is FilmFormat.PNG:
+        return _write_frames(target, frames, len(film))
+    if form is FilmFormat.WEBP and len(film) > LONGEST_WEBP:
+        raise InputError(
+            f"an animated WebP has {LONGEST_WEBP} frames at most, this one would have {len(film)}; choose a part with "
+            "--from and --until, a smaller --fps, or --format webm"
+        )
+    path = target.with_name(f"{target.name}.{form.value}")
+    quality = COMPACT if isinstance(film, DriveFilm) else FINE
+    data = webm(frames, fps, quality) if form is FilmFormat.WEBM else animated_webp(frames, fps)
+    write_bytes(path, data)
+    return path
+
+
+def _write_frames(target: Path, frames: Iterable[Picture], count: int) -> Path:
+    names = [f"{number:06d}.png" for number in range(count)]
+    others = sorted({path.name for path in target.glob("*.png")} - set(names)) if target.is_dir() else []
+    if others:
+        raise InputError(f"{target} has other frames ({others[0]}); delete them or choose another folder with --to")
+    for name, frame in zip(names, frames, strict=True):
+        write_bytes(target / name, png(frame), durable=False)
+    return target

@@ -1,0 +1,150 @@
+"""What each planner planned in one scene, sample by sample, and what was said of it."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.records.planner_versions import labelled
+from benchmark.records.row_schema import SampleRow
+from benchmark.records.run import RunRecord, protocol_of
+from benchmark.records.scenes import Sheet
+from benchmark.report.cells import UNDEFINED
+from benchmark.report.overlays import PlanOverlay, Whom, plan_overlay
+from benchmark.report.palette import PlannerStyle, planner_style
+from benchmark.report.placing import frame_seconds
+from benchmark.report.words import split_of
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """What a planner's counted samples came to.
+
+    Attributes:
+        counted: How many there are.
+        touches: How many collide, by whom they touch first; none is left out.
+    """
+
+    counted: int
+    touches: Mapping[Whom, int]
+
+    def words(self, *, adversaries: bool) -> str:
+        """In few words.
+
+        Args:
+            adversaries: Whether there are adversaries in the scene: contacts with others stand beside then.
+
+        Returns:
+            For example ``3 of 14 hit it, 2 another``, a dash where the record does not say whom.
+        """
+        if not adversaries:
+            return f"{self.touches.get(Whom.ANYBODY, 0)} of {self.counted} collide"
+        if self.touches.get(Whom.UNSAID):
+            return f"{UNDEFINED} of {self.counted} hit it"
+        others = self.touches.get(Whom.OTHER, 0)
+        return f"{self.touches.get(Whom.ADVERSARY, 0)} of {self.counted} hit it, {others} another"
+
+
+@dataclass(frozen=True, slots=True)
+class PlannerTrack:
+    """One planner in one scene.
+
+    Attributes:
+        name: Of the planner.
+        style: How it is drawn.
+        protocol: Who judges it.
+        miniature: Whether it is a small network that ranks nothing.
+        plans: Its plan at each sample that it was asked at, by frame.
+        seconds: (T,) time of each frame.
+    """
+
+    name: str
+    style: PlannerStyle
+    protocol: str
+    miniature: bool
+    plans: Mapping[int, PlanOverlay]
+    seconds: Floats
+
+    def at(self, frame: int) -> PlanOverlay | None:
+        """Its last plan, or ``None`` before the first one."""
+        past = [each for each in self.plans if each <= frame]
+        if not past:
+            return None
+        last = max(past)
+        return replace(self.plans[last], age_s=float(self.seconds[frame] - self.seconds[last]))
+
+    def so_far(self, frame: int) -> Tally:
+        """What the samples up to a frame came to."""
+        counted = [plan.verdict for each, plan in self.plans.items() if each <= frame and plan.verdict.counted]
+        return Tally(len(counted), Counter(verdict.whom for verdict in counted if verdict.collides))
+
+
+def planner_tracks(
+    sheet: Sheet, records: Sequence[RunRecord], models: Sequence[str], protocol: str
+) -> tuple[PlannerTrack, ...]:
+    """Find planners' plans for a scene.
+
+    Args:
+        sheet: The scene.
+        records: Any run records.
+        models: Planners, as tables name them.
+        protocol: Who judges; ``native`` is each planner's own.
+
+    Returns:
+        One track for each planner, in the order in which they are named. Other modes and forecasts are drawn of the
+        first one only: those of several planners cannot be told apart.
+
+    Raises:
+        InputError: If a planner has no record of the scene or several, or the record is of other data than the sheet.
+    """
+    tracks = []
+    for place, name in enumerate(dict.fromkeys(models)):
+        record = _record_of(sheet, records, name)
+        judge = protocol_of(record, protocol)
+        rows = {row.sample_token: row for row in record.rows if row.scene == sheet.scene}
+        style = planner_style(place)
+        plans = {
+            frame: replace(plan_overlay(sheet, frame, rows[token], judge, name, style), details=place == 0)
+            for frame, token in zip(sheet.keyframes, sheet.sample_tokens)
+            if token in rows
+        }
+        _require_same_samples(sheet, record, rows)
+        tracks.append(
+            PlannerTrack(name, style, judge, record.run.planner.miniature, plans, np.asarray(frame_seconds(sheet)))
+        )
+    return tuple(tracks)
+
+
+def _record_of(sheet: Sheet, records: Sequence[RunRecord], name: str) -> RunRecord:
+    here = [each for each in records if (each.run.data.name, each.run.split) == (sheet.data.name, sheet.split)]
+    known = [each for each in labelled(here) if sheet.scene in each.run.scenes]
+    found = [each for each in known if each.planner == name] or [
+        each for each in known if each.run.planner.name == name
+    ]
+    # A run of the whole split goes before runs of some of its scenes.
+    whole = [each for each in found if each.covers_split] or found
+    if not whole:
+        there = f"; there are {', '.join(sorted({each.planner for each in known}))}" if known else ""
+        raise InputError(
+            f"no run record of {name} has scene {sheet.scene} of {split_of(sheet.split, sheet.data.name)}{there}; run "
+            f"challenger-bench eval --split {sheet.split} --model {name} for that data set"
+        )
+    if len(whole) > 1:
+        raise InputError(
+            f"{name} ran {len(whole)} times on {split_of(sheet.split, sheet.data.name)} "
+            f"({', '.join(str(each.directory) for each in whole)}); name one of {', '.join(e.planner for e in whole)} "
+            "with --model, or the folder of one run with --records"
+        )
+    return whole[0]
+
+
+def _require_same_samples(sheet: Sheet, record: RunRecord, rows: Mapping[str, SampleRow]) -> None:
+    same = record.run.data.fingerprint == sheet.data.fingerprint
+    if not same or not set(rows) <= set(sheet.sample_tokens):
+        raise InputError(
+            f"{record.directory} ran on other content than the sheet of {sheet.scene} shows (the data fingerprints or "
+            f"samples differ); run challenger-bench sheets and challenger-bench eval again for split {sheet.split}"
+        )

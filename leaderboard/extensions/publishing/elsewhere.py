@@ -1,0 +1,160 @@
+"""Whether pages work on any static host: what they load is in the folder, and nothing is asked of anybody else."""
+
+import re
+from collections.abc import Iterator, Mapping
+from html.parser import HTMLParser
+from pathlib import PurePosixPath
+from typing import Final
+from urllib.parse import unquote, urlsplit
+
+from leaderboard.extensions.publishing.findings import Found
+
+_LOADS: Final = {
+    "script": ("src",),
+    "img": ("src", "srcset"),
+    "link": ("href",),
+    "iframe": ("src",),
+    "source": ("src", "srcset"),
+    "video": ("src", "poster"),
+    "audio": ("src",),
+    "object": ("data",),
+    "embed": ("src",),
+    "form": ("action",),
+    "base": ("href",),
+}
+"""Attributes that a browser follows by itself."""
+_ASKS: Final = re.compile(
+    r"""(?:fetch|importScripts|sendBeacon|WebSocket|EventSource|import|\.open)\s*\(\s*(?:["'`][A-Z]+["'`]\s*,\s*)?"""
+    r"""["'`]((?:https?:|wss?:)?//[^"'`]+)|(?:\.src|\.href)\s*=\s*["'`]((?:https?:)?//[^"'`]+)"""
+    r"""|\bimport\s[^;]*?from\s*["'`]((?:https?:)?//[^"'`]+)"""
+)
+"""Calls of scripts that leave the folder."""
+_STYLE_URL: Final = re.compile(r"""url\(\s*["']?([^"')]+)["']?\s*\)|@import\s+["']([^"']+)["']""")
+_PAGE_LINK: Final = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
+_LARGEST_BYTES: Final = 100 * 1024 * 1024
+"""What a file may have on the static hosts that are free."""
+_INSIDE: Final = ("data", "blob", "mailto")
+
+
+class _Page(HTMLParser):
+    """What a page loads, what it links, and its security policy."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.loads: list[tuple[int, str]] = []
+        self.links: list[tuple[int, str]] = []
+        self.policies: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        known = {name: value or "" for name, value in attrs}
+        line = self.getpos()[0]
+        for name in _LOADS.get(tag, ()):
+            for part in known.get(name, "").split(",") if name == "srcset" else [known.get(name, "")]:
+                if part.strip():
+                    self.loads.append((line, part.split()[0] if name == "srcset" else part.strip()))
+        if tag == "a" and known.get("href"):
+            self.links.append((line, known["href"]))
+        if tag == "meta" and known.get("http-equiv", "").lower() == "content-security-policy":
+            self.policies.append(known.get("content", ""))
+
+
+def in_page(file: str, text: str, there: Mapping[str, int], *, is_whole: bool = True) -> Iterator[Found]:
+    """What does not work elsewhere in an HTML page.
+
+    Args:
+        file: Its path below the folder.
+        text: The page.
+        there: Sizes of all files by path.
+        is_whole: Whether it is a page of its own, which has a security policy, and no picture in one.
+
+    Yields:
+        Requests that leave the folder, and what is not in it.
+    """
+    page = _Page()
+    page.feed(text)
+    if is_whole and not any("default-src 'none'" in policy for policy in page.policies):
+        yield Found(file, 0, "request", "no security policy forbids requests to others (default-src 'none')")
+    for policy in page.policies:
+        for source in re.findall(r"(?:https?|wss?):\S*", policy):
+            yield Found(file, 0, "request", f"its security policy allows {source.rstrip(';')}")
+    for line, address in page.loads:
+        yield from _loaded(file, line, address, there)
+    for line, address in page.links:
+        if not urlsplit(address).scheme and not address.startswith("//"):
+            yield from _loaded(file, line, address, there)
+
+
+def in_style(file: str, text: str, there: Mapping[str, int]) -> Iterator[Found]:
+    """What a style sheet loads that does not work elsewhere; as `in_page`."""
+    for match in _STYLE_URL.finditer(text):
+        yield from _loaded(file, _line(text, match.start()), match[1] or match[2], there)
+
+
+def in_script(file: str, text: str) -> Iterator[Found]:
+    """Calls of a script that leave the folder."""
+    for match in _ASKS.finditer(text):
+        address = next(found for found in match.groups() if found)
+        yield Found(file, _line(text, match.start()), "request", f"asks {address[:120]}")
+
+
+def in_markdown(file: str, text: str, there: Mapping[str, int]) -> Iterator[Found]:
+    """Links of a Markdown page to what is not in the folder."""
+    for match in _PAGE_LINK.finditer(text):
+        if not urlsplit(match[1]).scheme:
+            yield from _loaded(file, _line(text, match.start()), match[1], there)
+
+
+def names(there: Mapping[str, int]) -> Iterator[Found]:
+    """Names and sizes that some hosts do not serve.
+
+    Args:
+        there: Sizes of all files by path.
+
+    Yields:
+        What was found.
+    """
+    seen: dict[str, str] = {}
+    for file, size in there.items():
+        other = seen.setdefault(file.lower(), file)
+        if other != file:
+            yield Found(file, 0, "name", f"differs from {other} in capitals alone; some hosts keep one of them")
+        if any(part.startswith(("_", ".")) for part in PurePosixPath(file).parts) and file != ".nojekyll":
+            yield Found(file, 0, "name", "begins with _ or a dot; some hosts do not serve such names")
+        if re.search(r'[?#:*"<>|\\\x00-\x1f]', file):
+            yield Found(file, 0, "name", "has a letter that addresses or other systems do not allow")
+        if size > _LARGEST_BYTES:
+            yield Found(file, 0, "name", f"has {size:,} bytes; some hosts take no more than {_LARGEST_BYTES:,}")
+
+
+def _loaded(file: str, line: int, address: str, there: Mapping[str, int]) -> Iterator[Found]:
+    """What is wrong with an address that is followed from a file."""
+    parts = urlsplit(address)
+    if parts.scheme in _INSIDE:
+        return
+    if parts.scheme or address.startswith("//"):
+        yield Found(file, line, "request", f"asks {address[:120]}")
+        return
+    if not parts.path:
+        return
+    path = unquote(parts.path)
+    if path.startswith("/"):
+        yield Found(
+            file, line, "link", f"{path[:120]} begins at the host's root; below another address it leads nowhere"
+        )
+        return
+    found: list[str] = list(PurePosixPath(file).parent.parts)
+    for part in PurePosixPath(path).parts:
+        if part == ".." and not found:
+            yield Found(file, line, "link", f"{path[:120]} leads out of the folder")
+            return
+        if part == "..":
+            found.pop()
+        else:
+            found.append(part)
+    target = "/".join(found)
+    if target not in there and not any(name.startswith(f"{target}/") for name in there):
+        yield Found(file, line, "link", f"{path[:120]} is not in the folder")
+
+
+def _line(text: str, place: int) -> int:
+    return text.count("\n", 0, place) + 1

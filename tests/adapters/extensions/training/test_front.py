@@ -1,0 +1,238 @@
+"""Where lines are, finer than cells and ahead of the ego: how the front camera learns it, what the plan makes of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adapters.extensions.training.dense_targets import (
+    LANE_AHEAD_M,
+    LANE_NUMBERS,
+    OFFSET_UNIT_M,
+    OFFSETS,
+    lane_loss,
+    lane_offsets,
+    offset_loss,
+    offsets_to_lines,
+)
+from adapters.extensions.training.frames import TrainingFrame
+from adapters.extensions.training.front import (
+    FARTHEST_GAP_M,
+    GAP_UNIT_M,
+    RARE_WALKER,
+    STRIPS_M,
+    WEIGHTS,
+    FrontObjective,
+    front_losses,
+    gap_ahead,
+    walkers_ahead,
+)
+from adapters.extensions.training.losses import aside_loss
+from adapters.extensions.training.vad.objective import COARSE, inputs_of
+from adapters.extensions.training.vad.phases import front_eyes, front_reader, phases
+from adapters.networks.layers.front_reader import FrontReader
+from adapters.networks.vad.model import VAD
+from benchmark.constants import DETECTION_CLASSES
+from tests.adapters.extensions.training.vad.road_frames import a_frame, empty
+from tests.adapters.networks.vad.small_vad import SMALL, small_frame, small_network
+
+AHEAD = len(LANE_AHEAD_M)
+STRIPS = len(STRIPS_M) - 1
+
+
+def shifted(frame: TrainingFrame, to_the_right: float) -> TrainingFrame:
+    return replace(frame, lines=frame.lines + torch.tensor([to_the_right, 0.0]))
+
+
+@given(st.integers(0, 10_000))
+def test_offsets_end_at_the_nearest_point_of_any_line(seed: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    points = 20 * torch.rand(7, 2, generator=generator) - 10
+    lines = 20 * torch.rand(3, 5, 2, generator=generator) - 10
+    offsets = offsets_to_lines(points, lines)
+    drawn = shapely.MultiLineString(lines.numpy().tolist())
+    for point, offset in zip(points.numpy(), offsets.numpy(), strict=True):
+        assert np.hypot(*offset) == pytest.approx(drawn.distance(shapely.Point(point)), abs=1e-4)
+        assert drawn.distance(shapely.Point(point + offset)) < 1e-4
+
+
+def test_lines_on_both_sides_are_known_where_they_are_near() -> None:
+    frame = a_frame()
+    offsets, known = lane_offsets(frame)
+    assert len(offsets) == LANE_NUMBERS == 2 * AHEAD
+    # The boundary on the left is six metres off.
+    assert known.tolist() == [False] * AHEAD + [True] * AHEAD
+    assert offsets[AHEAD:].tolist() == pytest.approx([0.5] * AHEAD)
+    offsets, known = lane_offsets(shifted(frame, 2.0))
+    assert known.all()
+    assert offsets.tolist() == pytest.approx([-4.0] * AHEAD + [2.5] * AHEAD)
+    turned = replace(frame, lines=frame.lines + frame.lines[..., 1:] * torch.tensor([0.1, 0.0]))
+    assert lane_offsets(turned)[0][AHEAD:].tolist() == pytest.approx([0.5 + 0.1 * ahead for ahead in LANE_AHEAD_M])
+
+
+def test_crossings_are_no_lines_that_one_drives_along() -> None:
+    frame = a_frame()
+    offsets, known = lane_offsets(replace(frame, line_labels=torch.tensor([2, 1, 2])))
+    assert not known.any()
+    assert lane_loss(offsets, replace(frame, line_labels=torch.tensor([2, 1, 2]))) == 0
+    assert lane_loss(torch.zeros(LANE_NUMBERS), empty(frame)) == 0
+
+
+def test_what_is_said_right_has_no_loss_and_half_a_metre_costs_half() -> None:
+    frame = shifted(a_frame(), 2.0)
+    offsets, _ = lane_offsets(frame)
+    assert lane_loss(offsets, frame) == 0
+    assert float(lane_loss(offsets + 0.5, frame)) == pytest.approx(0.5)
+
+
+def test_cells_say_where_lines_are() -> None:
+    frame, grid = a_frame(), SMALL.grid
+    low, high = torch.tensor(grid.range_m[:2]), torch.tensor(grid.range_m[3:5])
+    centres = low + grid.centres() * (high - low)
+    right = torch.cat([offsets_to_lines(centres, frame.lines[frame.line_labels == kind]) for kind in (0, 2)], 1)
+    right = right / OFFSET_UNIT_M
+    assert right.shape == (grid.cells, OFFSETS)
+    assert float(offset_loss(right, frame, grid)) == pytest.approx(0, abs=1e-6)
+    assert float(offset_loss(right + 1.0, frame, grid)) == pytest.approx(1.0)
+    assert float(offset_loss(right, empty(frame), grid)) == 0
+
+
+def test_room_ahead_is_up_to_whoever_is_on_the_way() -> None:
+    frame = a_frame()
+    # The middle of a car 4.5 m long is 12 m ahead; the pedestrian is five metres to the left.
+    assert gap_ahead(frame) == pytest.approx(12.0 - 2.25)
+    assert gap_ahead(empty(frame)) is None
+    boxes = frame.boxes.clone()
+    boxes[0, 0] = 4.0
+    assert gap_ahead(replace(frame, boxes=boxes)) == FARTHEST_GAP_M
+    boxes[0, :2] = torch.tensor([0.0, -8.0])
+    assert gap_ahead(replace(frame, boxes=boxes)) == FARTHEST_GAP_M
+    standing = replace(frame, ego_future=torch.zeros(6, 2))
+    assert gap_ahead(standing) == pytest.approx(12.0 - 2.25)
+    # Round a quarter of a circle of 12 m the pedestrian's place is on the way.
+    turn = torch.linspace(0.0, torch.pi / 2, 7)[1:]
+    left = torch.stack([12 * turn.cos() - 12, 12 * turn.sin()], -1)
+    boxes[1, :2] = torch.tensor([12 * 0.5**0.5 - 12, 12 * 0.5**0.5])
+    found = gap_ahead(replace(frame, boxes=boxes, ego_future=left))
+    assert found == pytest.approx(12 * torch.pi / 4 - 0.3, abs=0.3)
+
+
+def test_what_is_said_of_the_way_ahead_counts_where_one_drives_straight_on() -> None:
+    frame = shifted(a_frame(aside=1.0), 2.0)
+    said = torch.cat(
+        [
+            lane_offsets(frame)[0],
+            frame.ego_future[:, 0],
+            torch.tensor([(gap_ahead(frame) or 0) / GAP_UNIT_M]),
+            walkers_ahead(frame),
+            torch.ones(3),
+        ]
+    )
+    losses = front_losses(said, frame)
+    assert set(losses) == set(WEIGHTS) and max(losses.values()) < 1e-6
+    wrong = front_losses(said + 0.5, frame)
+    assert float(wrong["ahead"]) == pytest.approx(0.125) and float(wrong["gap"]) == pytest.approx(0.5)
+    somebody = int((walkers_ahead(frame) > 0).sum())
+    assert somebody == 1 and float(wrong["walkers"]) == pytest.approx(0.25 * (STRIPS + RARE_WALKER * somebody))
+    assert front_losses(said + 0.5, replace(frame, command=1))["ahead"] == 0
+    silent = torch.cat([said[: -STRIPS - 3], torch.zeros(STRIPS + 3)])
+    assert not any(front_losses(silent, empty(frame)).values())
+
+
+def test_the_nearest_walker_of_each_strip_counts() -> None:
+    places = torch.tensor([[-2.0, 10.0], [-2.5, 5.0], [0.0, 20.0], [0.5, -3.0], [4.0, 30.0], [7.0, 5.0], [2.0, 12.5]])
+    walker = DETECTION_CLASSES.index("pedestrian")
+    labels = torch.full((len(places),), walker)
+    boxes = torch.cat([places, torch.zeros(len(places), 7)], 1)
+    frame = replace(a_frame(), boxes=boxes, labels=labels)
+    assert walkers_ahead(frame).tolist() == pytest.approx([0.0, 0.8, 0.2, 0.5, 0.0])
+    assert not walkers_ahead(replace(frame, labels=labels * 0)).any() and not walkers_ahead(empty(frame)).any()
+
+
+def test_a_way_to_the_side_asks_for_the_mean_and_not_for_the_median() -> None:
+    wanted = torch.tensor([0.0, 0.0, 0.0, 0.8])
+    counted = torch.ones(4, dtype=torch.bool)
+    tried = torch.linspace(0, 0.8, 81)
+    best = min(tried, key=lambda each: float(aside_loss(each.expand(4), wanted, counted)))
+    assert float(best) == pytest.approx(0.2, abs=0.011)
+    assert aside_loss(wanted + 1.0, wanted, ~counted) == 0
+
+
+def test_the_front_camera_learns_where_lines_are_and_nothing_else_changes() -> None:
+    network = small_network(config=replace(SMALL, backbone_outputs=(1, 2), pyramid_levels=2, plan_sees_front=18))
+    before = {name: value.clone() for name, value in network.state_dict().items()}
+    reader = front_reader(network)
+    assert reader is not None
+    objective = FrontObjective(network, reader, front_eyes(network))
+    frames = [shifted(a_frame(number, scene), by) for number, (scene, by) in enumerate((("a", 1.0), ("b", 3.0)))]
+    optimiser = torch.optim.Adam([each for each in network.parameters() if each.requires_grad], lr=1e-2)
+    losses = []
+    for _ in range(80):
+        optimiser.zero_grad()
+        loss = objective.losses(frames)["lane"]
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+        losses.append(float(loss.detach()))
+    assert losses[-1] < losses[0] / 5
+    changed = {name for name, value in network.state_dict().items() if not torch.equal(value, before[name])}
+    reads = ("img_neck.lateral_convs.0.", "img_neck.fpn_convs.0.", "pts_bbox_head.front_reader.")
+    assert changed and all(name.startswith(reads) for name in changed)
+    assert not any(name.startswith((f"img_neck.{COARSE}", "pts_bbox_head.front_reader.tell.")) for name in changed)
+    assert phases()[0].recipe.scattered
+
+
+def test_plans_follow_the_front_camera_once_it_has_a_say() -> None:
+    network = VAD(replace(SMALL, plan_sees_front=18))
+    frame, other = small_frame(0), small_frame(0)
+    images = other.images.clone()
+    images[0] = images[0].flip(-1)
+    other = replace(other, images=images)
+
+    def plan(inputs: object) -> torch.Tensor:
+        network.reset()
+        with torch.inference_mode():
+            return network.predict(inputs).plan_offsets  # type: ignore[arg-type]
+
+    reader = network.pts_bbox_head.front_reader
+    assert reader is not None
+    first = plan(frame) - plan(other)
+    with torch.no_grad():
+        reader.tell.weight.mul_(5.0)
+    assert (plan(frame) - plan(other)).abs().max() > first.abs().max()
+
+
+def test_published_networks_have_no_such_part() -> None:
+    network = small_network()
+    assert network.pts_bbox_head.front_reader is None
+    assert not [name for name in network.state_dict() if "front" in name]
+    with torch.inference_mode():
+        assert network.predict(inputs_of(a_frame())).front is None
+
+
+def test_a_plan_that_compares_is_told_what_changed_and_nothing_at_the_start() -> None:
+    torch.manual_seed(0)
+    reader = FrontReader(4, 3, 8, compares=True)
+    change = reader.tell_change
+    assert change is not None
+    now, before = torch.randn(2, 3), torch.randn(2, 3)
+    assert torch.equal(reader.told(now, None), reader.tell(now))
+    assert torch.allclose(reader.told(now, before) - reader.tell(now), change(now - before), atol=1e-6)
+    assert torch.equal(reader.told(now, now), reader.tell(now))
+    reader.say_nothing()
+    assert not reader.told(now, before).any()
+    assert FrontReader(4, 3, 8).tell_change is None
+
+
+def test_what_is_left_of_numbers_follows_them_and_forgets() -> None:
+    gap = torch.arange(12, 0, -1, dtype=torch.float32)[:, None, None]
+    left = None
+    for numbers in gap:
+        before, left = left, FrontReader.left(numbers, left)
+    assert before is not None
+    # Whatever falls by one in each key frame is two less than what is left of the frames before it.
+    assert float(gap[-1] - before) == pytest.approx(-2.0, abs=0.01)
+    assert torch.equal(FrontReader.left(gap[0], None), gap[0])

@@ -1,0 +1,143 @@
+"""What the image encoder is asked for agrees with the geometry of the frame, mirrored or not, and it can be learned."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from adapters.extensions.training.frame_store import FrameStore, build_frames
+from adapters.extensions.training.frames import DRIVABLE_HALF_M, TrainingFrame
+from adapters.extensions.training.image_encoder import ImageEncoder, ImageEncoderObjective, _mirrored, centre_loss
+from adapters.extensions.training.image_targets import (
+    CELL_PX,
+    FARTHEST_M,
+    GROUND_KINDS,
+    GROUND_PX,
+    ImageTargets,
+    image_targets,
+)
+from benchmark.geometry import Floats
+from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
+
+
+@pytest.fixture(scope="module")
+def frame(tmp_path_factory: pytest.TempPathFactory) -> TrainingFrame:
+    root = tmp_path_factory.mktemp("root")
+    write_root(root, [short_scene("scene-9901", seconds=2.5)])
+    store: FrameStore = build_frames(root, "val", tmp_path_factory.mktemp("frames"))
+    return store.frame(2)
+
+
+@pytest.fixture(scope="module")
+def targets(frame: TrainingFrame) -> ImageTargets:
+    return image_targets(frame)
+
+
+def seen(frame: TrainingFrame, point: Floats) -> list[tuple[int, float, float, float]]:
+    """Camera, column, row and depth of a point of the lidar frame in the images that show it."""
+    found = []
+    for camera, matrix in enumerate(frame.lidar2img.numpy()):
+        u, v, depth = (matrix @ [*point, 1.0])[:3]
+        if depth > 1 and 0 <= u / depth < frame.images.shape[-1] and 0 <= v / depth < frame.images.shape[-2]:
+            found.append((camera, u / depth, v / depth, depth))
+    return found
+
+
+def test_centres_are_where_boxes_are_and_numbers_give_them_back(frame: TrainingFrame, targets: ImageTargets) -> None:
+    counted = 0
+    for box, label in zip(frame.boxes.double().numpy(), frame.labels.tolist(), strict=True):
+        for camera, u, v, depth in seen(frame, box[:3]):
+            row, column = int(v // CELL_PX), int(u // CELL_PX)
+            if not 5 < depth < FARTHEST_M:
+                continue  # Too far, or it may reach behind the camera.
+            if abs(u / CELL_PX - round(u / CELL_PX)) < 1e-3:
+                continue  # On the border of two cells.
+            assert targets.heat[camera, label, row, column] == 1 and targets.has_box[camera, row, column]
+            numbers = targets.boxes[camera, :, row, column]
+            if abs(np.exp(numbers[2]) - depth) > 0.01:
+                continue  # A nearer box has the cell.
+            assert CELL_PX * (column + 0.5 + numbers[0]) == pytest.approx(u, abs=0.01)
+            assert CELL_PX * (row + 0.5 + numbers[1]) == pytest.approx(v, abs=0.01)
+            np.testing.assert_allclose(np.exp(numbers[3:6]), box[3:6], rtol=1e-4)
+            counted += 1
+    assert counted >= 2
+    assert (targets.heat >= 1).sum() <= sum(len(seen(frame, box[:3])) for box in frame.boxes.double().numpy())
+
+
+def test_ground_is_what_the_ray_through_a_cell_meets(frame: TrainingFrame, targets: ImageTargets) -> None:
+    ground_z_m = -float(frame.global_T_lidar[2, 3])
+    asked = np.argwhere(targets.sees_ground[:, 0])
+    rng = np.random.default_rng(0)
+    assert len(asked) > 500
+    for camera, row, column in asked[rng.permutation(len(asked))[:200]]:
+        matrix = frame.lidar2img[camera].numpy()
+        # The point (x, y) of the ground with u d, v d, d on the ray: two linear equations.
+        u, v = (column + 0.5) * GROUND_PX, (row + 0.5) * GROUND_PX
+        lines = np.stack([matrix[0] - u * matrix[2], matrix[1] - v * matrix[2]])
+        x, y = np.linalg.solve(lines[:, :2], -(lines[:, 2] * ground_z_m + lines[:, 3]))
+        cell = np.floor((np.array([y, x]) + DRIVABLE_HALF_M) / 0.8).astype(int)
+        edge = np.abs((np.array([y, x]) + DRIVABLE_HALF_M) / 0.8 - np.rint((np.array([y, x]) + DRIVABLE_HALF_M) / 0.8))
+        if edge.min() > 0.01:
+            assert targets.ground[camera, 0, row, column] == float(frame.drivable[cell[0], cell[1]])
+
+
+def test_lines_are_asked_for_and_lie_on_or_beside_the_road(targets: ImageTargets) -> None:
+    for kind in ("divider", "boundary"):
+        place = GROUND_KINDS.index(kind)
+        assert targets.ground[:, place].sum() > 10
+    assert (targets.ground <= targets.sees_ground).all()
+
+
+def test_no_ground_is_asked_for_behind_a_box(frame: TrainingFrame, targets: ImageTargets) -> None:
+    for box in frame.boxes.double().numpy():
+        for camera, u, v, depth in seen(frame, box[:3]):
+            assert (
+                not 5 < depth < FARTHEST_M
+                or not targets.sees_ground[camera, :, int(v // GROUND_PX), int(u // GROUND_PX)].any()
+            )
+
+
+def test_mirroring_twice_changes_nothing_and_once_turns_sides(frame: TrainingFrame, targets: ImageTargets) -> None:
+    wanted = {name: torch.from_numpy(getattr(targets, name)) for name in ImageTargets.__dataclass_fields__}
+    every, none = torch.ones(6, dtype=torch.bool), torch.zeros(6, dtype=torch.bool)
+    images, once = _mirrored(frame.images, wanted, every)
+    again, twice = _mirrored(images, once, every)
+    assert torch.equal(again, frame.images) and all(torch.equal(twice[name], wanted[name]) for name in wanted)
+    kept, same = _mirrored(frame.images, wanted, none)
+    assert torch.equal(kept, frame.images) and all(torch.equal(same[name], wanted[name]) for name in wanted)
+    width = targets.has_box.shape[-1]
+    camera, row, column = np.argwhere(targets.has_box)[0]
+    before, after = wanted["boxes"][camera, :, row, column], once["boxes"][camera, :, row, width - 1 - column]
+    assert torch.equal(after * torch.tensor([-1.0, 1, 1, 1, 1, 1, -1, 1]), before)
+
+
+def test_a_found_centre_costs_nothing_and_an_invented_one_much() -> None:
+    heat = torch.zeros(1, 1, 4, 4)
+    heat[0, 0, 1, 1] = 1.0
+    right = torch.where(heat > 0, 12.0, -12.0)
+    assert float(centre_loss(right, heat)) < 1e-4
+    invented = right.clone()
+    invented[0, 0, 3, 3] = 12.0
+    assert float(centre_loss(invented, heat)) > 5
+
+
+def test_losses_of_one_frame_fall(frame: TrainingFrame) -> None:
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        objective = ImageEncoderObjective(ImageEncoder())
+        # Images of one colour, as the frame has, say nothing of where things are.
+        noise = torch.randint(0, 256, frame.images.shape, dtype=torch.uint8)
+        optimiser = torch.optim.AdamW(objective.network.parameters(), 1e-3)
+        totals = []
+        for _ in range(16):
+            total = torch.stack(list(objective.losses([replace(frame, images=noise)]).values())).sum()
+            optimiser.zero_grad()
+            total.backward()  # type: ignore[no-untyped-call]
+            optimiser.step()
+            totals.append(float(total.detach()))
+    assert np.mean(totals[-3:]) < 0.6 * np.mean(totals[:2])
+    # Its statistics were learned; as part of a planner they stay.
+    statistics = [module for module in objective.network.img_backbone.modules() if isinstance(module, nn.BatchNorm2d)]
+    assert all(bool((module.running_mean != 0).any()) for module in statistics if module.running_mean is not None)

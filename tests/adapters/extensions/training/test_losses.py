@@ -1,0 +1,178 @@
+"""Matching and losses against slow obvious versions of them."""
+
+import math
+from itertools import permutations
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from adapters.extensions.training.losses import (
+    Matches,
+    assigned,
+    box_loss,
+    class_cost,
+    dice_loss,
+    direction_loss,
+    equivalent_lines,
+    focal_loss,
+    line_loss,
+    match_boxes,
+    match_lines,
+    normalised_boxes,
+    plan_loss,
+    query_class_loss,
+    trajectory_losses,
+    winners,
+)
+from benchmark.errors import InputError
+
+SEEDS = st.integers(0, 10_000)
+
+
+def noise(seed: int, *shape: int) -> Tensor:
+    return torch.randn(shape, generator=torch.Generator().manual_seed(seed))
+
+
+@given(SEEDS, st.integers(1, 5), st.integers(0, 5))
+def test_the_assignment_is_the_cheapest_of_all(seed: int, queries: int, wanted: int) -> None:
+    cost = noise(seed, queries, wanted)
+    found = assigned(cost)
+    fewer = min(queries, wanted)
+    assert len(found.queries) == fewer == len(set(found.queries.tolist())) == len(set(found.wanted.tolist()))
+    if queries >= wanted:
+        cheapest = min(
+            sum(cost[row, column] for column, row in enumerate(rows)) for rows in permutations(range(queries), wanted)
+        )
+        assert float(cost[found.queries, found.wanted].sum()) == pytest.approx(float(cheapest), abs=1e-5)
+
+
+def test_predictions_that_are_not_finite_are_a_sentence() -> None:
+    with pytest.raises(InputError, match="no longer finite"):
+        assigned(torch.tensor([[math.nan, 1.0]]))
+
+
+@given(SEEDS)
+def test_the_cost_of_a_class_is_what_the_focal_loss_changes_by(seed: int) -> None:
+    logits = noise(seed, 3, 4)
+    cost = class_cost(logits, torch.tensor([2]))[:, 0]
+    for query in range(3):
+        without, with_it = torch.zeros(4), torch.tensor([0.0, 0.0, 1.0, 0.0])
+        changed = focal_loss(logits[query], with_it, count=1) - focal_loss(logits[query], without, count=1)
+        assert float(cost[query]) == pytest.approx(float(changed), abs=1e-5)
+
+
+def test_confident_truth_costs_less_than_confident_error() -> None:
+    right, wrong = torch.tensor([[6.0, -6.0]]), torch.tensor([[-6.0, 6.0]])
+    matches = Matches(torch.tensor([0]), torch.tensor([0]))
+    labels = torch.tensor([0])
+    assert query_class_loss(right, labels, matches) < 1e-4 < 1 < query_class_loss(wrong, labels, matches)
+
+
+def test_boxes_are_matched_by_place_and_kind() -> None:
+    wanted = normalised_boxes(torch.tensor([[0.0, 10, -1, 4, 2, 1.5, 0, 1, 0], [5.0, 0, -1, 4, 2, 1.5, 3, 0, 0]]))
+    codes = wanted.flip(0) + 0.01
+    found = match_boxes(torch.zeros(2, 3), codes, torch.tensor([0, 0]), wanted, torch.ones(10))
+    assert found.queries.tolist() == [0, 1] and found.wanted.tolist() == [1, 0]
+    assert float(box_loss(codes, wanted, found, torch.ones(10))) == pytest.approx(0.1, abs=1e-5)
+    # Where places agree, kinds decide.
+    logits = torch.tensor([[5.0, -5], [-5.0, 5]])
+    same = wanted[:1].repeat(2, 1)
+    assert match_boxes(logits, same, torch.tensor([1, 0]), same, torch.ones(10)).wanted.tolist() == [1, 0]
+
+
+def test_half_a_turn_more_is_another_heading_and_a_full_turn_is_none() -> None:
+    box = torch.tensor([1.0, 2, 0, 4, 2, 1.5, 0.3, 1, 2])
+    turn = torch.tensor([0, 0, 0, 0, 0, 0, 2 * math.pi, 0, 0])
+    assert torch.allclose(normalised_boxes(box), normalised_boxes(box + turn), atol=1e-5)
+    assert not torch.allclose(normalised_boxes(box), normalised_boxes(box + turn / 2), atol=0.1)
+
+
+@given(SEEDS, st.booleans(), st.integers(0, 7))
+@settings(max_examples=40)
+def test_a_line_is_the_same_backwards_and_a_closed_one_from_any_start(seed: int, closed: bool, start: int) -> None:
+    points = noise(seed, 8, 2).cumsum(0)
+    if closed:
+        ring = torch.cat([points, points[:1]])
+        drawn = torch.cat([ring[:-1].roll(start, 0), ring[:-1].roll(start, 0)[:1]])
+    else:
+        ring, drawn = points, points
+    for other in (drawn, drawn.flip(0)):
+        matches, matched = match_lines(torch.zeros(1, 3), other[None], torch.tensor([1]), ring[None])
+        assert float(line_loss(other[None], matched, matches)) == pytest.approx(0, abs=1e-5)
+        assert float(direction_loss(other[None], matched, matches)) == pytest.approx(0, abs=1e-5)
+
+
+def test_open_lines_have_two_orders_also_beside_closed_ones() -> None:
+    angle = torch.linspace(0, 2 * math.pi, 5)
+    ring = torch.stack([angle.cos(), angle.sin()], -1)
+    straight = torch.stack([torch.arange(5.0), torch.zeros(5)], -1)
+    orders = equivalent_lines(torch.stack([ring, straight]))
+    assert orders.shape == (2, 8, 5, 2)
+    assert len({tuple(order.flatten().tolist()) for order in orders[1]}) == 2
+    assert (orders[0, :, 0] - orders[0, :, -1]).abs().max() < 1e-5
+    assert len({tuple(order.flatten().round(decimals=3).tolist()) for order in orders[0]}) == 8
+
+
+def test_lines_are_compared_in_units_of_the_scale() -> None:
+    wanted = torch.zeros(1, 2, 2)
+    wanted[0, 1] = torch.tensor([10.0, 0.0])
+    found = wanted + torch.tensor([3.0, 6.0])
+    scale = torch.tensor([30.0, 60.0])
+    matches, matched = match_lines(torch.zeros(1, 3), found, torch.tensor([0]), wanted, scale=scale)
+    assert float(line_loss(found, matched, matches, scale=scale)) == pytest.approx(0.2)
+
+
+@given(SEEDS, st.integers(1, 4))
+def test_the_winner_is_the_mode_that_is_nearest_where_it_is_annotated(seed: int, agents: int) -> None:
+    paths, wanted = noise(seed, agents, 6, 5, 2), noise(seed + 1, agents, 5, 2)
+    valid = noise(seed + 2, agents, 5) > 0
+    best = winners(paths, wanted, valid)
+    regression, entropy = trajectory_losses(paths, torch.zeros(agents, 6), wanted, valid)
+    total, steps = 0.0, 0
+    for agent in range(agents):
+        if not valid[agent].any():
+            continue
+        distances = [float((path - wanted[agent]).norm(dim=-1)[valid[agent]].mean()) for path in paths[agent]]
+        assert distances[int(best[agent])] == pytest.approx(min(distances), rel=1e-5)
+        error = (paths[agent, int(best[agent])] - wanted[agent]).abs().sum(-1)[valid[agent]]
+        total, steps = total + float(error.sum()), steps + len(error)
+    assert float(regression) == pytest.approx(total / max(steps, 1), rel=1e-4)
+    assert float(entropy) == pytest.approx(math.log(6) if steps else 0.0, rel=1e-5)
+
+
+def test_steps_that_are_not_annotated_count_nowhere() -> None:
+    plan = torch.zeros(6, 2)
+    wanted = torch.full((6, 2), 100.0)
+    wanted[:2] = 1.0
+    valid = torch.tensor([True, True, False, False, False, False])
+    assert float(plan_loss(plan, wanted, valid)) == 2.0
+    assert float(plan_loss(plan, wanted, torch.zeros(6, dtype=torch.bool))) == 0.0
+
+
+def test_masks_that_agree_lose_nothing() -> None:
+    mask = (noise(0, 2, 8, 8) > 0).float()
+    assert float(dice_loss(40 * mask - 20, mask)) == pytest.approx(0, abs=1e-4)
+    assert float(dice_loss(20 - 40 * mask, mask)) > 0.9
+
+
+def test_nothing_annotated_gives_zero_and_finite_gradients() -> None:
+    logits, codes = noise(0, 4, 3).requires_grad_(), noise(1, 4, 10).requires_grad_()
+    points, paths = noise(2, 4, 5, 2).requires_grad_(), noise(3, 0, 6, 12, 2).requires_grad_()
+    none = torch.zeros(0, dtype=torch.int64)
+    boxes = match_boxes(logits, codes, none, torch.zeros(0, 10), torch.ones(10))
+    lines, matched = match_lines(logits, points, none, torch.zeros(0, 5, 2))
+    losses = [
+        box_loss(codes, torch.zeros(0, 10), boxes, torch.ones(10)),
+        line_loss(points, matched, lines),
+        direction_loss(points, matched, lines),
+        *trajectory_losses(paths, torch.zeros(0, 6), torch.zeros(0, 12, 2), torch.zeros(0, 12, dtype=torch.bool)),
+        dice_loss(torch.zeros(0, 4, requires_grad=True), torch.zeros(0, 4)),
+    ]
+    assert [float(loss.detach()) for loss in losses] == [0.0] * 6
+    total = torch.stack([*losses, query_class_loss(logits, none, boxes)]).sum()
+    total.backward()  # type: ignore[no-untyped-call]
+    for each in (logits, codes, points):
+        assert each.grad is not None and bool(torch.isfinite(each.grad).all())

@@ -1,0 +1,156 @@
+"""Pictures show what the protocol compares, the same bytes each time, one for each cause that there is."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmark.errors import InputError
+from benchmark.evaluation import evaluate
+from benchmark.extensions.explain.clearest_cases import Case, case_of, clearest_cases
+from benchmark.extensions.explain.pictures import WORDS, draw_case, explain
+from benchmark.extensions.explain.views import raster_view
+from benchmark.geometry import Floats
+from benchmark.metrics.disagreement import CAUSES, before_mask
+from benchmark.protocols import PROTOCOLS
+from benchmark.records.run import RunRecord
+from benchmark.truth import SampleTruth
+from tests.benchmark.fake_data import FakeData, town_of_two
+from tests.benchmark.metrics.test_disagreement import STRAIGHT, Object, random_samples, truth, turning
+from tests.benchmark.planners import Failing, Straight
+
+
+@pytest.mark.parametrize(
+    ("name", "examples"),
+    [
+        *((name, 25) for name in ("uniad", "vad", "vad-23", "stp3", "opendrivevla", "agent-driver-stp3")),
+        *((name, 8) for name in ("bev-planner", "omnidrive")),
+    ],
+)
+def test_cells_that_are_drawn_meet_exactly_where_the_protocol_reports_it(name: str, examples: int) -> None:
+    @settings(max_examples=examples, deadline=None)
+    @given(seed=st.integers(0, 2**32 - 1))
+    def drawn(seed: int) -> None:
+        truths, plans = random_samples(seed, 3, 8)
+        plans *= np.random.default_rng(seed).choice([1.0, 3.5])
+        found = before_mask(PROTOCOLS[name].evaluate(truths, plans))
+        for sample, plan, contacts in zip(truths, plans, found):
+            for step in range(6):
+                view = raster_view(PROTOCOLS[name], sample, plan, step)
+                assert view is not None
+                assert (view.occupied & view.ego).any() == contacts[step]
+
+    drawn()
+
+
+def test_cells_lie_where_the_objects_are() -> None:
+    # The recorded ego drives straight on: where it goes aside, ST-P3 shifts what it draws.
+    sample = truth(Object([10.0, 20.0], size=(4.0, 2.0)), recorded=STRAIGHT)
+    for name in ("uniad", "vad", "stp3", "bev-planner", "omnidrive", "opendrivevla"):
+        view = raster_view(PROTOCOLS[name], sample, STRAIGHT, 0)
+        assert view is not None
+        rows, columns = np.nonzero(view.occupied)
+        middle = np.array([columns.mean(), rows.mean()]) * view.cell_m + view.first_cell_m
+        assert np.abs(middle - [10.0, 20.0]).max() < 0.3, name
+    assert raster_view(PROTOCOLS["sparsedrive"], sample, STRAIGHT, 0) is None
+
+
+SHOWN = (
+    (truth(Object([0.0, 12.5], "human.pedestrian.adult", size=(0.7, 0.7))), STRAIGHT, "uniad"),
+    (truth(Object([11.0, 8.0], size=(1.5, 1.0))), turning(1.0), "vad"),
+    (truth(Object([-2.15, 12.5])), STRAIGHT, "uniad"),
+    (truth(Object([0.0, 12.5], size=(3.0, 1.9)), recorded=STRAIGHT), STRAIGHT, "sparsedrive"),
+    (truth(Object([0.0, 12.5], size=(3.0, 1.9)), recorded=STRAIGHT), STRAIGHT, "vad-23"),
+    (truth(Object([0.0, 5.5], size=(0.4, 0.4))), STRAIGHT * 2.5, "uniad"),
+    (truth(Object([0.0, 5.5], size=(0.4, 0.4))), STRAIGHT * 2.5, "sparsedrive"),
+    (truth(Object(np.column_stack([np.zeros(7), 36.0 - 4.0 * np.arange(7)]))), STRAIGHT, "vad"),
+    (truth(Object([0.0, 12.5], "human.pedestrian.adult", size=(0.7, 0.7))), STRAIGHT, "bev-planner"),
+    (replace(truth(Object([0.0, 12.5], "movable_object.barrier", size=(0.7, 0.7))), index=2), STRAIGHT, "stp3"),
+)
+
+
+@pytest.mark.parametrize(("sample", "plan", "protocol"), SHOWN)
+def test_a_picture_is_a_png_and_the_same_each_time(sample: SampleTruth, plan: Floats, protocol: str) -> None:
+    case = case_of("somebody", protocol, sample, plan)
+    assert case is not None
+    picture = draw_case(case)
+    image = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
+    assert image.shape == (560, 900, 3)
+    assert hashlib.sha256(picture).digest() == hashlib.sha256(draw_case(case)).digest()
+
+
+def test_there_is_no_case_where_all_agree_or_the_sample_does_not_count() -> None:
+    assert case_of("somebody", "uniad", truth(Object([0.0, 12.5])), STRAIGHT) is None
+    adult = Object([0.0, 12.5], "human.pedestrian.adult", size=(0.7, 0.7))
+    assert case_of("somebody", "uniad", truth(adult, valid=5), STRAIGHT) is None
+
+
+def test_the_step_shown_is_the_one_with_most_overlap() -> None:
+    adult = Object([0.0, 12.9], "human.pedestrian.adult", size=(0.7, 0.7))
+    crossing = Object([0.0, 18.55], "human.pedestrian.adult", size=(0.7, 0.7))
+    case = case_of("somebody", "uniad", truth(adult, crossing), STRAIGHT)
+    assert case is not None and case.step == 2
+
+
+def test_a_latched_flag_is_shown_where_it_was_raised() -> None:
+    beside = truth(Object([-2.15, 12.5]))
+    latched = PROTOCOLS["safemvdrive"].evaluate([beside], STRAIGHT[None])
+    raised = latched.step("at_step")[0]
+    assert raised.any() and latched.collision[0, -1] and not raised[-1]
+    case = case_of("somebody", "safemvdrive", beside, STRAIGHT)
+    assert case is not None and case.cause == "false alarm: raster" and raised[case.step]
+
+
+def test_every_cause_has_words() -> None:
+    assert set(WORDS) == set(CAUSES)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[FakeData, list[RunRecord]]:
+    data = town_of_two(slow_leader=True)
+    out = tmp_path_factory.mktemp("runs")
+    return data, [evaluate(data, "val", planner, out) for planner in (Straight(), Failing())]
+
+
+def causes_of(records: Sequence[RunRecord]) -> set[tuple[str, str]]:
+    return {cause for record in records for row in record.rows for cause in row.disagreements.items()}
+
+
+def test_one_picture_for_each_cause_and_protocol(runs: tuple[FakeData, list[RunRecord]], tmp_path: Path) -> None:
+    data, records = runs
+    pictures = explain(records, data, tmp_path)
+    assert {(picture.case.protocol, picture.case.cause) for picture in pictures} == causes_of(records)
+    assert pictures and sorted(tmp_path.iterdir()) == sorted(picture.path for picture in pictures)
+    for picture in pictures:
+        assert picture.case.protocol in picture.sentence and picture.case.planner in picture.sentence
+
+
+def test_the_clearest_case_does_not_depend_on_the_order_of_records(runs: tuple[FakeData, list[RunRecord]]) -> None:
+    data, records = runs
+
+    def key(case: Case) -> tuple[str, str, str, str, int]:
+        return case.planner, case.protocol, case.cause, case.truth.sample_token, case.step
+
+    assert [key(case) for case in clearest_cases(records, data)] == [
+        key(case) for case in clearest_cases(records[::-1], data)
+    ]
+
+
+def test_nothing_to_explain_writes_nothing(tmp_path: Path) -> None:
+    assert explain([], town_of_two(), tmp_path / "none") == []
+    assert not (tmp_path / "none").exists()
+
+
+def test_a_folder_that_cannot_be_written_is_the_users_to_fix(
+    runs: tuple[FakeData, list[RunRecord]], tmp_path: Path
+) -> None:
+    data, records = runs
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(InputError, match="file"):
+        explain(records, data, tmp_path / "file")

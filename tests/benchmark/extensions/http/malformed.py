@@ -1,0 +1,97 @@
+"""Malformed requests: bytes that are no HTTP, bodies that are no JSON, members that cannot be, and chance.
+
+Shared by the tests (a sample) and by ``bench/over_http.py`` (a thousand).
+"""
+
+import contextlib
+import json
+import random
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+from benchmark.extensions.http.images import ImageFormat
+from benchmark.extensions.http.observed import request_of
+from tests.benchmark.extensions.http.made import observed
+
+_VALUES: tuple[Any, ...] = (
+    None, True, -1, 0, 1e308, 10**400, "", "/etc/passwd", "../../x", "A" * 3000, [], [[]], {}, [[1]] * 3, [None] * 16,
+    float("nan"), float("inf"), "\ud800", {"CAM_FRONT": "x"}, [[0.0] * 4] * 4,
+)  # fmt: skip
+_HEADS: tuple[bytes, ...] = (
+    b"", b"\r\n\r\n", b"\x00\x01\x02", b"GET", b"GET /infer HTTP/1.1\r\n\r\n", b"POST /infer HTTP/9.9\r\n\r\n",
+    b"PUT /infer HTTP/1.1\r\nhost: x\r\n\r\n", b"GET /../../etc/passwd HTTP/1.1\r\nhost: x\r\n\r\n",
+    b"GET /%00 HTTP/1.1\r\nhost: x\r\n\r\n", b"POST /infer HTTP/1.1\r\nhost: x\r\ncontent-length: -5\r\n\r\n",
+    b"POST /infer HTTP/1.1\r\nhost: x\r\ncontent-length: 99999999999999999999\r\n\r\n",
+    b"POST /infer HTTP/1.1\r\nhost: x\r\ncontent-length: 10\r\n\r\nabc",
+    b"POST /infer HTTP/1.1\r\nhost: x\r\ntransfer-encoding: chunked\r\n\r\nZZ\r\n",
+    b"POST /infer HTTP/1.1\r\nhost: x\r\ncontent-encoding: gzip\r\ncontent-length: 2\r\n\r\n{}",
+    b"POST /infer HTTP/1.1\r\nhost: x\r\norigin: http://evil\r\ncontent-length: 2\r\n\r\n{}",
+    b"GET /alive HTTP/1.1\r\nhost: x\r\nx: " + b"y" * 70_000 + b"\r\n\r\n",
+    b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03",
+    b"GET /infer HTTP/1.1\r\nupgrade: websocket\r\nconnection: upgrade\r\nhost: x\r\n\r\n",
+)  # fmt: skip
+
+
+def posted(body: bytes, path: str = "/infer") -> bytes:
+    """A whole request."""
+    head = f"POST {path} HTTP/1.1\r\nhost: x\r\ncontent-type: application/json\r\ncontent-length: {len(body)}"
+    return f"{head}\r\n\r\n".encode() + body
+
+
+def malformed(count: int, seed: int = 0) -> Iterator[tuple[bytes, bool]]:
+    """Requests, as bytes for a socket, and whether they are whole; the same of the same seed."""
+    chance = random.Random(seed)
+    forms = {form: request_of(observed(), form).encoded() for form in ImageFormat}
+    for number in range(count):
+        kind, whole = number % 4, forms[chance.choice(list(ImageFormat))]
+        if kind == 0:
+            yield chance.choice(_HEADS), False
+        elif kind == 1:
+            value = json.loads(whole)
+            _changed(value, chance)
+            yield posted(json.dumps(value).encode("utf-8", "surrogatepass")), True
+        elif kind == 2:
+            path = chance.choice(("/infer", "/infer", "/reset", "/nowhere"))
+            yield posted(whole[: chance.randrange(len(whole))], path), True
+        else:
+            damaged = bytearray(whole)
+            for _ in range(chance.randrange(1, 30)):
+                damaged[chance.randrange(len(damaged))] = chance.randrange(256)
+            yield posted(bytes(damaged)), True
+
+
+def _changed(value: Any, chance: random.Random) -> None:
+    """Another value at a place that chance finds."""
+    place = value
+    while True:
+        key: Any = chance.choice(list(place)) if isinstance(place, dict) else chance.randrange(len(place))
+        inner = place[key]
+        if not isinstance(inner, dict | list) or not inner or chance.random() < 0.3:
+            place[key] = chance.choice(_VALUES)
+            return
+        place = inner
+
+
+def answered(port: int, sent: bytes, whole: bool, patience_s: float = 20.0) -> bytes:
+    """What a server answers to some bytes; empty where it hangs up.
+
+    Args:
+        port: Its.
+        sent: Sent at once.
+        whole: Whether they are a whole request; what is none is broken off after a moment.
+        patience_s: How long an answer may take.
+
+    Returns:
+        All that comes.
+    """
+    with socket.create_connection(("127.0.0.1", port), timeout=patience_s) as there:
+        # A server that has seen enough hangs up while it is sent more.
+        with contextlib.suppress(OSError):
+            there.sendall(sent)
+        there.settimeout(patience_s if whole else 0.05)
+        parts = []
+        with contextlib.suppress(ConnectionError, TimeoutError):
+            while part := there.recv(65536):
+                parts.append(part)
+        return b"".join(parts)

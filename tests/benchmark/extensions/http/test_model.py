@@ -1,0 +1,288 @@
+"""The client: exactly NeuroNCAP's requests, never one twice, and a sentence for everything that can go wrong."""
+
+import json
+import socket
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmark.closed_loop.asking import Failure, Reason, asked, told
+from benchmark.errors import InputError
+from benchmark.extensions.http.address import Address, is_address
+from benchmark.extensions.http.images import ImageFormat
+from benchmark.extensions.http.model import HttpPlanner, ModelFailedError, http_planner
+from benchmark.extensions.http.observed import request_of
+from benchmark.planning import PlannerAwayError, PlannerGoneError, PlannerLateError, SceneInfo
+from benchmark.runs.planner_facts import facts_of
+from benchmark.untrusted.limits import WIRE_ANSWER
+from tests.benchmark.extensions.http.made import GOOD, SHARED, Reply, free_port, observed, scripted
+
+SCENE = SceneInfo("scene-1", "boston-seaport", ())
+
+
+def planner(url: str, form: str = "png", deadline_s: float = 20.0) -> HttpPlanner:
+    return http_planner(url, image_format=form, deadline_s=deadline_s)
+
+
+def good(path: str, body: bytes) -> Reply:
+    return 200, GOOD if path == "/infer" else b"true"
+
+
+@pytest.mark.parametrize("form", list(ImageFormat))
+def test_the_requests_are_neuroncaps(form: ImageFormat) -> None:
+    with scripted(good) as server:
+        one = planner(server.url, form.value)
+        one.require_alive()
+        one.reset(SCENE)
+        plan = one.plan(observed())
+    assert plan.waypoints[:, 0].tolist() == [1, 2, 3, 4, 5, 6]
+    assert [(method, path) for method, path, _, _ in server.asked] == [
+        ("GET", "/alive"), ("POST", "/reset"), ("POST", "/infer"),
+    ]  # fmt: skip
+    alive, reset, infer = server.asked
+    assert reset[3] == b"{}" and infer[3] == request_of(observed(), form).encoded()
+    for _, _, headers, sent in (reset, infer):
+        assert headers["content-type"] == "application/json" and headers["content-length"] == str(len(sent))
+    assert set(alive[2]) == {"host", "accept", "connection", "user-agent"}
+    assert set(infer[2]) == {*alive[2], "content-type", "content-length"}
+
+
+@pytest.mark.skipif(not SHARED.exists(), reason="the recorded sessions are not here")
+def test_a_recorded_server_is_driven_as_it_was() -> None:
+    session = json.loads((SHARED / "session_plain.json").read_text())["exchanges"]
+    recorded = [each for each in session if each["server"] == "model" and not each.get("left_out")]
+    waiting = [each for each in recorded if each["path"] == "/infer"]
+
+    def answer(path: str, body: bytes) -> Reply:
+        if path != "/infer":
+            return 200, b"true"
+        return 200, waiting[[r[1] for r in server.asked].count("/infer") - 1]["response_body"].encode()
+
+    with scripted(answer) as server:
+        one = planner(server.url, "torch")
+        one.require_alive()
+        one.reset(SCENE)
+        plans = [one.plan(observed(index)) for index in range(len(waiting))]
+    assert server.paths == [each["path"] for each in recorded]
+    for plan, each in zip(plans, waiting, strict=True):
+        assert plan.waypoints.tolist() == json.loads(each["response_body"])["trajectory"]
+    for (_, _, headers, body), each in zip(server.asked, recorded, strict=True):
+        kept = {"host", "accept", "connection", "user-agent", "content-length", "content-type"}
+        assert set(headers) == set(each["request_headers"]) <= kept
+        assert headers["accept"] == each["request_headers"]["accept"]
+        if each["path"] != "/infer":
+            assert body.decode() == each["request_body"]
+
+
+FAILURES: list[tuple[str, Reply, str]] = [
+    ("an error page of a framework", (500, b'{"detail": "CUDA out of memory"}'), "status 500: CUDA out of memory"),
+    ("an error in plain words", (500, b"Internal Server Error"), "Internal Server Error"),
+    ("too few waypoints", (200, b'{"trajectory": [[1, 0]], "aux_outputs": {}}'), "6 to 16 waypoints"),
+    ("NaN", (200, GOOD.replace(b"[1, 0]", b"[NaN, 0]")), "finite numbers"),
+    ("global coordinates", (200, GOOD.replace(b"[1, 0]", b"[1e6, 0]")), "metres from the car"),
+    ("nothing beside it", (200, b'{"trajectory": []}'), "no aux_outputs"),
+    ("broken JSON", (200, b'{"trajectory": [[1,'), "no JSON"),
+]
+GONE: list[tuple[str, Reply, str]] = [
+    ("a web page", (200, b"<!DOCTYPE html><html>hello</html>"), "a web page"),
+    ("a web page that is not found", (404, b"<html>404</html>"), "a web page"),
+    ("another route", (404, b'{"detail": "Not Found"}'), "status 404: Not Found.*another version"),
+    ("other members", (422, b'{"detail": [{"loc": ["body", "image"], "msg": "missing"}]}'), "422.*another version"),
+    ("other pictures", (415, b'{"detail": "no tensors"}'), "--image-format"),
+]
+
+
+@pytest.mark.parametrize(("_", "reply", "says"), FAILURES, ids=[name for name, _, _ in FAILURES])
+def test_a_model_that_fails_is_a_failure_with_a_sentence(_: str, reply: Reply, says: str) -> None:
+    with scripted(lambda path, body: reply) as server:
+        with pytest.raises(ModelFailedError, match=says):
+            planner(server.url).plan(observed())
+        found = asked(planner(server.url), observed(), 20.0)
+    assert isinstance(found, Failure) and found.reason is Reason.RAISED and server.paths == ["/infer"] * 2
+
+
+@pytest.mark.parametrize(("_", "reply", "says"), GONE, ids=[name for name, _, _ in GONE])
+def test_what_is_no_model_server_ends_the_command(_: str, reply: Reply, says: str) -> None:
+    with scripted(lambda path, body: reply) as server:
+        for ask in (
+            lambda one: one.plan(observed()),
+            lambda one: one.reset(SCENE),
+            lambda one: asked(one, observed(), 20.0),
+        ):
+            with pytest.raises(PlannerGoneError, match=says) as gone:
+                ask(planner(server.url))
+            assert not isinstance(gone.value, PlannerAwayError) and server.url in str(gone.value)
+
+
+def test_an_error_status_with_a_plan_is_driven_like_neuroncap_does_and_said_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with scripted(lambda path, body: (500, GOOD)) as server:
+        one = planner(server.url)
+        assert [one.plan(observed(index)).waypoints[0, 0] for index in range(2)] == [1.0, 1.0]
+    assert capsys.readouterr().err.count("status 500") == 1
+
+
+def test_any_answer_is_alive() -> None:
+    with scripted(lambda path, body: (503, b"loading")) as server:
+        planner(server.url).require_alive()
+
+
+@pytest.mark.parametrize("status", [408, 503, 504])
+def test_a_busy_server_is_late_and_nobody_has_failed(status: int) -> None:
+    with scripted(lambda path, body: (status, b'{"detail": "busy"}')) as server:
+        with pytest.raises(PlannerLateError, match="too busy"):
+            planner(server.url).plan(observed())
+        found = asked(planner(server.url), observed(), 20.0)
+        late = planner(server.url)
+        again = told(late, lambda: late.reset(SCENE), 20.0)
+    assert isinstance(found, Failure) and found.reason is Reason.TIMEOUT
+    assert again is not None and again.reason is Reason.TIMEOUT
+
+
+def test_nobody_there_is_a_sentence_with_the_address() -> None:
+    url = f"http://127.0.0.1:{free_port()}"
+    with pytest.raises(PlannerAwayError, match=f"nobody answers at {url}; start|nobody answers at {url} "):
+        planner(url).require_alive()
+
+
+def test_a_server_that_hangs_up_is_away_and_the_request_is_not_sent_again() -> None:
+    with scripted(lambda path, body: None) as server:
+        with pytest.raises(PlannerAwayError, match="went away before it had answered /infer"):
+            planner(server.url).plan(observed())
+        assert server.paths == ["/infer"]
+
+
+def speaking(answers: bytes, *, pause_s: float = 0.0, hold_s: float = 0.0) -> tuple[str, threading.Thread]:
+    """Somebody who answers one connection with bytes, one after the other if there is a pause."""
+    listener = socket.create_server(("127.0.0.1", 0))
+
+    def answer() -> None:
+        with listener, listener.accept()[0] as there:
+            there.recv(65536)
+            try:
+                for start in range(0, len(answers), 1 if pause_s else max(len(answers), 1)):
+                    there.sendall(answers[start : start + (1 if pause_s else len(answers))])
+                    time.sleep(pause_s)
+                time.sleep(hold_s)
+            except OSError:
+                pass
+
+    thread = threading.Thread(target=answer, daemon=True)
+    thread.start()
+    return f"http://127.0.0.1:{listener.getsockname()[1]}", thread
+
+
+def test_who_does_not_speak_http_is_named() -> None:
+    url, thread = speaking(b"SSH-2.0-OpenSSH_9.6\r\n\r\n\r\n")
+    with pytest.raises(PlannerGoneError, match="as a web server would"):
+        planner(url).reset(SCENE)
+    thread.join()
+
+
+def test_an_answer_that_breaks_off_is_away() -> None:
+    url, thread = speaking(b"HTTP/1.1 200 OK\r\ncontent-length: 100\r\n\r\n{}")
+    with pytest.raises(PlannerAwayError, match="went away"):
+        planner(url).reset(SCENE)
+    thread.join()
+
+
+@pytest.mark.parametrize(
+    ("answers", "pause_s"), [(b"", 0.0), (b"HTTP/1.1 200 OK\r\ncontent-length: 200\r\n\r\n" + b" " * 200, 0.02)]
+)
+def test_an_answer_that_is_late_or_drips_is_late(answers: bytes, pause_s: float) -> None:
+    url, thread = speaking(answers, pause_s=pause_s, hold_s=1.0)
+    began = time.monotonic()
+    with pytest.raises(PlannerLateError, match=r"within 0\.5 s"):
+        planner(url, deadline_s=0.5).reset(SCENE)
+    assert time.monotonic() - began < 5.0
+    thread.join()
+
+
+def test_a_drive_gives_up_waiting_when_a_plan_may_take_no_longer() -> None:
+    url, thread = speaking(b"", hold_s=1.0)
+    found = asked(planner(url), observed(), 0.3)
+    assert isinstance(found, Failure) and found.reason is Reason.TIMEOUT
+    thread.join()
+
+
+def test_an_answer_without_end_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    few = replace(WIRE_ANSWER, file_bytes=1000)
+    monkeypatch.setattr("benchmark.extensions.http.connection.WIRE_ANSWER", few)
+    with (
+        scripted(lambda path, body: (200, bytes(5000))) as server,
+        pytest.raises(PlannerGoneError, match="more than 1000 bytes"),
+    ):
+        planner(server.url).plan(observed())
+
+
+def test_it_waits_for_a_server_that_comes_back(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with scripted(good) as server:
+        planner(server.url).come_back()
+    assert "went away; waiting" in capsys.readouterr().err
+    monkeypatch.setattr("benchmark.extensions.http.model.RETURN_S", 0.2)
+    with pytest.raises(PlannerAwayError, match="nobody answers"):
+        planner(f"http://127.0.0.1:{free_port()}").come_back()
+
+
+def test_the_name_or_else_the_address_is_what_identifies_it() -> None:
+    plain, named = facts_of(planner("http://127.0.0.1:9000")), facts_of(planner("mine=http://127.0.0.1:9000"))
+    assert plain.name == "127.0.0.1:9000" and plain.settings["address"] == "http://127.0.0.1:9000"
+    assert named.name == "mine" and "address" not in named.settings
+    assert (
+        facts_of(planner("mine=http://127.0.0.1:9001"))
+        == named
+        != facts_of(planner("mine=http://127.0.0.1:9000", "torch"))
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "url", "name"),
+    [
+        ("http://127.0.0.1:9000", "http://127.0.0.1:9000", "127.0.0.1:9000"),
+        ("http://localhost:9000/", "http://localhost:9000", "localhost:9000"),
+        ("HTTP://[::1]:9000", "http://[::1]:9000", "[::1]:9000"),
+        ("my model=http://gpu-4:80", "http://gpu-4:80", "my model"),
+    ],
+)
+def test_addresses(text: str, url: str, name: str) -> None:
+    found = Address.of(text, "--model")
+    assert is_address(text) and (found.url, found.name) == (url, name)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "http://127.0.0.1", "http://", "http://:9000", "http://h:99999", "http://h:x", "http://h:9000/infer", "http://h:0",
+        "http://me:secret@h:9000", "http://h:9000?x=1", "http://h:9000#f", "https://h:9000", "=http://h:9000",
+        "a/b=http://h:9000", "x" * 61 + "=http://h:9000", "http:/h:9000", "\x00=http://h:9000",
+    ],
+)  # fmt: skip
+def test_what_is_no_address(text: str) -> None:
+    assert is_address(text)
+    with pytest.raises(InputError, match=r"--model .* is no address; write http://HOST:PORT"):
+        Address.of(text, "--model")
+
+
+@pytest.mark.parametrize("text", ["vad", "package.module:Class", "a=b", "uniad-mini"])
+def test_other_names_are_not_taken_for_addresses(text: str) -> None:
+    assert not is_address(text)
+
+
+def test_a_planner_here_and_one_over_the_wire_are_never_taken_for_one_another() -> None:
+    from adapters.registry import planner as named
+
+    with pytest.raises(InputError, match="uniad is a planner of its own"):
+        named("uniad=http://127.0.0.1:9000")
+    with pytest.raises(InputError, match="takes no checkpoint"):
+        from pathlib import Path
+
+        named("http://127.0.0.1:9000", checkpoint=Path(__file__))
+    built = named("http://127.0.0.1:9000", over_http={"image_format": "png"})
+    assert isinstance(built, HttpPlanner) and built.form is ImageFormat.PNG
+    assert np.isfinite(built._connection.deadline_s)

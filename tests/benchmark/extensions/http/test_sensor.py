@@ -1,0 +1,241 @@
+"""A renderer over HTTP: exactly NeuroNCAP's requests, everybody where they are, and what does not fit refused."""
+
+import base64
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmark.closed_loop.default_engine import DefaultRides
+from benchmark.closed_loop.driving import drive
+from benchmark.errors import InputError
+from benchmark.extensions.http.address import Address
+from benchmark.extensions.http.images import ImageFormat, image_text
+from benchmark.extensions.http.renderer import MovedActor, actors_in, moved, picture_wanted
+from benchmark.extensions.http.requests import CAMERAS, InferRequest
+from benchmark.extensions.http.sensor import HttpSensor, moved_actors
+from benchmark.extensions.http.values import WireError
+from benchmark.geometry import transform_matrix
+from benchmark.planning import PlannerGoneError
+from benchmark.scene import Scene
+from tests.benchmark.closed_loop.staged import staged
+from tests.benchmark.extensions.http.made import SHARED, Looking, Reply, free_port, picture, scripted, small_cameras
+from tests.hand_made import Car, scene_on_straight_road
+
+
+def small_scene() -> Scene:
+    scene = scene_on_straight_road((Car(95.0, 198.25, 2.0), Car(60.0, 194.75, 10.0)), seconds=6.0)
+    return replace(scene, cameras=small_cameras())
+
+
+@dataclass
+class Renderer:
+    """A renderer of a scene; its pictures say which camera they are of."""
+
+    scene: Scene
+    form: ImageFormat = ImageFormat.TORCH
+    bare: bool = True
+    shape: tuple[int, int] = (6, 8)
+
+    def actors(self) -> list[dict[str, Any]]:
+        times = self.scene.timestamps_us[self.scene.keyframes].tolist()
+        pose = np.eye(4).tolist()
+        return [
+            {"uuid": name, "poses": [pose] * len(times), "timestamps": times, "dims": [1.9, 4.6, 1.7]}
+            for name in self.scene.agents.ids
+        ]
+
+    def __call__(self, path: str, body: bytes) -> Reply:
+        if path == "/get_actors":
+            return 200, json.dumps(self.actors()).encode()
+        if path == "/render_image":
+            number = CAMERAS.index(json.loads(body)["camera_name"])
+            text = image_text(picture(number, self.shape), self.form).encode()
+            return 200, text if self.bare else base64.b64decode(text)
+        return 200, b"null" if path == "/update_actors" else b"true"
+
+
+def sensor(url: str, *, tensors: bool = True) -> HttpSensor:
+    return HttpSensor(Address.of(f"drawn={url}", "--sensor"), tensors)
+
+
+@pytest.mark.parametrize(
+    ("form", "bare", "tensors"),
+    [(ImageFormat.TORCH, True, True), (ImageFormat.PNG, False, False), (ImageFormat.PNG, True, False)],
+)
+def test_a_drive_is_shown_by_a_renderer(form: ImageFormat, bare: bool, tensors: bool) -> None:
+    scene, planner = small_scene(), Looking()
+    with scripted(Renderer(scene, form, bare)) as server:
+        found = drive(replace(staged(scene), sensor=sensor(server.url, tensors=tensors)), planner)
+    assert found.failure is None and len(found.plans) > 4
+    step = ["/update_actors", *["/render_image"] * 6]
+    assert server.paths == ["/get_actors", *step * len(found.plans)]
+    for index, seen in enumerate(planner.seen):
+        for number, name in enumerate(CAMERAS):
+            assert (seen.views[name].load() == picture(number)).all()
+            wanted = json.loads(server.asked[2 + 7 * index + number][3])
+            more = [] if tensors else ["image_format"]
+            assert list(wanted) == ["pose", "timestamp", "camera_name", *more]
+            assert (wanted["camera_name"], wanted["timestamp"]) == (name, seen.timestamp_us)
+            camera = seen.views[name].camera
+            pose = seen.views[name].global_T_ego @ transform_matrix(camera.rotation, camera.translation)
+            assert wanted["pose"] == pose.tolist()
+
+
+def test_everybody_is_put_where_they_are_and_nobodys_future_is_told() -> None:
+    scene, planner = small_scene(), Looking()
+    with scripted(Renderer(scene)) as server:
+        drive(replace(staged(scene, DefaultRides("idm")), sensor=sensor(server.url)), planner)
+    bodies = [json.loads(body) for _, path, _, body in server.asked if path == "/update_actors"]
+    for seen, actors in zip(planner.seen, bodies, strict=True):
+        assert [each["uuid"] for each in actors] == list(scene.agents.ids)
+        for each in actors:
+            assert list(each) == ["timestamps", "poses", "dims", "uuid", "is_target_actor"]
+            assert each["timestamps"][-2:] == [seen.timestamp_us, seen.timestamp_us + 500_000]
+            assert np.shape(each["poses"]) == (len(each["timestamps"]), 4, 4)
+            assert each["dims"] == [1.9, 4.6, 1.7] and each["is_target_actor"] is False
+    now = bodies[-1][1]["poses"]
+    # Ten metres a second straight on: half a second further, by the last step and not by what will come.
+    assert now[-1][0][3] - now[-2][0][3] == pytest.approx(5.0, abs=0.3)
+
+
+def test_tracks_are_told_without_gaps_and_by_whoever_is_there() -> None:
+    scene = replace(small_scene(), adversaries=(small_scene().agents.ids[0],))
+    valid = scene.agents.valid.copy()
+    valid[0, :10], valid[1, -1] = False, False
+    driven = replace(scene, agents=replace(scene.agents, valid=valid))
+    (only,) = moved_actors(driven, frozenset(scene.agents.ids), scene.adversaries)
+    assert only.uuid == scene.agents.ids[0] and only.is_target
+    assert only.timestamps[0] == scene.timestamps_us[10] and len(only.timestamps) == len(scene.timestamps_us) - 10 + 1
+    one = replace(driven, timestamps_us=scene.timestamps_us[:1], agents=replace(
+        scene.agents, valid=valid[:, :1] | True, position=scene.agents.position[:, :1], yaw=scene.agents.yaw[:, :1]
+    ))  # fmt: skip
+    first = moved_actors(one, frozenset(scene.agents.ids), ())[0]
+    assert len(first.timestamps) == 2 and (first.poses[0] == first.poses[1]).all()
+    assert moved_actors(driven, frozenset(), ()) == []
+
+
+def wrong(change: Callable[[list[dict[str, Any]]], Any]) -> Callable[[Renderer], Callable[[str, bytes], Reply]]:
+    def renderer(good: Renderer) -> Callable[[str, bytes], Reply]:
+        def answer(path: str, body: bytes) -> Reply:
+            if path != "/get_actors":
+                return good(path, body)
+            actors = good.actors()
+            changed = change(actors)
+            return 200, json.dumps(actors if changed is None else changed).encode()
+
+        return answer
+
+    return renderer
+
+
+WRONG: dict[str, tuple[Callable[[Renderer], Callable[[str, bytes], Reply]], str]] = {
+    "another scene": (wrong(lambda actors: actors[0].update(uuid="stranger")), "stranger.*--scenes"),
+    "another time": (
+        wrong(lambda actors: actors[0].update(timestamps=[1] * len(actors[0]["timestamps"]))), "outside of scene",
+    ),
+    "no list": (wrong(lambda actors: {"actors": actors}), "no list"),
+    "poses of another shape": (wrong(lambda actors: actors[0].update(poses=[[0.0] * 16])), "4 x 4"),
+    "NaN": (wrong(lambda actors: actors[0].update(dims=[float("nan"), 1, 1])), "NaN"),
+    "nobody of a name": (wrong(lambda actors: actors[0].update(uuid="")), "no text"),
+    "times with points": (wrong(lambda actors: actors[0].update(timestamps=[1.5])), "whole microseconds"),
+    "a route less": (lambda good: lambda path, body: (404, b"Not Found"), "/get_actors with status 404"),
+    "a web page": (lambda good: lambda path, body: (200, b"<html></html>"), "a web page"),
+    "a failure": (
+        lambda good: lambda path, body: (500, b"out of memory") if path == "/render_image" else good(path, body),
+        "/render_image with status 500: out of memory",
+    ),
+    "another size": (lambda good: replace(good, shape=(3, 4)), "4 x 3 pixels, and the calibration is of 8 x 6"),
+    "no picture": (
+        lambda good: lambda path, body: (200, b"hello") if path == "/render_image" else good(path, body), "no base64",
+    ),
+    "nothing": (lambda good: lambda path, body: None, "went away"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_does_not_fit_ends_the_command_and_is_nobodys_failure(name: str) -> None:
+    scene, (renderer, says) = small_scene(), WRONG[name]
+    with scripted(renderer(Renderer(scene))) as server, pytest.raises(InputError, match=says) as refused:
+        drive(replace(staged(scene), sensor=sensor(server.url)), Looking())
+    assert server.url in str(refused.value) and not isinstance(refused.value, PlannerGoneError)
+
+
+def test_an_adversary_that_a_renderer_cannot_show_is_refused() -> None:
+    scene = small_scene()
+    known = Renderer(replace(scene, agents=replace(scene.agents, ids=scene.agents.ids[:1])))
+    threatened = replace(scene, adversaries=(scene.agents.ids[1],))
+    with scripted(known) as server, pytest.raises(InputError, match="the adversary of scene"):
+        sensor(server.url).look(threatened)
+    with scripted(known) as server:
+        assert sensor(server.url).look(scene).cameras == tuple(
+            next(camera for camera in scene.cameras if camera.name == name) for name in CAMERAS
+        )
+
+
+def test_saved_tensors_of_a_renderer_want_a_flag() -> None:
+    scene = small_scene()
+    with scripted(Renderer(scene)) as server, pytest.raises(InputError, match="--accept-torch-tensors if you trust it"):
+        drive(replace(staged(scene), sensor=sensor(server.url, tensors=False)), Looking())
+
+
+def test_a_rig_without_six_cameras_is_not_shown() -> None:
+    scene = small_scene()
+    with scripted(Renderer(scene)) as server, pytest.raises(InputError, match="has no CAM_FRONT"):
+        sensor(server.url).look(replace(scene, cameras=()))
+    assert server.asked == []
+
+
+def test_what_was_measured_names_the_renderer() -> None:
+    plain = HttpSensor(Address.of("http://127.0.0.1:8000", "--sensor"))
+    assert plain.name == "127.0.0.1:8000"
+    assert plain.facts == {"protocol": "neuroncap", "image_format": "png", "address": "http://127.0.0.1:8000"}
+    assert "address" not in sensor("http://127.0.0.1:8000").facts
+    with pytest.raises(InputError, match="nobody answers"):
+        sensor(f"http://127.0.0.1:{free_port()}").require_alive()
+
+
+@pytest.mark.skipif(not SHARED.exists(), reason="the recorded sessions are not here")
+@pytest.mark.parametrize("name", ["session_plain", "session_with_objects_and_dim_jitter"])
+def test_recorded_requests_to_a_renderer_are_written_again_to_the_byte(name: str) -> None:
+    exchanges = json.loads((SHARED / f"{name}.json").read_text())["exchanges"]
+    infer = next(each for each in exchanges if each["path"] == "/infer")
+    request = InferRequest.read(infer["request_body"].encode())
+    wanted = [each for each in exchanges[: infer["order"]] if each["path"] == "/render_image"]
+    assert len(wanted) == 6
+    for camera, each in zip(CAMERAS, wanted, strict=True):
+        pose = np.array(json.loads(each["request_body"])["pose"])
+        assert picture_wanted(pose, request.timestamp, camera).decode() == each["request_body"]
+        # The product itself differs in its last digits from library to library.
+        np.testing.assert_allclose(request.ego2world @ request.camera2ego[camera], pose, rtol=1e-13, atol=1e-13)
+    actors = actors_in(next(each for each in exchanges if each["path"] == "/get_actors")["response_body"].encode())
+    assert len(actors) == 3 and all(len(actor.poses) == len(actor.timestamps) for actor in actors)
+    update = next(each for each in exchanges if each["path"] == "/update_actors")
+    told = [
+        MovedActor(
+            np.array(each["timestamps"]),
+            np.array(each["poses"]),
+            np.array(each["dims"]),
+            each["uuid"],
+            each["is_target_actor"],
+        )
+        for each in json.loads(update["request_body"])
+    ]
+    assert moved(told).decode() == update["request_body"]
+
+
+@pytest.mark.parametrize("body", [b"", b"[", b"[1]", b'[{"uuid": "a"}]', b"null"])
+def test_actors_that_are_none(body: bytes) -> None:
+    with pytest.raises(WireError):
+        actors_in(body)
+
+
+def test_no_file_is_behind_a_picture() -> None:
+    scene, planner = small_scene(), Looking()
+    with scripted(Renderer(scene)) as server:
+        drive(replace(staged(scene), sensor=sensor(server.url)), planner)
+    assert {view.path for view in planner.seen[0].views.values()} == set(map(Path, CAMERAS))

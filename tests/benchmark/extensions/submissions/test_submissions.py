@@ -1,0 +1,347 @@
+"""Submissions: what was made honestly is fit; whatever was changed afterwards is found and said in one sentence."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from adapters.known_planners import own_planner_like
+from adapters.planners.log_replay import LogReplay
+from adapters.registry import planner_factory
+from benchmark.closed_loop.default_engine import DefaultRides
+from benchmark.errors import InputError
+from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.extensions.submissions.checking import check_submission
+from benchmark.extensions.submissions.findings import Finding, Level
+from benchmark.machine.storage import file_sha256
+from benchmark.protocols import PROTOCOLS
+from benchmark.protocols.exact import Exact
+from benchmark.runs.driving import DriveSettings, drive_split
+from benchmark.scene import Scene
+from tests.benchmark.fake_data import FakeData, town_of_two
+from tests.benchmark.planners import Failing, Straight
+from tests.hand_made import scene_on_straight_road
+
+DATA = town_of_two(slow_leader=True)
+
+
+@pytest.fixture(scope="module")
+def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("submission")
+    evaluate(DATA, "val", Straight(), root)
+    return root
+
+
+@pytest.fixture
+def folder(honest: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(honest, tmp_path / "submitted"))
+
+
+def checked(folder: Path) -> tuple[int, list[Finding]]:
+    sound, findings = check_submission(folder, DATA.name, lambda split: DATA)
+    return len(sound), [finding for finding in findings if finding.level is Level.ERROR]
+
+
+def edited(folder: Path, change: Callable[[dict[str, Any], list[Any], dict[str, Any]], None]) -> None:
+    """Change a record as a forger would: with hashes that agree again."""
+    run_file = next(folder.rglob("run.json"))
+    rows_file, summary_file = run_file.with_name("samples.jsonl"), run_file.with_name("summary.json")
+    run, summary = json.loads(run_file.read_text()), json.loads(summary_file.read_text())
+    rows = [json.loads(line) for line in rows_file.read_text().splitlines()]
+    change(run, rows, summary)
+    rows_file.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    summary_file.write_text(json.dumps(summary))
+    run["files"] = {path.name: file_sha256(path) for path in (rows_file, summary_file)}
+    run_file.write_text(json.dumps(run))
+
+
+def test_what_eval_writes_is_fit(folder: Path) -> None:
+    assert checked(folder) == (1, [])
+
+
+def test_a_record_from_before_verdicts_said_whom_they_are_about_is_fit_and_a_wrong_count_is_found(folder: Path) -> None:
+    def older(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+        for row in rows:
+            for outcome in row["outcomes"].values():
+                outcome["steps"].pop("recorded_adversary", None)
+            for name in ("hit", "first_contact_s", "hit_adversary", "adversary_contact_s") if row["driving"] else ():
+                del row["driving"][name]
+        for found in summary["protocols"].values():
+            del found["mask_removed_for_adversary"]
+
+    edited(folder, older)
+    assert checked(folder) == (1, [])
+
+    def claim(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+        summary["protocols"]["uniad"]["mask_removed_for_adversary"] = 3
+        rows[0]["outcomes"]["vad"]["steps"]["recorded_adversary"] = [True] * 6
+
+    edited(folder, claim)
+    assert {error.sentence.split(" = ")[0].split(" on ")[0] for error in checked(folder)[1]} == {
+        "says other verdicts than its plans have",
+        "claims mask_removed_for_adversary",
+    }
+
+
+def test_a_flattering_rate_is_found(folder: Path) -> None:
+    def lower(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+        summary["protocols"]["exact"]["columns"]["collision"]["3s"]["value"] = 0.0
+
+    edited(folder, lower)
+    sound, (error,) = checked(folder)
+    assert sound == 0
+    assert "claims collision 3s = 0.0, and its plans give" in error.sentence
+
+
+def test_a_verdict_that_the_plan_does_not_have_is_found(folder: Path) -> None:
+    def acquit(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+        row = next(row for row in rows if any(row["outcomes"]["exact"]["collision"]))
+        row["outcomes"]["exact"]["collision"] = [False] * len(row["outcomes"]["exact"]["collision"])
+
+    edited(folder, acquit)
+    assert "other verdicts than its plans have on 1 of" in checked(folder)[1][0].sentence
+
+
+def test_driving_scores_that_the_plans_do_not_have_are_found(folder: Path) -> None:
+    def better(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+        next(row for row in rows if row["driving"] is not None)["driving"]["ep"] = 0.123
+
+    edited(folder, better)
+    _, (error,) = checked(folder)
+    assert "claims other driving scores than its plans give, first on sample" in error.sentence
+
+
+def test_flattering_and_left_out_driving_scores_are_found(folder: Path, tmp_path: Path) -> None:
+    def flatter(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+        summary["driving"]["columns"]["score"]["mean"]["value"] = 1.0
+
+    def leave_out(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+        summary["driving"] = None
+
+    def of_another_version(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+        summary["driving"]["version"] = 0
+
+    for number, (change, says) in enumerate(
+        (
+            (flatter, "claims other driving scores than its plans give: score mean = 1.0, and its plans give"),
+            (leave_out, "has no driving scores"),
+            (of_another_version, "another version of nuscenes-pdm"),
+        )
+    ):
+        changed = Path(shutil.copytree(folder, tmp_path / f"changed-{number}"))
+        edited(changed, change)
+        _, (error,) = checked(changed)
+        assert says in error.sentence
+
+
+def test_a_moved_plan_is_found_by_its_verdicts(folder: Path) -> None:
+    def move(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+        rows[0]["plan"]["waypoints"] = [[x + 30.0, y] for x, y in rows[0]["plan"]["waypoints"]]
+
+    edited(folder, move)
+    assert checked(folder)[1]
+
+
+def test_left_out_samples_and_other_data_are_found(folder: Path, tmp_path: Path) -> None:
+    edited(folder, lambda run, rows, summary: rows.pop())
+    assert "does not hold the samples" in checked(folder)[1][0].sentence
+    edited(folder, lambda run, rows, summary: run["data"].update(fingerprint="0" * 64))
+    assert "other content" in checked(folder)[1][0].sentence
+    edited(folder, lambda run, rows, summary: run["data"].update(name="elsewhere"))
+    assert "is of the data set elsewhere" in checked(folder)[1][0].sentence
+
+
+def test_hashes_that_do_not_agree_and_truncated_files_are_found(folder: Path) -> None:
+    rows_file = next(folder.rglob("samples.jsonl"))
+    rows_file.write_bytes(rows_file.read_bytes()[:-40])
+    assert len(checked(folder)[1]) == 1
+    rows_file.unlink()
+    assert len(checked(folder)[1]) == 1
+
+
+def test_one_bad_record_does_not_hide_a_good_one(folder: Path) -> None:
+    shutil.copytree(folder / DATA.name, folder / "copy")
+    (next((folder / "copy").rglob("run.json"))).write_text("{")
+    sound, errors = checked(folder)
+    assert sound == 1 and len(errors) == 1 and "copy" in str(errors[0].directory)
+
+
+def test_the_same_record_twice_is_said(folder: Path) -> None:
+    shutil.copytree(folder / DATA.name, folder / "copy")
+    assert "is the same planner on the same split" in checked(folder)[1][0].sentence
+
+
+def test_partial_runs_and_parts_of_a_split_are_refused(tmp_path: Path) -> None:
+    evaluate(DATA, "val", Failing(), tmp_path / "failed")
+    assert "has no plan for" in checked(tmp_path / "failed")[1][0].sentence
+    evaluate(DATA, "val", Straight(), tmp_path / "part", EvalSettings(limit=1))
+    assert "ran on 1 of 2 scenes" in checked(tmp_path / "part")[1][0].sentence
+
+
+def test_old_and_missing_protocols_are_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Stricter(Exact):
+        version = 99
+
+    def forget(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+        del run["protocols"]["vad"]
+        run["config"]["protocols"].remove("vad")
+
+    edited(folder, forget)
+    assert "is not judged by vad" in checked(folder)[1][0].sentence
+    monkeypatch.setitem(PROTOCOLS, "exact", Stricter())
+    assert any("other versions of exact" in error.sentence for error in checked(folder)[1])
+
+
+Forgery = Callable[[dict[str, Any], list[Any], dict[str, Any]], None]
+FORGERIES: dict[str, tuple[Forgery, str]] = {
+    "coverage": (lambda run, rows, summary: summary.update(coverage=0.5), "claims coverage = 0.5"),
+    "samples": (lambda run, rows, summary: summary.update(samples=1), "claims samples = 1"),
+    "failed": (lambda run, rows, summary: summary.update(failed=1), "claims failed = 1"),
+    "counted": (lambda run, rows, summary: summary["protocols"]["vad"].update(counted=1), "claims counted = 1"),
+    "an interval": (
+        lambda run, rows, summary: summary["protocols"]["exact"]["columns"]["collision"]["3s"].update(
+            low=0.0, high=0.0
+        ),
+        "under exact",
+    ),
+    "a share of driving": (lambda run, rows, summary: summary["driving"].update(counted=1), "counted = 1"),
+    "a protocol more": (
+        lambda run, rows, summary: summary["protocols"].update(kind=summary["protocols"]["exact"]),
+        "has rates under kind",
+    ),
+    "status": (lambda run, rows, summary: run.update(status="partial"), "says that it is partial"),
+    "scenes": (lambda run, rows, summary: run.update(scenes_in_split=7), "says that val has 7 scenes"),
+    "a frozen split": (lambda run, rows, summary: run.update(frozen_split="mini-adv-1"), "frozen split"),
+    "a search": (lambda run, rows, summary: run.update(generated={"seed": 3}), "search"),
+    "weights": (lambda run, rows, summary: run["planner"].update(weights_sha256="f00"), "is no SHA-256"),
+    "code": (lambda run, rows, summary: run["planner"].update(code_sha256="x" * 64), "is no SHA-256"),
+    "a protocol of its own": (
+        lambda run, rows, summary: run["planner"].update(native_protocol="lenient"),
+        "names a protocol of its own",
+    ),
+    "a failure hidden": (lambda run, rows, summary: rows[3].update(plan=None, error=None, outcomes={}), "says 'ok'"),
+    "a plan of a failure": (lambda run, rows, summary: rows[3].update(status="failed"), "has no plan for 1 of"),
+}
+
+
+@pytest.mark.parametrize("name", FORGERIES)
+def test_whatever_is_edited_is_found(folder: Path, name: str) -> None:
+    change, says = FORGERIES[name]
+    edited(folder, change)
+    sound, errors = checked(folder)
+    assert sound == 0 and any(says in error.sentence for error in errors), [error.sentence for error in errors]
+
+
+def test_completeness_is_not_believed(tmp_path: Path) -> None:
+    evaluate(DATA, "val", Failing(), tmp_path)
+
+    def claim(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+        run.update(status="complete")
+        summary.update(failed=0, coverage=1.0)
+
+    edited(tmp_path, claim)
+    said = [error.sentence for error in checked(tmp_path)[1]]
+    assert any("has no plan for" in one for one in said) and any("says that it is complete" in one for one in said)
+
+
+def test_what_our_planners_are_is_known_by_their_code(tmp_path: Path) -> None:
+    evaluate(DATA, "val", planner_factory("constant-velocity-on-path"), tmp_path)
+
+    def said(level: Level) -> list[str]:
+        findings = check_submission(tmp_path, DATA.name, lambda split: DATA, own_planner_like)[1]
+        return [finding.sentence for finding in findings if finding.level is level]
+
+    assert said(Level.ERROR) == [] and not any("declares" in one for one in said(Level.NOTE))
+    edited(tmp_path, lambda run, rows, summary: run["planner"].update(name="mine", privileged=False))
+    assert any("has the code of constant-velocity-on-path" in one for one in said(Level.NOTE))
+    assert any("says privileged: False" in one for one in said(Level.ERROR))
+    edited(tmp_path, lambda run, rows, summary: run["planner"].update(code_sha256="0" * 64))
+    assert said(Level.ERROR) == [] and any("declares privileged: no" in one for one in said(Level.NOTE))
+    edited(tmp_path, lambda run, rows, summary: run["planner"].update(name="constant-velocity-on-path"))
+    assert any("is called constant-velocity-on-path and has not this" in one for one in said(Level.NOTE))
+
+
+def test_plans_that_know_the_future_are_suspicious_unless_they_say_so(tmp_path: Path) -> None:
+    data = FakeData({f"scene-99{number:02d}": braking_scene(number) for number in range(6)})
+
+    def suspicions() -> list[Finding]:
+        found = check_submission(tmp_path, data.name, lambda split: data)
+        assert len(found[0]) == 1, found[1]
+        return [finding for finding in found[1] if finding.level is Level.SUSPICIOUS]
+
+    evaluate(data, "val", LogReplay(), tmp_path)
+    assert suspicions() == []
+    edited(tmp_path, lambda run, rows, summary: run["planner"].update(privileged=False))
+    (said,) = suspicions()
+    assert "could not be foretold are met" in said.sentence and "It proves nothing" in said.sentence
+
+
+def braking_scene(number: int) -> Scene:
+    """A recording of 20 s whose car slows down and speeds up at moments of its own."""
+    scene = scene_on_straight_road(name=f"scene-99{number:02d}", seconds=20.0)
+    times = scene.seconds
+    speed = 7.0 + 4.0 * np.sign(np.sin(times * (0.9 + 0.1 * number) + number))
+    smooth = np.convolve(np.pad(speed, 6, mode="edge"), np.full(13, 1 / 13), mode="valid")
+    position = scene.ego.position.copy()
+    position[:, 0] = position[0, 0] + np.concatenate([[0.0], np.cumsum(smooth[:-1] * np.diff(times))])
+    return replace(scene, ego=replace(scene.ego, position=position))
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("driven")
+    drive_split(DATA, "val", Straight(), root, DriveSettings("default", DefaultRides("replay"), agents="replay"))
+    return root
+
+
+def edited_drives(folder: Path, change: Forgery) -> None:
+    head = next(folder.rglob("drive.json"))
+    rows_file, summary_file = head.with_name("drives.jsonl"), head.with_name("summary.json")
+    run, summary = json.loads(head.read_text()), json.loads(summary_file.read_text())
+    rows = [json.loads(line) for line in rows_file.read_text().splitlines()]
+    change(run, rows, summary)
+    rows_file.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    summary_file.write_text(json.dumps(summary))
+    run["files"] = {path.name: file_sha256(path) for path in (rows_file, summary_file)}
+    head.write_text(json.dumps(run))
+
+
+DRIVE_FORGERIES: dict[str, tuple[Forgery, str]] = {
+    "a contact forgotten": (
+        lambda run, rows, summary: next(row for row in rows if row["contact"]).update(contact=None, end="end"),
+        "lead elsewhere",
+    ),
+    "another score": (lambda run, rows, summary: rows[0]["scores"].update(progress_m=900.0), "claims other scores"),
+    "another rate": (
+        lambda run, rows, summary: summary["columns"]["at_fault"].update(value=0.0),
+        "claims at_fault = 0.0",
+    ),
+    "a drive less": (lambda run, rows, summary: rows.pop(), "scenes without one"),
+    "a drive twice": (lambda run, rows, summary: rows.append(rows[0]), "has a drive twice"),
+    "another place": (lambda run, rows, summary: rows[0]["ticks"]["ego"][-1].__setitem__(0, 3.0), "lead elsewhere"),
+    "another world": (lambda run, rows, summary: run["data"].update(fingerprint="0"), "was driven on other content"),
+}
+
+
+def test_drives_are_driven_again(driven: Path) -> None:
+    assert checked(driven) == (1, [])
+
+
+@pytest.mark.parametrize("name", DRIVE_FORGERIES)
+def test_whatever_is_edited_in_drives_is_found(driven: Path, tmp_path: Path, name: str) -> None:
+    folder = Path(shutil.copytree(driven, tmp_path / "submitted"))
+    change, says = DRIVE_FORGERIES[name]
+    edited_drives(folder, change)
+    sound, errors = checked(folder)
+    assert sound == 0 and any(says in error.sentence for error in errors), [error.sentence for error in errors]
+
+
+def test_nothing_to_check_is_said(tmp_path: Path) -> None:
+    assert "holds no run record" in checked(tmp_path)[1][0].sentence
+    with pytest.raises(InputError, match="there is no folder"):
+        checked(tmp_path / "absent")

@@ -1,1 +1,0 @@
-"""Tests of whether plans can be what they are read as."""

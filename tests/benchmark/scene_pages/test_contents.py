@@ -1,0 +1,229 @@
+"""What stands in a sheet: tracks, road and edges against the scene that they were made from."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import shapely
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from benchmark.errors import InputError
+from benchmark.extensions.quality.projection import boxes_in_view
+from benchmark.geometry import Floats, transform_matrix
+from benchmark.planning import CameraView
+from benchmark.records.scenes import CAMERA_GRID, SheetMap
+from benchmark.road_map import Divider, DividerKind, RoadMap, as_multipolygon
+from benchmark.scene import Scene
+from benchmark.scene_pages.motion import agents_of, ego_of, origin_of
+from benchmark.scene_pages.pictures import adversary_edges, cut_at_borders, layout, mosaic, pictured_frames
+from benchmark.scene_pages.road import AROUND_M, road_around
+from tests.benchmark.extensions.quality.synthetic_videos import without_frames
+from tests.generation.nuscenes_writer.written_roots import short_scene, with_adversary
+from tests.hand_made import Car, straight_road
+
+WAY = np.column_stack([np.linspace(150.0, 190.0, 9), np.full(9, 198.25)])
+
+
+def test_positions_are_the_scenes_to_the_centimetre() -> None:
+    scene = short_scene()
+    scene = replace(scene, agents=replace(scene.agents, yaw=scene.agents.yaw + 40 * np.pi + 0.1234))
+    origin = origin_of(scene)
+    ego = ego_of(scene, origin)
+    assert origin == (50.0, 198.0)
+    assert np.abs(np.array(ego.x_m) + origin[0] - scene.ego.position[:, 0]).max() <= 0.0051
+    assert np.abs(np.array(ego.y_m) + origin[1] - scene.ego.position[:, 1]).max() <= 0.0051
+    for agent, row in zip(agents_of(scene, origin), range(3), strict=True):
+        assert np.abs(np.array(agent.x_m, float) + origin[0] - scene.agents.position[row, :, 0]).max() <= 0.0051
+        turned = np.array(agent.yaw_rad, float) - scene.agents.yaw[row]
+        assert np.abs(np.angle(np.exp(1j * turned))).max() <= 0.0006
+        assert np.abs(np.array(agent.yaw_rad, float)).max() <= 3.142
+        assert agent.size_m == (4.6, 1.9, 1.7)
+
+
+def test_agents_are_shown_while_they_are_near_and_there() -> None:
+    cars = (Car(80.0, 198.25, 8.0), Car(160.0, 201.75, 20.0, np.pi), Car(350.0, 194.75))
+    scene = without_frames(short_scene(cars=cars, ego_speed=0.0), 0, slice(1, 3))
+    shown = agents_of(scene, origin_of(scene))
+    assert [agent.id for agent in shown] == list(scene.agents.ids[:2])
+    away, coming = shown
+    assert [value is None for value in away.x_m] == [not there for there in scene.agents.valid[0]]
+    assert [value is None for value in away.yaw_rad] == [value is None for value in away.x_m]
+    # 110 m ahead at first and 3.5 m to the side; at 20 m/s it is within 80 m after a little more than 1.5 s.
+    assert coming.first == 19
+    assert len(coming.x_m) == len(scene.timestamps_us) - 19
+
+
+def test_an_adversary_is_last_and_shown_however_far() -> None:
+    far = with_adversary(short_scene(cars=(Car(390.0, 198.25), Car(80.0, 194.75))))
+    near, adversary = agents_of(far, origin_of(far))
+    assert (near.adversary, adversary.adversary) == (False, True)
+    assert adversary.id == far.adversaries[0]
+    assert len(adversary.x_m) == len(far.timestamps_us)
+
+
+def rings(road: SheetMap) -> list[tuple[tuple[float, float], ...]]:
+    layers = (*road.drivable, *road.crossings, *road.walkways, *road.carparks)
+    return [ring for polygon in layers for ring in polygon]
+
+
+def test_the_road_is_that_around_the_way() -> None:
+    road = road_around(straight_road(), WAY, (150.0, 198.0))
+    corridor = shapely.LineString(WAY).buffer(AROUND_M)
+    (outer,) = road.drivable[0]
+    drawn = shapely.transform(shapely.Polygon(outer), lambda points: points + [150.0, 198.0])
+    expected = straight_road().drivable_area.intersection(corridor)
+    assert drawn.symmetric_difference(expected).area < 0.02 * expected.area
+    assert len(road.drivable) == len(road.crossings) == 1
+    assert len(road.walkways) == 2
+    assert sorted(line.paint for line in road.dividers) == ["dashed-white", "dashed-white", "solid-yellow"]
+    for ring in rings(road):
+        assert ring[0] == ring[-1]
+        assert np.array_equal(np.round(ring, 2), np.array(ring))
+
+
+def test_holes_stay_and_slivers_go() -> None:
+    island = shapely.Polygon(shapely.box(100, 150, 250, 250).exterior, [shapely.box(160, 190, 170, 195).exterior])
+    sliver = shapely.box(300, 100, 300.0001, 101)
+    twisted = shapely.Polygon([(150, 180), (160, 190), (160, 180), (150, 190)])
+    road_map = RoadMap(
+        "boston-seaport", as_multipolygon(shapely.MultiPolygon([island, sliver])), carparks={"x": twisted}
+    )
+    road = road_around(road_map, WAY, (0.0, 0.0))
+    assert [len(polygon) for polygon in road.drivable] == [2]
+    assert len(road.carparks) == 2
+
+
+@pytest.mark.parametrize("way", [WAY[:1], np.repeat(WAY[:1], 5, axis=0), WAY])
+def test_an_ego_that_stands_has_a_road(way: Floats) -> None:
+    assert road_around(straight_road(), way, (150.0, 198.0)).drivable
+    assert road_around(RoadMap("nowhere", shapely.MultiPolygon()), way, (0.0, 0.0)) == SheetMap()
+
+
+def test_a_winding_border_is_simplified_by_no_more_than_5_cm() -> None:
+    angles = np.linspace(0, 2 * np.pi, 20_001)[:-1]
+    radius = 30 + 0.02 * np.sin(900 * angles)
+    disc = shapely.Polygon(np.column_stack([170 + radius * np.cos(angles), 198 + radius * np.sin(angles)]))
+    wave = Divider("wave", np.asarray(disc.exterior.coords), DividerKind.UNPAINTED, False)
+    road = road_around(RoadMap("x", as_multipolygon(disc), dividers=(wave,)), WAY, (0.0, 0.0))
+    (outer,) = road.drivable[0]
+    assert len(outer) < 200
+    assert shapely.Polygon(outer).exterior.hausdorff_distance(disc.exterior) < 0.06
+    assert len(road.dividers[0].points) < 200
+
+
+def view_of(scene: Scene, name: str, frame: int) -> CameraView:
+    camera = next(camera for camera in scene.cameras if camera.name == name)
+    pose = transform_matrix(scene.ego.rotation[frame], scene.ego.position[frame])
+    return CameraView(camera, None, int(scene.timestamps_us[frame]), pose, None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("ahead", "left"), [(12.0, 2.0), (4.0, 3.0), (-9.0, -3.0), (1.0, 2.6)])
+def test_edges_are_the_outline_of_the_box(ahead: float, left: float) -> None:
+    car = Car(50.0 + ahead, 198.25 + left, 0.0, 0.3)
+    scene = with_adversary(short_scene(cars=(car, Car(80.0, 190.0)), ego_speed=0.0))
+    cells = layout({camera.name: camera for camera in scene.cameras}, 320)
+    views = {camera.name: view_of(scene, camera.name, 18) for camera in scene.cameras}
+    found = adversary_edges(scene, cells, views)
+    assert found
+    for cell in cells:
+        boxes = boxes_in_view(scene, views[cell.name], (cell.width, cell.height), ("vehicle.car",), 0.1)
+        outline = next((box.polygon for box in boxes if box.instance == scene.adversaries[0]), None)
+        assert (cell.name in found) == (outline is not None)
+        if outline is None:
+            continue
+        ends = np.array(found[cell.name]).reshape(-1, 2) - [cell.left, cell.top]
+        assert (ends >= 0).all() and (ends <= [cell.width, cell.height]).all()
+        hull = shapely.Polygon(outline).buffer(0.15)
+        assert all(hull.covers(shapely.Point(end)) for end in ends)
+        # Nothing of the outline is missing but where it runs along the border of the cell.
+        border = shapely.box(0, 0, cell.width, cell.height).exterior.buffer(0.1)
+        rest = shapely.Polygon(outline).exterior.difference(border)
+        lines = shapely.MultiLineString([line.tolist() for line in ends.reshape(-1, 2, 2)])
+        assert rest.difference(lines.buffer(0.3)).length < 1.0
+
+
+def test_cameras_stand_as_in_a_car_and_strangers_below() -> None:
+    scene = short_scene()
+    cameras = {camera.name: camera for camera in scene.cameras if camera.name != "CAM_BACK"}
+    odd = replace(scene.cameras[0], name="ROOF", width=200, height=400)
+    cells = {cell.name: cell for cell in layout({**cameras, "ROOF": odd}, 320)}
+    assert [cell.name for cell in cells.values()][:3] == list(CAMERA_GRID[0])
+    assert cells["CAM_BACK_RIGHT"].left == cells["CAM_BACK_LEFT"].width == 320
+    assert (cells["ROOF"].left, cells["ROOF"].top) == (0, 360)
+    assert (cells["ROOF"].width, cells["ROOF"].height) == (200, 400)
+    assert layout({}, 320) == ()
+
+
+def taken(scene: Scene, name: str, times_us: Sequence[int]) -> tuple[CameraView, ...]:
+    view = view_of(scene, name, 0)
+    picture = np.full((18, 32, 3), 200, np.uint8)
+    return tuple(
+        replace(view, path=Path(f"{name}-{time}"), timestamp_us=time, load=lambda: picture) for time in times_us
+    )
+
+
+def test_frames_meet_the_images_of_clocks_of_their_own() -> None:
+    scene = short_scene(seconds=1.5)
+    samples, times = scene.timestamps_us[scene.keyframes], scene.timestamps_us
+    cameras = ("CAM_FRONT", "CAM_BACK")
+    # As in nuScenes: the front camera is 43 ms early, the other one on time; one of its sweeps is lost, and so is its
+    # image of the second sample.
+    keyframes = {
+        "CAM_FRONT": taken(scene, "CAM_FRONT", (samples - 43_000).tolist()),
+        "CAM_BACK": taken(scene, "CAM_BACK", samples.tolist()),
+    }
+    sweeps = {
+        name: taken(scene, name, [time - early for frame, time in enumerate(times) if frame % 6 and frame not in lost])
+        for name, early, lost in zip(cameras, (43_000, 0), ((), (9,)), strict=True)
+    }
+    keyframes["CAM_BACK"] = (keyframes["CAM_BACK"][0], keyframes["CAM_BACK"][2])
+    found = pictured_frames(scene, keyframes, sweeps)
+    assert [each.frame for each in found] == [frame for frame in range(13) if frame != 9] + [13, 14, 15, 16, 17]
+    by_frame = {each.frame: each.views for each in found}
+    assert set(by_frame[6]) == {"CAM_FRONT"}
+    assert by_frame[6]["CAM_FRONT"].timestamp_us == samples[1] - 43_000
+    assert {view.timestamp_us for view in by_frame[8].values()} == {times[8], times[8] - 43_000}
+    assert [each.frame for each in pictured_frames(scene, keyframes, {})] == [0, 6, 12]
+    cells = layout({name: view_of(scene, name, 0).camera for name in cameras}, 32)
+    picture = cv2.imdecode(np.frombuffer(mosaic(cells, by_frame[6]), np.uint8), cv2.IMREAD_COLOR)
+    front, back = ({cell.name: cell for cell in cells}[name] for name in cameras)
+    assert abs(int(np.median(picture[: front.height])) - 200) < 5
+    assert np.median(picture[back.top :]) < 5
+
+
+def test_a_picture_too_large_for_its_format() -> None:
+    scene = short_scene(seconds=1.0)
+    tall = replace(scene.cameras[0], width=10, height=20_000)
+    with pytest.raises(InputError, match="too large for WebP"):
+        mosaic(layout({"CAM_FRONT": tall}, 10), {})
+
+
+near_the_picture = st.floats(-50, 150)
+
+
+@example(0.0, 3e-291, -4e-255, 1.0)
+@given(near_the_picture, near_the_picture, near_the_picture, near_the_picture)
+def test_segments_are_cut_as_geometry_says(x1: float, y1: float, x2: float, y2: float) -> None:
+    segment = np.array([[x1, y1], [x2, y2]])
+    found = cut_at_borders(segment, 100, 60)
+    expected = shapely.LineString(segment).intersection(shapely.box(0, 0, 100, 60))
+    if found is None:
+        # What lies along a border, to within rounding, may be in or out.
+        inside = shapely.box(1e-6, 1e-6, 100 - 1e-6, 60 - 1e-6)
+        assert shapely.LineString(segment).intersection(inside).length < 0.2
+    else:
+        assert shapely.LineString(found).hausdorff_distance(expected) < 1e-6
+
+
+anything = st.floats(allow_nan=True, allow_infinity=True)
+
+
+@given(anything, anything, anything, anything)
+def test_segments_that_are_none_are_not_drawn(x1: float, y1: float, x2: float, y2: float) -> None:
+    with np.errstate(all="ignore"):
+        found = cut_at_borders(np.array([[x1, y1], [x2, y2]]), 100, 60)
+    assert found is None or (np.isfinite(found).all() and (found >= 0).all() and (found <= [100, 60]).all())

@@ -1,0 +1,344 @@
+"""A split from data set to sheets: what is written, what is kept, and that nothing but the data decides it."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from benchmark.datasets.nuscenes import NuScenesData
+from benchmark.datasets.roots import VariantRoots
+from benchmark.errors import InputError
+from benchmark.machine.storage import only_writer, write_json, write_json_lines
+from benchmark.records.run_schema import DataFacts
+from benchmark.records.scenes import Sheets, StoredSheet, find_sheets, read_sheet, scene_folder
+from benchmark.records.statistics import Runtime
+from benchmark.scene_pages import making, split_sheets
+from benchmark.scene_pages.writing import SheetSettings, plan_of, write_sheets
+from generation.nuscenes_writer.plan import STATE_FOLDER
+from generation.pipeline.profile import kept_runtime
+from tests.benchmark.cli.cli_runs import bytes_below, challenger_bench
+from tests.benchmark.datasets.nuscenes_tables import TinyRoot
+from tests.generation.nuscenes_writer.written_roots import SIZE, short_scene, with_adversary
+from tests.generation.nuscenes_writer.written_roots import write_root as write_split
+
+TWO = ("scene-9901", "scene-9902")
+HERE = SheetSettings(workers=1)
+OLD_ATTEMPT = {
+    **{"scene": "scene-0001", "agent": "a", "seed": 0, "kept": True, "discard": None, "launch_frame": 6},
+    **{"challenge": 0.5, "closest_approach": {"gap_m": 0.4, "time_s": 1.5, "side": "left"}},
+    **{"least_time_to_collision_s": None, "plans": []},
+}
+"""A row of the first version that wrote any."""
+LABELS = {
+    "manoeuvre": "cut-in-left",
+    "occurred": [{"kind": "cut-in-left", "first_s": 0.5, "duration_s": 1.0, "least_gap_m": 0.4}],
+    "closest_approach": {"gap_m": 0.4, "frame": 18, "time_s": 1.5, "side": "left"},
+    **{"time_to_collision": None, "encroachment": None, "place": "bend"},
+}
+
+
+def written(root: Path, out: Path, settings: SheetSettings = HERE, split: str = "adv") -> Sheets:
+    write_sheets(NuScenesData.open(root, name="small"), split, out, settings)
+    return find_sheets(out)
+
+
+def sheet_of(sheets: Sheets, scene: str = TWO[0], split: str = "adv") -> StoredSheet:
+    return sheets.scenes["small", split, scene]
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A generated split of two scenes, one of them with an adversary, images at 12 Hz."""
+    folder = tmp_path_factory.mktemp("small")
+    scenes = [with_adversary(short_scene(TWO[0], seconds=1.5)), short_scene(TWO[1], seconds=1.5)]
+    write_split(folder, scenes, split="adv", frames="all")
+    attempts = [
+        {**OLD_ATTEMPT, "labels": LABELS, "written": TWO[0]},
+        {**OLD_ATTEMPT, "agent": "b", "kept": False, "discard": "hits-another", "written": None},
+        {**OLD_ATTEMPT, "agent": "c", "dropped": "beyond-the-number-kept", "extra": 1},
+    ]
+    write_json_lines(folder / "attempts.jsonl", attempts)
+    return folder
+
+
+@pytest.fixture
+def copied(root: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(root, tmp_path / "copied"))
+
+
+@pytest.fixture(scope="module")
+def sheets(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Sheets:
+    return written(root, tmp_path_factory.mktemp("sheets"))
+
+
+def test_a_sheet_says_what_the_data_set_says(root: Path, sheets: Sheets) -> None:
+    data, sheet = NuScenesData.open(root, name="small"), sheet_of(sheets).sheet
+    scene = data.scene(TWO[0])
+    assert sheet.timestamps_us == tuple(scene.timestamps_us)
+    assert sheet.keyframes == tuple(scene.keyframes)
+    assert sheet.sample_tokens == tuple(observation.sample_token for observation in data.observations(TWO[0]))
+    assert (sheet.description, sheet.source) == (scene.description, TWO[0])
+    made = data.provenance() or {}
+    assert sheet.drawn_by == made["renderer"]["name"] is not None
+    assert sheet.data.fingerprint == data.fingerprint()
+    assert [agent.id for agent in sheet.agents if agent.adversary] == list(scene.adversaries)
+    assert sheet.agents[-1].adversary
+    assert sheet.road.drivable
+
+
+def test_a_sheet_with_a_frame_too_many_is_named(sheets: Sheets, tmp_path: Path) -> None:
+    folder = tmp_path / "scene"
+    shutil.copytree(next(iter(sheets.scenes.values())).directory, folder)
+    content = json.loads((folder / "sheet.json").read_text())
+    content["timestamps_us"].append(content["timestamps_us"][-1] + 1)
+    (folder / "sheet.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"scene/sheet\.json has \d+ frames and another number of ego poses"):
+        read_sheet(folder)
+    content["timestamps_us"] = content["timestamps_us"][-2::-1]
+    (folder / "sheet.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"scene/sheet\.json has frames that are not in order"):
+        read_sheet(folder)
+
+
+def test_a_split_says_what_the_search_tried(sheets: Sheets) -> None:
+    split = sheets.splits["small", "adv"]
+    assert split.scenes == TWO
+    assert split.statistics.counts.scenes == 2
+    assert "root" not in split.model_dump()["statistics"]
+    assert [(each.agent, each.scene, each.discarded, each.manoeuvre) for each in split.attempts] == [
+        ("a", TWO[0], None, "cut-in-left"),
+        ("b", None, "hits-another", None),
+        ("c", None, "beyond-the-number-kept", None),
+    ]
+    assert split.runtime is None
+
+
+def test_pictures_show_each_camera_in_its_cell(root: Path, sheets: Sheets) -> None:
+    stored = sheet_of(sheets)
+    videos = NuScenesData.open(root).videos(TWO[0], sweeps=False)
+    assert stored.sheet.pictures == stored.sheet.keyframes
+    picture = cv2.imread(str(stored.picture_path(6)))[..., ::-1]
+    assert picture.shape == (2 * SIZE[1], 3 * SIZE[0], 3)
+    for cell in stored.sheet.cameras:
+        inside = picture[cell.top : cell.top + cell.height, cell.left : cell.left + cell.width]
+        expected = videos[cell.name][1].load()
+        assert np.abs(np.median(inside, axis=(0, 1)) - np.median(expected, axis=(0, 1))).max() < 12
+    assert set(stored.sheet.adversary_edges) <= {str(frame) for frame in stored.sheet.pictures}
+    assert any(stored.sheet.adversary_edges.values())
+    assert not sheet_of(sheets, TWO[1]).sheet.adversary_edges
+
+
+def test_all_frames_none_and_smaller_ones(root: Path, tmp_path: Path) -> None:
+    every = sheet_of(written(root, tmp_path, replace(HERE, pictures="all", cell_width_px=16))).sheet
+    assert every.pictures == tuple(range(len(every.timestamps_us)))
+    assert {(cell.width, cell.height) for cell in every.cameras} == {(16, 9)}
+    none = written(root, tmp_path, replace(HERE, pictures="none"))
+    assert sheet_of(none).sheet.pictures == () and sheet_of(none).sheet.cameras == ()
+    assert not list(tmp_path.rglob("*.webp"))
+    assert sheet_of(none).sheet.agents == every.agents
+
+
+def test_same_bytes_for_any_workers_and_place(root: Path, copied: Path, tmp_path: Path) -> None:
+    settings = replace(HERE, pictures="all")
+    written(root, tmp_path / "one", settings)
+    data = NuScenesData.open(copied, name="small")
+    write_sheets(data, "adv", tmp_path / "many", replace(settings, workers=2))
+    assert bytes_below(tmp_path / "one") == bytes_below(tmp_path / "many")
+
+
+def test_finished_work_is_kept_and_damage_is_mended(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written(root, tmp_path)
+    before = bytes_below(tmp_path)
+    data = NuScenesData.open(root, name="small")
+    assert plan_of(data, "adv", tmp_path, HERE).endswith("; 2 are there already")
+    with monkeypatch.context() as patched:
+        patched.setattr(making, "mosaic", None)
+        patched.setattr(split_sheets, "statistics", None)
+        assert not any(each.made for each in write_sheets(data, "adv", tmp_path, HERE).scenes)
+    folder = scene_folder(tmp_path, "small", "adv", TWO[0])
+    for damage in (
+        lambda: (folder / "cameras/000000.webp").write_bytes(b"x"),
+        lambda: (folder / "cameras/000006.webp").unlink(),
+        lambda: (folder / "sheet.json").write_text('{"schema": 1'),
+        lambda: (folder / "key.json").write_text("[]"),
+    ):
+        damage()
+        assert [each.made for each in write_sheets(data, "adv", tmp_path, HERE).scenes] == [True, False]
+        assert bytes_below(tmp_path) == before
+
+
+def test_a_traced_search_stays_unless_it_is_damaged(root: Path, tmp_path: Path) -> None:
+    stored = sheet_of(written(root, tmp_path))
+    trace = {"schema": 1, "scene": TWO[0], "agent": "a", "search": {}, "frames": []}
+    rounds = stored.directory / "rounds.json"
+    rounds.write_text(json.dumps({**trace, "origin_m": stored.sheet.origin_m}))
+    assert sheet_of(written(root, tmp_path, replace(HERE, cell_width_px=16))).rounds is not None
+    rounds.write_text(json.dumps({**trace, "origin_m": [0.0, 0.0]}))
+    assert sheet_of(written(root, tmp_path)).rounds is None
+    rounds.write_text('{"schema"')
+    assert sheet_of(written(root, tmp_path)).rounds is None
+
+
+def test_an_interrupted_sheet_is_no_sheet(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written(root, tmp_path / "out", replace(HERE, cell_width_px=20))
+    pictures = iter([b"picture"])
+
+    def stopping(*arguments: object) -> bytes:
+        for picture in pictures:
+            return picture
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(making, "mosaic", stopping)
+        with pytest.raises(KeyboardInterrupt):
+            written(root, tmp_path / "out")
+    # What is left can be read; the scene that was being written is missing.
+    assert [scene for _, _, scene in find_sheets(tmp_path / "out").scenes] == [TWO[1]]
+    written(root, tmp_path / "out")
+    written(root, tmp_path / "at once")
+    assert bytes_below(tmp_path / "out") == bytes_below(tmp_path / "at once")
+
+
+def test_images_rendered_anew_give_another_sheet(copied: Path, tmp_path: Path) -> None:
+    before = sheet_of(written(copied, tmp_path / "out", replace(HERE, pictures="all"))).sheet
+    sweep = sorted((copied / "sweeps" / "CAM_FRONT").iterdir())[0]
+    cv2.imwrite(str(sweep), np.random.default_rng(0).integers(0, 255, (18, 32, 3), np.uint8))
+    after = sheet_of(written(copied, tmp_path / "out", replace(HERE, pictures="all"))).sheet
+    assert sum(before.files[name] != after.files[name] for name in after.files) == 1
+
+
+def test_a_part_stays_when_another_is_written(root: Path, tmp_path: Path) -> None:
+    written(root, tmp_path, replace(HERE, scenes=TWO[:1]))
+    both = written(root, tmp_path, replace(HERE, scenes=TWO[1:]))
+    assert [scene for _, _, scene in both.scenes] == list(TWO)
+    assert both.splits["small", "adv"].scenes == TWO
+
+
+def test_sheets_of_another_version_of_the_data_go(copied: Path, tmp_path: Path) -> None:
+    written(copied, tmp_path / "out")
+    rounds = scene_folder(tmp_path / "out", "small", "adv", TWO[1]) / "rounds.json"
+    rounds.write_text("{}")
+    (tmp_path / "out/small/adv/scenes/scene-gone").mkdir()
+    splits = copied / "v1.0-trainval" / "splits.json"
+    splits.write_text(json.dumps({"adv": [TWO[0]]}))
+    left = written(copied, tmp_path / "out", replace(HERE, limit=1))
+    assert [scene for _, _, scene in left.scenes] == [TWO[0]]
+    assert [path.name for path in (tmp_path / "out/small/adv/scenes").iterdir()] == [TWO[0]]
+
+
+def test_scenes_without_images_and_with_a_part_of_them(copied: Path, tmp_path: Path) -> None:
+    for sweep in (copied / "sweeps").rglob("*.jpg"):
+        sweep.unlink()
+    sheet = sheet_of(written(copied, tmp_path / "out", replace(HERE, pictures="all"))).sheet
+    assert sheet.pictures == sheet.keyframes
+    images = sorted((copied / "samples").rglob("*.jpg"))
+    images[0].unlink()
+    with pytest.raises(InputError, match=r"1 of 18 images of scene scene-9901 are; .*--pictures none"):
+        written(copied, tmp_path / "out")
+    for image in images[1:]:
+        image.unlink()
+    assert sheet_of(written(copied, tmp_path / "out")).sheet.pictures == ()
+
+
+def test_a_data_set_with_one_camera_and_no_provenance(tmp_path: Path) -> None:
+    made = TinyRoot.of(tmp_path / "root", [short_scene(seconds=1.5)], sweeps=False)
+    made.tables["scene"][0]["description"] = "</script><img src=x onerror=alert(1)> \N{FIRE}"
+    made.write()
+    made.write_images((160, 90))
+    (tmp_path / "root" / "splits.json").write_text(json.dumps({"../up": [TWO[0]]}))
+    found = written(tmp_path / "root", tmp_path / "out", split="../up")
+    sheet = found.scenes["small", "../up", TWO[0]].sheet
+    assert [cell.name for cell in sheet.cameras] == ["CAM_FRONT"]
+    assert sheet.description == "</script><img src=x onerror=alert(1)> \N{FIRE}"
+    assert found.splits["small", "../up"].attempts == () and sheet.labels == ()
+    assert {path.relative_to(tmp_path / "out").parts[1] for path in (tmp_path / "out").rglob("*.json")} == {"%2E.%2Fup"}
+
+
+def test_variants_are_scenes_of_one_split(tmp_path: Path) -> None:
+    for variant in ("v0", "v1"):
+        write_split(tmp_path / "roots" / variant, [short_scene(seconds=1.0)], frames="keyframes")
+    write_sheets(VariantRoots.open(tmp_path / "roots", name="small"), "val", tmp_path / "out", HERE)
+    found = find_sheets(tmp_path / "out")
+    assert [scene for _, _, scene in found.scenes] == ["v0/scene-9901", "v1/scene-9901"]
+    assert sheet_of(found, "v1/scene-9901", "val").sheet.source == "scene-9901"
+    assert found.splits["small", "val"].statistics.counts.scenes == 2
+
+
+def test_numbers_that_are_none_are_named(copied: Path, tmp_path: Path) -> None:
+    rows = json.loads((copied / "v1.0-trainval/ego_pose.json").read_text())
+    rows[3]["translation"][0] = float("nan")
+    (copied / "v1.0-trainval/ego_pose.json").write_text(json.dumps(rows))
+    with pytest.raises(InputError, match="finite"):
+        written(copied, tmp_path / "out")
+
+
+def test_labels_are_shown_as_they_are_but_for_numbers_that_are_none(copied: Path, tmp_path: Path) -> None:
+    path = copied / "v1.0-trainval/challenger.json"
+    made = json.loads(path.read_text())
+    made["scenes"][TWO[0]]["report"] = {
+        "adversaries": [{"labels": {"manoeuvre": "<b>", "gap": float("inf")}}, {"labels": 3}]
+    }
+    path.write_text(json.dumps(made))
+    data = NuScenesData.open(copied, name="small")
+    job = making.Job(tmp_path, DataFacts(name="small", version="v", fingerprint="f"), "adv", "none", 320)
+    making.written_sheet(job, data, TWO[0])
+    sheet = read_sheet(job.folder(TWO[0])).sheet
+    assert sheet.labels == ({"manoeuvre": "<b>", "gap": None},)
+    assert sheet.manoeuvre == "<b>"
+
+
+def test_a_place_that_cannot_be_written_to(root: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot write"):
+        written(root, tmp_path / "file")
+
+
+def test_two_commands_do_not_write_the_same_sheets(root: Path, tmp_path: Path) -> None:
+    with only_writer(tmp_path / "small" / "adv"), pytest.raises(InputError, match="another command is writing"):
+        written(root, tmp_path)
+
+
+def test_seconds_are_those_of_attempts_and_of_written_scenes(copied: Path, tmp_path: Path) -> None:
+    state, timings = copied / STATE_FOLDER, tmp_path / "timings"
+    timed = {path.stem for path in (state / "fragments").glob("*.json")}
+    for name in ("old", *timed):
+        write_json(timings / "rendering" / f"{name}.timing.json", {"seconds": {"rendering": 2.0}})
+    write_json(timings / "attempts" / "a.timing.json", {"seconds": {"physics": 1.5}})
+    runtime = kept_runtime(state, timings)
+    assert runtime is not None
+    assert (runtime.attempts, runtime.scenes) == (1, len(timed)) == (1, 2)
+    data = NuScenesData.open(copied, name="small")
+    write_sheets(data, "adv", tmp_path / "out", replace(HERE, limit=1, pictures="none"), runtime=runtime)
+    assert find_sheets(tmp_path / "out").splits["small", "adv"].runtime == Runtime(**runtime.model_dump())
+    assert kept_runtime(tmp_path / "nowhere", tmp_path / "nowhere") is None
+
+
+def test_broken_attempts_are_named(copied: Path, tmp_path: Path) -> None:
+    (copied / "attempts.jsonl").write_text('{"agent": "a", "scene": 7}\n')
+    with pytest.raises(InputError, match=r"attempts\.jsonl line 1 lacks a proper scene"):
+        written(copied, tmp_path / "out")
+    (copied / "attempts.jsonl").write_text("[]\n")
+    with pytest.raises(InputError, match="line 1 lacks a proper object"):
+        written(copied, tmp_path / "out")
+
+
+@pytest.mark.parametrize("wrong", [{"cell_width_px": 0}, {"cell_width_px": 100_000}, {"workers": -1}])
+def test_settings_that_make_no_sense(wrong: dict[str, int]) -> None:
+    with pytest.raises(InputError):
+        SheetSettings(**wrong)  # type: ignore[arg-type]
+
+
+def test_the_command(root: Path, tmp_path: Path) -> None:
+    wanted = ("sheets", "--data", root, "--split", "adv", "--out", tmp_path, "--workers", "1")
+    first = challenger_bench(*wanted, "--json", "--limit", "1")
+    assert first.code == 0, first.err
+    assert (first.json["made"], first.json["scenes"], first.json["pictures"]) == (1, [TWO[0]], 3)
+    unknown = challenger_bench(*wanted, "--scenes", "scene-1")
+    assert unknown.code == 2
+    assert unknown.err.startswith("error: split 'adv' has no scene scene-1")

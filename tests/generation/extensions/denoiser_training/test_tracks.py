@@ -1,0 +1,166 @@
+"""Track files: what becomes a window, what is left out, what is refused."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from generation.diffusion.kinematics import motion
+from generation.diffusion.standardiser import actions_from_waypoints
+from generation.extensions.denoiser_training.track_sources import find_track_sources
+from generation.extensions.denoiser_training.tracks import TrackFile, cut_windows, read_tracks, smooth
+
+HZ = 10.0
+
+
+def drive(speed: Floats, yaw_rate: Floats | float = 0.0, start_yaw: float = 0.3) -> Floats:
+    """(T, 3) rear-axle poses at 10 Hz, exactly on the motion."""
+    yaw = start_yaw + np.concatenate([[0.0], np.cumsum(np.broadcast_to(yaw_rate, len(speed)) / HZ)])[:-1]
+    step = speed[:, None] / HZ * np.column_stack([np.cos(yaw), np.sin(yaw)])
+    return np.column_stack([np.cumsum(step, axis=0), yaw])
+
+
+def write_tracks(path: Path, tracks: list[Floats], **changes: Any) -> Path:
+    """A track file whose box centres lie 0.34 lengths ahead of the given rear axles."""
+    poses = np.concatenate(tracks) if tracks else np.zeros((0, 3))
+    ahead = 1.39 / 4.084 * 4.5
+    arrays: dict[str, Any] = {
+        "ptr": np.cumsum([0, *(len(track) for track in tracks)]),
+        "x": (poses[:, 0] + ahead * np.cos(poses[:, 2])).astype(np.float32),
+        "y": (poses[:, 1] + ahead * np.sin(poses[:, 2])).astype(np.float32),
+        "heading": poses[:, 2].astype(np.float32),
+        "length": np.full(len(tracks), 4.5, np.float32),
+        "cls": np.array(["car"] * len(tracks)),
+        "hz": np.float64(HZ),
+        "source": np.array("made_up"),
+        "licence": np.array("none"),
+    }
+    arrays |= changes
+    np.savez(path, **{name: value for name, value in arrays.items() if value is not None})
+    return path
+
+
+def test_straight_drive_becomes_windows_in_the_rear_axle_frame(tmp_path: Path) -> None:
+    path = write_tracks(tmp_path / "made_up.npz", [drive(np.full(100, 10.0))])
+    windows = cut_windows(read_tracks(path))
+    assert len(windows.previous) == 3
+    assert np.allclose(windows.previous, [-5.0, 0.0, 0.0], atol=1e-3)
+    assert np.allclose(windows.waypoints[:, :, 0], 5.0 * np.arange(1, 17), atol=1e-3)
+    assert np.allclose(windows.waypoints[:, :, 1:], 0.0, atol=1e-3)
+
+
+def test_circle_keeps_its_radius(tmp_path: Path) -> None:
+    path = write_tracks(tmp_path / "made_up.npz", [drive(np.full(120, 8.0), 0.2)])
+    windows = cut_windows(read_tracks(path))
+    moved = motion(windows.waypoints, windows.previous)
+    assert np.allclose(moved.curvature, 0.2 / 8.0, atol=5e-4)
+    assert np.allclose(moved.lateral, 1.6, atol=0.03)
+    assert np.allclose(windows.waypoints[:, -1, 2], 1.6, atol=1e-3)
+
+
+def test_start_from_rest_and_braking_are_kept() -> None:
+    pulling_away = np.clip(np.arange(100) / HZ - 3.0, 0.0, 8.0)
+    braking = np.clip(14.0 - 4.0 * (np.arange(100) / HZ - 2.0), 0.0, 14.0)
+    windows = cut_windows(TrackFile("made_up", "none", (drive(pulling_away), drive(braking)), HZ))
+    assert len(windows.previous) == 6
+    assert sum(windows.rejected.values()) == 0
+
+
+@pytest.mark.parametrize(
+    ("speed", "yaw_rate", "reason"),
+    [
+        (np.full(100, 0.3), 0.0, "less than 5 m"),
+        (np.where(np.arange(100) < 50, 20.0, 5.0), 0.0, "8 m/s"),
+        (np.full(100, 20.0), 0.6, "lateral"),
+        (8.0 + np.sin(2 * np.pi * np.arange(100) / HZ / 1.9), 0.0, "rough throughout"),
+        (np.full(100, 4.0), 1.5, "tighter than a car"),
+        (np.full(100, -5.0), 0.0, "heading against motion"),
+    ],
+)
+def test_undrivable_windows_are_left_out(speed: Floats, yaw_rate: float, reason: str) -> None:
+    windows = cut_windows(TrackFile("made_up", "none", (drive(speed, yaw_rate),), HZ))
+    assert len(windows.previous) == 0
+    assert any(reason in named and count for named, count in windows.rejected.items())
+
+
+def test_short_tracks_and_other_road_users_give_nothing(tmp_path: Path) -> None:
+    tracks = [drive(np.full(80, 10.0)), drive(np.full(100, 10.0))]
+    path = write_tracks(tmp_path / "made_up.npz", tracks, cls=np.array(["car", "pedestrian"]))
+    assert len(cut_windows(read_tracks(path)).previous) == 0
+
+
+@settings(max_examples=20, deadline=None)
+@given(curve=st.tuples(*[st.floats(-3, 3)] * 3), span=st.sampled_from([1.1, 1.7, 2.3]))
+def test_smoothing_leaves_quadratics_alone(curve: tuple[float, float, float], span: float) -> None:
+    time = np.arange(60) / HZ
+    track = np.polyval(curve, time)[:, None]
+    assert np.abs(smooth(track, HZ, span) - track).max() < 1e-8
+
+
+def test_smoothing_removes_jitter() -> None:
+    jitter = 0.1 * np.random.default_rng(0).standard_normal((200, 1))
+    assert smooth(jitter, HZ, 2.3).std() < 0.5 * jitter.std()
+
+
+@settings(max_examples=20, deadline=None)
+@given(turn=st.floats(-3.1, 3.1), shift=st.tuples(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3)))
+def test_windows_do_not_depend_on_place_and_direction(turn: float, shift: tuple[float, float]) -> None:
+    track = drive(np.linspace(5, 12, 100), 0.1)
+    cos, sin = np.cos(turn), np.sin(turn)
+    moved = np.column_stack([track[:, :2] @ np.array([[cos, sin], [-sin, cos]]) + shift, track[:, 2] + turn])
+    windows = [cut_windows(TrackFile("made_up", "none", (poses,), HZ)) for poses in (track, moved)]
+    actions = [actions_from_waypoints(part.waypoints, part.previous) for part in windows]
+    assert np.abs(actions[0] - actions[1]).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"heading": None}, "lacks the arrays heading"),
+        ({"ptr": np.array([0, 50])}, "ptr"),
+        ({"ptr": np.array([0, 120])}, "ptr"),
+        ({"x": np.full(100, np.nan)}, "NaN"),
+        ({"y": np.zeros(99)}, "one value per sample"),
+        ({"hz": np.float64(0)}, "samples per second"),
+        ({"cls": np.array(["car"], dtype=object)}, "cannot read"),
+    ],
+)
+def test_broken_files_are_refused_with_a_sentence(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
+    path = write_tracks(tmp_path / "made_up.npz", [drive(np.full(100, 10.0))], **changes)
+    with pytest.raises(InputError, match=words):
+        read_tracks(path)
+
+
+def test_truncated_and_foreign_files_are_refused(tmp_path: Path) -> None:
+    path = write_tracks(tmp_path / "made_up.npz", [drive(np.full(100, 10.0))])
+    path.write_bytes(path.read_bytes()[:300])
+    with pytest.raises(InputError, match="fetch or make"):
+        read_tracks(path)
+    path.write_bytes(b"")
+    with pytest.raises(InputError, match="fetch or make"):
+        read_tracks(path)
+    path.unlink()
+    for folder in (tmp_path, tmp_path / "absent"):
+        with pytest.raises(InputError, match=r"pass (the|a) folder"):
+            find_track_sources(folder)
+
+
+def test_reversing_is_never_drivable() -> None:
+    forward = np.column_stack([2.0 * np.arange(1, 17), np.zeros((16, 2))])
+    back = forward.copy()
+    back[8:, 0] = back[7, 0] - 1.0 * np.arange(1, 9)
+    moved = motion(np.stack([forward, back]), np.array([-2.0, 0.0, 0.0]))
+    assert moved.excess[0] == 0
+    assert moved.excess[1] > 1
+
+
+def test_standing_still_has_no_direction() -> None:
+    jitter = 0.01 * np.random.default_rng(0).standard_normal((16, 3))
+    moved = motion(jitter, np.zeros(3))
+    assert moved.excess == 0
+    assert np.allclose(moved.turn, 0)

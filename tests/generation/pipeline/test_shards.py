@@ -1,0 +1,272 @@
+"""A build in shards has the bytes of one that was never cut; what is missing, damaged or of other options is named."""
+
+import json
+import multiprocessing
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from benchmark.datasets.roots import DataSet, open_data
+from benchmark.errors import InputError
+from benchmark.machine.storage import only_writer
+from benchmark.machine.workspace import is_finished
+from benchmark.runs.kept_shards import DRAWING, SEARCH, waiting
+from benchmark.runs.shards import Shard, shard_folder
+from generation.nuscenes_writer.plan import DRAWING_FOLDER, SEARCH_FOLDER
+from generation.pipeline import sharded
+from generation.pipeline.settings import BuildSettings
+from generation.pipeline.sharded import build_shard, draw_frozen_shard
+from generation.pipeline.split import NothingSurvivedError, build_split
+from generation.pipeline.surrogate import PlannerUnderTest
+from generation.render.schematic import SchematicRenderer
+from generation.search.hyperparameters import HyperParameters
+from generation.splits.building import build_frozen
+from generation.splits.packaged import NamedSplit, frozen_split
+from tests.benchmark.cli.in_process import run_here
+from tests.benchmark.planners import Factory
+from tests.generation.labels.recorded_roads import CHEAP as DEAR
+from tests.generation.labels.recorded_roads import contents, recorded, write_source
+from tests.hand_made import Car
+
+CHEAP = replace(DEAR, hyper=HyperParameters(candidates=12, rounds=1))
+DRAWN = replace(CHEAP, renderer=SchematicRenderer(48, 32), frames="keyframes", keep_rounds=True)
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
+    other = Car(45.0, 201.75, 8.0)
+    ahead = {"scene-9901": 10.0, "scene-9902": 2.0, "scene-9903": 6.0}
+    roads = [recorded(name, (Car(52.0 + ahead_m, 194.75, 9.0), other)) for name, ahead_m in ahead.items()]
+    return write_source(tmp_path_factory.mktemp("recorded"), *roads)
+
+
+@pytest.fixture(scope="module")
+def whole(source: DataSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("whole") / "adv"
+    build_split(source, "adv", replace(CHEAP, out=out))
+    return out
+
+
+def shards(
+    source: DataSet, settings: BuildSettings, of: int, split: str = "adv", numbers: Sequence[int] | None = None
+) -> list[str]:
+    """What each of the shards did; no two of them, nor one twice, write the same file."""
+    did: list[str] = []
+    written = written_below(settings.out)
+    for number in numbers or range(1, of + 1):
+        did.append(build_shard(source, split, settings, Shard(number, of)).did)
+        now = written_below(settings.out)
+        assert written.items() <= now.items()
+        written = now
+    assert not list(settings.out.glob("*/challenger.json"))
+    return did
+
+
+def written_below(out: Path) -> dict[Path, tuple[int, int]]:
+    """Every file with what changes when it is written again; notes alone may be."""
+    files = [path for path in out.rglob("*") if path.is_file() and "shards" not in path.parts]
+    return {path: (path.stat().st_ino, path.stat().st_mtime_ns) for path in files}
+
+
+@pytest.mark.parametrize(("of", "draw"), [(1, 0), (2, 3), (3, 1)])
+def test_shards_become_the_bytes_of_a_build_that_was_never_cut(
+    source: DataSet, whole: Path, tmp_path: Path, of: int, draw: int
+) -> None:
+    settings = replace(CHEAP, out=tmp_path / "adv")
+    assert shards(source, settings, of, numbers=range(of, 0, -1)) == ["searched"] * of
+    if draw:
+        assert shards(source, settings, draw) == ["drawn"] * draw
+    before = written_below(settings.out)
+    build_split(source, "adv", settings)
+    kept = [path for path in before if path.parent.name in ("attempts", "fragments")]
+    assert kept and all(written_below(settings.out)[path] == before[path] for path in kept)
+    assert contents(settings.out) == contents(whole)
+    assert folders(settings.out) == folders(whole)
+
+
+def folders(root: Path) -> set[Path]:
+    return {path.relative_to(root) for path in root.rglob("*") if path.is_dir()}
+
+
+def test_several_adversaries_and_a_choice_of_the_best_can_be_cut(source: DataSet, tmp_path: Path) -> None:
+    wanted = replace(CHEAP, adversaries=2, total=2)
+    build_split(source, "adv", replace(wanted, out=tmp_path / "whole"))
+    settings = replace(wanted, out=tmp_path / "cut")
+    assert shards(source, settings, 2) == ["searched", "searched"]
+    assert shards(source, settings, 2) == ["drawn", "drawn"]
+    build_split(source, "adv", settings)
+    assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
+
+
+def test_originals_are_drawn_in_shards_at_once(source: DataSet, tmp_path: Path) -> None:
+    build_split(source, "val-r", replace(DRAWN, out=tmp_path / "whole"))
+    settings = replace(DRAWN, out=tmp_path / "cut")
+    assert shards(source, settings, 2, "val-r", [2]) == ["drawn"]
+    with pytest.raises(InputError, match=r"shard 1/2 of the drawing is missing; run the same generate command with"):
+        build_split(source, "val-r", settings)
+    assert shards(source, settings, 2, "val-r", [1]) == ["drawn"]
+    build_split(source, "val-r", settings)
+    assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
+
+
+def test_a_frozen_split_is_drawn_in_shards(source: DataSet, tmp_path: Path) -> None:
+    file = tmp_path / "frozen.json"
+    build_split(source, "adv", replace(CHEAP, out=tmp_path / "searched", limit=2, freeze=file))
+    split: NamedSplit = frozen_split(file)
+    build_frozen(source, split, replace(CHEAP, out=tmp_path / "whole"))
+    settings = replace(CHEAP, out=tmp_path / "cut")
+    draw_frozen_shard(source, split, settings, Shard(2, 2))
+    with pytest.raises(InputError, match=r"shard 1/2 of the drawing is missing"):
+        build_frozen(source, split, settings)
+    draw_frozen_shard(source, split, settings, Shard(1, 2))
+    with pytest.raises(InputError, match="shard 1/2 of the drawing was done with other options"):
+        build_frozen(source, split, replace(settings, frames="keyframes"))
+    assert not is_finished(settings.out)
+    build_frozen(source, split, settings)
+    assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
+
+
+def both_at_once(root: Path, settings: BuildSettings, number: int) -> str:
+    return build_shard(open_data(root), "adv", settings, Shard(number, 2)).did
+
+
+def test_two_shards_at_once_do_not_disturb_each_other(source: DataSet, whole: Path, tmp_path: Path) -> None:
+    settings = replace(CHEAP, out=tmp_path / "adv")
+    with multiprocessing.get_context("forkserver").Pool(2) as pool:
+        for did in ("searched", "drawn"):
+            work = [(source.root, settings, number) for number in (1, 2)]
+            assert pool.starmap(both_at_once, work, chunksize=1) == [did, did]
+    build_split(source, "adv", settings)
+    assert contents(settings.out) == contents(whole)
+
+
+def test_the_same_shard_twice_at_once_is_refused(source: DataSet, tmp_path: Path) -> None:
+    settings = replace(CHEAP, out=tmp_path / "adv")
+    with (
+        only_writer(shard_folder(settings.out / SEARCH_FOLDER, Shard(1, 2))),
+        pytest.raises(InputError, match="another command is writing"),
+    ):
+        build_shard(source, "adv", settings, Shard(1, 2))
+
+
+def test_who_is_missing_is_named_and_nothing_is_searched(source: DataSet, tmp_path: Path) -> None:
+    settings = replace(CHEAP, out=tmp_path / "adv")
+    shards(source, settings, 3, numbers=[1, 3])
+    before = written_below(settings.out)
+    says = r"shard 2/3 of the search is missing; run the same generate command with --shard 2/3, or remove"
+    with pytest.raises(InputError, match=says):
+        build_split(source, "adv", settings)
+    assert written_below(settings.out) == before
+    (division,) = waiting(tmp_path, SEARCH, f"*/{SEARCH_FOLDER}")
+    assert division.missing == (Shard(2, 3),) and not waiting(tmp_path, DRAWING, f"*/{DRAWING_FOLDER}")
+    with pytest.raises(InputError, match=r"were begun in shards of 3; run --shard 1/3, or remove"):
+        shards(source, settings, 2, numbers=[1])
+
+
+def test_a_shard_that_was_killed_is_missing_and_goes_on(
+    source: DataSet, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = replace(CHEAP, out=tmp_path / "adv")
+
+    def killed(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    for step, say in (("note_done", "of the search"), ("write_scenes", "of the drawing")):
+        shards(source, settings, 2, numbers=[1])
+        with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+            patched.setattr(sharded, step, killed)
+            build_shard(source, "adv", settings, Shard(2, 2))
+        with pytest.raises(InputError, match=f"shard 2/2 {say} is missing"):
+            build_split(source, "adv", settings)
+        shards(source, settings, 2, numbers=[2])
+    build_split(source, "adv", settings)
+    assert contents(settings.out) == contents(whole)
+
+
+def test_what_is_damaged_is_named_or_made_again(source: DataSet, whole: Path, tmp_path: Path) -> None:
+    settings = replace(CHEAP, out=tmp_path / "adv")
+    shards(source, settings, 3)
+    notes = settings.out / SEARCH_FOLDER / "shards"
+    good = (notes / "2-of-3" / "search.json").read_text()
+    for bad, says in (
+        ("{", "the whole: it cannot be read"),
+        (good.replace('"of": 3', '"of": "x"'), "of: "),
+        (good.replace('"number": 2', '"number": 1'), "number: it is that of shard 1/3"),
+    ):
+        (notes / "2-of-3" / "search.json").write_text(bad)
+        with pytest.raises(InputError, match=rf"is not the note of a shard: {says}.*--shard 2/3 again"):
+            build_split(source, "adv", settings)
+    assert shards(source, settings, 3, numbers=[2]) == ["searched"]
+    attempts = sorted((settings.out / ".challenger" / "attempts").iterdir())
+    of_second = [path for path in attempts if '"scene-9902"' in path.read_text()]
+    of_second[0].write_text(of_second[0].read_text()[:-9])
+    with pytest.raises(InputError, match=r"attempts in scene-9902 are missing or damaged.*with --shard 2/3 again"):
+        build_shard(source, "adv", settings, Shard(1, 3))
+    assert build_shard(source, "adv", settings, Shard(2, 3)).did == "searched"
+    assert shards(source, settings, 3) == ["drawn"] * 3
+    of_second[0].unlink()
+    fragment = next(iter((settings.out / ".challenger" / "fragments").iterdir()))
+    fragment.write_text(fragment.read_text()[:-9])
+    build_split(source, "adv", settings)
+    assert contents(settings.out) == contents(whole)
+
+
+def test_shards_of_other_options_are_not_taken_for_these(source: DataSet, tmp_path: Path) -> None:
+    settings = replace(CHEAP, out=tmp_path / "adv")
+    shards(source, replace(settings, seed=1), 2)
+    with pytest.raises(InputError, match="shard 1/2 of the search was done with other options or other data"):
+        build_split(source, "adv", settings)
+    assert shards(source, settings, 2) == ["searched"] * 2
+    assert shards(source, replace(settings, frames="keyframes"), 2) == ["drawn"] * 2
+    with pytest.raises(InputError, match="shard 1/2 of the drawing was done with other options"):
+        build_split(source, "adv", settings)
+    assert build_shard(source, "adv", settings, Shard(1, 2)).did == "drawn"
+
+
+def test_shards_that_find_nothing_end_as_a_build_does(source: DataSet, tmp_path: Path) -> None:
+    nothing = replace(CHEAP, out=tmp_path / "cut", hyper=replace(CHEAP.hyper, close_gap_m=0.0))
+    with pytest.raises(NothingSurvivedError):
+        build_split(source, "adv", replace(nothing, out=tmp_path / "whole"))
+    assert shards(source, nothing, 2) == ["searched"] * 2
+    assert shards(source, nothing, 2) == ["drawn"] * 2
+    with pytest.raises(NothingSurvivedError):
+        build_split(source, "adv", nothing)
+    assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
+
+
+def test_a_shard_draws_into_nobody_elses_data_set(source: DataSet, tmp_path: Path) -> None:
+    theirs = write_source(tmp_path / "theirs", recorded("scene-9909")).root
+    shutil.rmtree(theirs / ".challenger")
+    before = contents(theirs)
+    with pytest.raises(InputError, match="holds a data set that was not written here"):
+        build_shard(source, "val-r", replace(CHEAP, out=theirs), Shard(1, 2))
+    assert contents(theirs) == before and not (theirs / ".challenger").exists()
+
+
+def test_a_surrogate_needs_all_scenes_together(source: DataSet, tmp_path: Path) -> None:
+    settings = replace(CHEAP, out=tmp_path / "adv", surrogate=PlannerUnderTest(Factory(), images=False))
+    with pytest.raises(InputError, match="a surrogate judges all scenes together"):
+        build_shard(source, "adv", settings, Shard(1, 2))
+    assert not settings.out.exists()
+
+
+def test_the_command_searches_draws_and_finishes(source: DataSet, tmp_path: Path) -> None:
+    given = ("--data", source.root, "--workers", "1", "--out", tmp_path)
+    cheap = ("--renderer", "none", "--frames", "keyframes")
+    search = ("generate", *given, *cheap, "--limit", "1", "--vehicles", "1", "--candidates", "4", "--rounds", "0")
+    done = run_here(*search, "--device", "cpu", "--shard", "1/2", "--json")
+    assert done.code == 0 and [each["searched"] for each in json.loads(done.out)] == [1], done.err
+    originals = ("generate", "--split", "val-r", *given, *cheap)
+    drawn = run_here(*originals, "--shard", "1/2")
+    assert drawn.code == 0 and "shard 1/2, 2 of 3 scenes drawn" in drawn.out and "no --shard" in drawn.err
+    asked = run_here("merge", *given)
+    assert asked.code == 1 and "shard 2/2 of the search is missing" in asked.err
+    assert "shard 2/2 of the drawing is missing; run the same generate command with --shard 2/2" in asked.err
+    refused = run_here(*originals)
+    assert refused.code == 2 and "shard 2/2 of the drawing is missing" in refused.err
+    assert run_here(*originals, "--shard", "2/2").code == 0
+    assert run_here(*originals).code == 0
+    assert len(open_data(tmp_path / "data" / source.name / "val-r").scene_names("val-r")) == 3

@@ -1,0 +1,103 @@
+"""Estimates before the work, and where the time went after it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from benchmark.datasets.roots import DataSet
+from benchmark.published import RUNTIME_S
+from generation.pipeline.estimate import Estimate, duration, rendering_estimate
+from generation.pipeline.profile import mean_seconds, runtime_table
+from generation.pipeline.split import build_split
+from generation.render.schematic import SchematicRenderer
+from tests.generation.labels.recorded_roads import BUSY, CHEAP, write_source
+from tests.hand_made import scene_on_straight_road
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
+    return write_source(tmp_path_factory.mktemp("recorded"), scene_on_straight_road(BUSY, seconds=8.0))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0.4, "0.4 s"),
+        (9.96, "10 s"),
+        (35.2, "35 s"),
+        (119.0, "119 s"),
+        (720.0, "12 min"),
+        (12600.0, "3.5 h"),
+        (360000.0, "100 h"),
+    ],
+)
+def test_durations_are_said_as_people_do(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
+
+
+def test_work_is_shared_by_workers() -> None:
+    text = Estimate(90, 8.0, 36, 20.0, 2, 2).sentence()
+    expected = "6.0 min of planning (90 attempts at 8 s) and 6.0 min of rendering (36 scenes at 20 s)"
+    assert text == f"about {expected} on 2 workers"
+    assert Estimate(90, 8.0, 0, 0.0, None, None).sentence() == "about 12 min of planning (90 attempts at 8 s) in all"
+    assert Estimate(0, 0.0, 0, 0.0, 1, 1).sentence() == "about no time"
+
+
+def test_a_dry_run_estimates_each_stage(source: DataSet, tmp_path: Path) -> None:
+    settings = replace(CHEAP, out=tmp_path / "out", renderer=SchematicRenderer(64, 40), frames="keyframes")
+    before = build_split(source, "adv", replace(settings, dry_run=True)).estimate
+    assert before is not None
+    assert before.attempts == 3
+    assert before.attempt_s > 0.0
+    assert before.scene_s > 0.0
+    report = build_split(source, "adv", settings)
+    assert report.runtime is not None
+    after = build_split(source, "adv", replace(settings, dry_run=True)).estimate
+    assert after is not None
+    assert after.attempts == 0
+    stages = ("sampling", "physics", "scoring", "other")
+    assert after.attempt_s == pytest.approx(sum(report.runtime.each_s(stage) or 0.0 for stage in stages))
+    more = build_split(source, "adv", replace(settings, out=tmp_path / "more", adversaries=2, dry_run=True)).estimate
+    assert more is not None
+    assert more.attempts > before.attempts
+
+
+def test_val_r_takes_rendering_only(source: DataSet, tmp_path: Path) -> None:
+    settings = replace(CHEAP, out=tmp_path / "out", renderer=SchematicRenderer(64, 40), dry_run=True)
+    text = build_split(source, "val-r", settings).summary()
+    assert "of rendering (1 scene at" in text
+    assert "planning" not in text
+
+
+def test_the_runtime_table_adds_up_notes(tmp_path: Path) -> None:
+    attempts, scenes = [tmp_path / name for name in ("a", "b", "c")], [tmp_path / "d"]
+    for path in attempts[:2]:
+        path.write_text('{"seconds": {"sampling": 1.0, "physics": 2.0, "scoring": 3.0, "unheard-of": 0.5}}')
+    attempts[2].write_text('{"seconds": ')
+    scenes[0].write_text('{"seconds": {"rendering": 10.0}}')
+    table = runtime_table(attempts, scenes)
+    assert (table.attempts, table.scenes) == (2, 1)
+    assert table.total_s == {"sampling": 2.0, "physics": 4.0, "scoring": 6.0, "rendering": 10.0, "other": 1.0}
+    assert table.each_s("physics") == 2.0
+    lines = table.table().plain().splitlines()
+    assert lines[2].split() == ["sampling", "2.00", "1.00", "17.36"]
+    assert lines[5].split() == ["rendering", "10.00", "10.00", "395.18"]
+    assert lines[7].split() == ["all", "23.00", "16.50", f"{sum(RUNTIME_S.values()):.2f}"]
+    assert mean_seconds(attempts) == pytest.approx(6.5)
+
+
+def test_no_notes_are_no_times(tmp_path: Path) -> None:
+    table = runtime_table([tmp_path / "absent"], [])
+    assert table.each_s("sampling") is None
+    assert "-" in table.table().plain()
+    assert mean_seconds([]) is None
+
+
+def test_what_a_scene_costs_before_its_first_picture_is_counted_once(source: DataSet, tmp_path: Path) -> None:
+    renderer, scene = SchematicRenderer(64, 40), source.scene(source.scene_names("val")[0])
+    few = rendering_estimate(renderer, scene, "keyframes", tmp_path)
+    many = rendering_estimate(renderer, scene, "all", tmp_path)
+    assert few > 0.0
+    assert many < 1.5 * few * len(scene.timestamps_us) / len(scene.keyframes)
+    assert rendering_estimate(None, scene, "all", tmp_path) == 0.0

@@ -1,0 +1,194 @@
+"""Films of drives: the driven world, the recorded path, the contact; the command finds its drives."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adapters.planners.log_replay import LogReplay
+from adapters.planners.stop import Stop
+from benchmark.closed_loop.default_engine import DefaultRides
+from benchmark.constants import FRAME_HZ
+from benchmark.errors import InputError
+from benchmark.records.drives import DriveRecord
+from benchmark.report.driven import DrivenSheet
+from benchmark.report.palette import ADVERSARY, BEST, CONTACT, EGO, PATH
+from benchmark.runs.drive_sheets import driven_sheet
+from benchmark.runs.driving import DriveSettings, drive_split
+from generation.render.sensor import SchematicSensor
+from generation.sources.town import town_scene
+from leaderboard.extensions.films.drive_film import DRIVE_FPS, HELD_S, DriveFilm
+from leaderboard.extensions.films.film import HEIGHT_PX, TITLE_PX, WIDTH_PX, FilmLayout, FilmSettings
+from leaderboard.extensions.films.filming import FilmFormat, write_drive_film
+from tests.benchmark.cli.cli_runs import refusal
+from tests.benchmark.closed_loop.staged import Watching
+from tests.benchmark.fake_data import FakeData
+from tests.benchmark.planners import Failing, Straight
+from tests.benchmark.records.test_drives import written as written_drives
+from tests.benchmark.runs.test_drive_sheets import Clock, driven, town
+from tests.generation.extensions.reactive_adversary.loops import SETTINGS as ADVERSARY_SETTINGS
+from tests.generation.extensions.reactive_adversary.loops import rides
+from tests.hand_made import Car, scene_on_straight_road
+from tests.leaderboard.extensions.films.test_film import pixels_of
+
+SETTINGS = FilmSettings(fps=DRIVE_FPS)
+Made = tuple[DriveRecord, DrivenSheet]
+
+
+@pytest.fixture(scope="module")
+def hit(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    """A drive with cameras that ends in a contact."""
+    folder = tmp_path_factory.mktemp("hit")
+    record = driven(folder / "out", Straight())
+    return record, driven_sheet(folder, town(), record, record.rows[1], DefaultRides(), Clock())
+
+
+def film_of(made: Made, **changes: object) -> DriveFilm:
+    return DriveFilm(made[1], made[0], "straight", FilmSettings(**{"fps": DRIVE_FPS, **changes}))  # type: ignore[arg-type]
+
+
+def test_a_contact_is_announced_marked_and_held(hit: Made) -> None:
+    film, contact = film_of(hit), hit[1].contact
+    assert contact is not None and film.layout is FilmLayout.BOTH
+    # NeuroNCAP's engine finds a contact after the states that follow it.
+    assert film.frames[-1] == hit[1].last and 0.0 <= hit[1].seconds[film.frames[-1]] - contact.seconds < 0.101
+    held = round(HELD_S * DRIVE_FPS)
+    assert film.frames[-held - 1 :] == film.frames[-1:] * (held + 1)
+    frames = list(film)
+    assert {frame.shape for frame in frames} == {(HEIGHT_PX, WIDTH_PX, 3)} and len(frames) == len(film)
+    assert np.array_equal(frames[-1], frames[-held]) and len(hit[1].seconds) > 10
+    star = [pixels_of(frame[TITLE_PX:, WIDTH_PX - 500 :], CONTACT) for frame in frames]
+    said = [pixels_of(frame[TITLE_PX:, : WIDTH_PX - 500], CONTACT) for frame in frames]
+    early = int((contact.seconds - 3.3) * DRIVE_FPS)
+    assert max(star[: max(early, 0) + 1]) == 0 and star[-1] > 100
+    assert max(said[: len(frames) - held - 3]) == 0 and said[-1] > 100
+
+
+def test_driven_ego_and_recorded_path_are_seen_apart(hit: Made) -> None:
+    frames = list(film_of(hit, layout=FilmLayout.BIRDSEYE, end_s=2.0))
+    above = frames[-1][TITLE_PX:, WIDTH_PX - 820 :]
+    assert pixels_of(above, EGO) > 300 and pixels_of(above, PATH) > 50
+
+
+def test_what_came_after_the_contact_is_not_shown(hit: Made) -> None:
+    record, sheet = hit
+    assert sheet.contact is not None
+    earlier = replace(sheet, contact=replace(sheet.contact, seconds=sheet.contact.seconds - 0.5))
+    film = film_of((record, earlier))
+    assert film.frames[-1] == earlier.last < sheet.last
+    assert pixels_of(list(film)[-1][TITLE_PX:], CONTACT) > 100
+    with pytest.raises(InputError, match="ends after"):
+        film_of((record, earlier), begin_s=earlier.seconds[-1])
+
+
+def test_a_part_of_a_drive_holds_nothing(hit: Made) -> None:
+    assert len(film_of(hit, begin_s=1.0, end_s=2.0)) == 11
+    with pytest.raises(InputError, match="choose an earlier --from"):
+        film_of(hit, begin_s=99.0)
+    small = next(iter(film_of(hit, width_px=320, end_s=0.1)))
+    assert small.shape == (180, 320, 3)
+
+
+def test_without_pictures_it_is_seen_from_above(tmp_path: Path) -> None:
+    record = driven(tmp_path / "out", Stop())
+    blind = record, driven_sheet(tmp_path, town(), record, record.rows[0], DefaultRides(), None)
+    assert film_of(blind).layout is FilmLayout.BIRDSEYE
+    with pytest.raises(InputError, match="--layout birdseye"):
+        film_of(blind, layout=FilmLayout.CAMERAS)
+
+
+def test_a_failure_is_said_at_the_end(tmp_path: Path) -> None:
+    record = driven(tmp_path / "out", Failing())
+    place = next(place for place, row in enumerate(record.rows) if row.status == "failed")
+    made = record, driven_sheet(tmp_path, town(), record, record.rows[place], DefaultRides(), None)
+    frames = list(film_of(made))
+    red = [pixels_of(frame, CONTACT) for frame in frames]
+    assert red[-1] > 100 and red[0] == 0
+
+
+def test_whoever_touched_the_ego_without_its_fault_is_named_and_gone(tmp_path: Path) -> None:
+    scene = scene_on_straight_road((Car(20.0, 198.25, 12.0),), ego_speed=8.0, seconds=12.0)
+    data, maker = FakeData({scene.name: scene}), DefaultRides(until="fault")
+    how = DriveSettings("default", maker)
+    record = drive_split(data, "val", Watching(speed=6.0), tmp_path / "out", how)
+    shown = driven_sheet(tmp_path, data, record, record.rows[0], maker, None)
+    (touch,) = record.rows[0].passed
+    film = film_of((record, shown), layout=FilmLayout.BIRDSEYE)
+    red = {frame: pixels_of(image, CONTACT) for frame, image in zip(film.frames, film)}
+    said = [frame for frame, pixels in red.items() if pixels > 50]
+    seconds = shown.seconds - shown.seconds[shown.begins]
+    assert seconds[said[0]] == pytest.approx(touch.seconds, abs=0.15) and said[-1] == film.frames[-1]
+    (agent,) = shown.stored.sheet.agents
+    assert seconds[agent.first + len([x for x in agent.x_m if x is not None]) - 1] < touch.seconds + 0.5
+    path = write_drive_film(shown, record, "watching", tmp_path, FilmFormat.PNG, FilmSettings(fps=DRIVE_FPS, end_s=0.2))
+    assert path.name == "scene-9901-watching-default-replay-none-until-fault"
+
+
+def test_a_film_has_the_name_of_what_was_measured(hit: Made, tmp_path: Path) -> None:
+    record, sheet = hit
+    settings = FilmSettings(fps=DRIVE_FPS, width_px=320, end_s=0.3)
+    path = write_drive_film(sheet, record, "straight", tmp_path, FilmFormat.PNG, settings)
+    assert path == tmp_path / "scene-9902-straight-default-replay-none" and len(list(path.iterdir())) == 4
+    film = write_drive_film(sheet, record, "straight", tmp_path, FilmFormat.WEBP, settings)
+    assert film.suffix == ".webp"
+    again = write_drive_film(sheet, record, "straight", tmp_path / "b", FilmFormat.WEBP, settings)
+    assert film.read_bytes() == again.read_bytes()
+
+
+LARGEST_BYTES = 1_000_000
+"""Of a film of 20 s with cameras, as it is made without options."""
+
+
+def test_a_film_of_twenty_seconds_is_less_than_a_megabyte(tmp_path: Path) -> None:
+    pytest.importorskip("av")
+    seconds = 5
+    scene = town_scene("val", 3).first_frames(FRAME_HZ * seconds + 1)
+    data = FakeData({scene.name: scene})
+    record = drive_split(data, "val", LogReplay(), tmp_path / "out", DriveSettings("default", DefaultRides()))
+    shown = driven_sheet(tmp_path, data, record, record.rows[0], DefaultRides(), SchematicSensor("first"))
+    settings = FilmSettings(fps=DRIVE_FPS)
+    film = write_drive_film(shown, record, "log-replay", tmp_path / "films", FilmFormat.WEBM, settings)
+    assert film.suffix == ".webm" and film.stat().st_size * 20 / seconds < LARGEST_BYTES
+
+
+def test_what_an_adversary_considered_is_drawn_where_it_was_kept_and_asked_for(tmp_path: Path) -> None:
+    maker = rides(replace(ADVERSARY_SETTINGS, keep_considered=True))
+    settings = DriveSettings("default", maker, agents="adversary", ladder=("cc",), limit=1, keep_considered=True)
+    record = drive_split(town(), "val", Stop(), tmp_path / "out", settings)
+    kept = driven_sheet(tmp_path, town(), record, record.rows[0], maker, None)
+    # A vehicle of a recording is the adversary of the drive.
+    assert record.rows[0].adversary is not None
+    assert [each.id for each in kept.stored.sheet.agents if each.adversary] == [record.rows[0].adversary.uuid]
+    first = next(each for each in kept.considered if each.did == "searched")
+    assert first.chosen is not None
+    frame = int(np.searchsorted(kept.stored.sheet.timestamps_us, first.time_us))
+    shown = kept.candidates_at(frame)
+    assert shown is not None and shown.chosen is not None and len(shown.paths) == len(first.candidates)
+    np.testing.assert_allclose(shown.chosen + kept.stored.sheet.origin_m, first.candidates[first.chosen], atol=1e-6)
+    assert kept.candidates_at(0) is None
+    moment = float(kept.seconds[frame])
+    whole, without, unkept = (
+        next(iter(film_of((record, sheet), begin_s=moment, extent_m=70.0, layout=FilmLayout.BIRDSEYE, **changes)))
+        for sheet, changes in ((kept, {}), (kept, {"candidates": False}), (replace(kept, considered=()), {}))
+    )
+    assert np.array_equal(without, unkept)
+    above, panel = slice(WIDTH_PX - 820, None), slice(0, WIDTH_PX - 820)
+    assert pixels_of(whole[:, above], BEST) > pixels_of(without[:, above], BEST) + 40
+    assert pixels_of(whole[:, panel], ADVERSARY) > pixels_of(without[:, panel], ADVERSARY) + 20
+
+
+@pytest.fixture
+def asked(tmp_path: Path) -> Iterator[tuple[str | Path, ...]]:
+    """A command that asks for films of drives of a data set that need not be opened to refuse."""
+    yield ("film", "--drives", "--data", "mini", "--out", tmp_path, "--to", tmp_path / "films", "--format", "png")
+
+
+def test_what_is_not_there_is_one_sentence(asked: tuple[str | Path, ...], tmp_path: Path) -> None:
+    assert "challenger-bench drive --data mini --split adv" in refusal(*asked)
+    data = {"name": "mini", "version": "v1", "fingerprint": "f" * 64}
+    written_drives(tmp_path / "drives" / "a", data=data)
+    assert "no record of drives is of vad; there are made" in refusal(*asked, "--model", "vad")
+    assert "scene scene-9 was not driven" in refusal(*asked, "--scenes", "scene-9")
+    assert "there are no records of drives of mini val" in refusal(*asked, "--split", "val")
