@@ -182,7 +182,7 @@ def data_check_command(
 ) -> None:
     """Look for faults in the tables and files of a data set."""
     from benchmark.datasets.categories import read_categories
-    from benchmark.datasets.schema import check_tables
+    from benchmark.datasets.schema.check import check_tables
 
     named = None if categories is None else read_categories(categories)
     faults = check_tables(root, version=tables, categories=named)

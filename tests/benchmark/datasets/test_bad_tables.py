@@ -7,7 +7,7 @@ import pytest
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.roots import open_data
-from benchmark.datasets.schema import check_tables
+from benchmark.datasets.schema.check import check_tables
 from benchmark.datasets.split_names import scenes_of_split
 from benchmark.errors import InputError
 from tests.benchmark.datasets.hostile_tables import HOSTILE_ROOTS, HostileRoot

@@ -9,7 +9,7 @@ import pytest
 
 from adapters.registry import planner_factory
 from benchmark.datasets.roots import open_data
-from benchmark.datasets.schema import check_tables
+from benchmark.datasets.schema.check import check_tables
 from benchmark.evaluation import EvalSettings, evaluate, evaluate_together
 from benchmark.geometry import quaternion_from_yaw
 from tests.benchmark.edited_roots import Row, copy_of, edit, small_town

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.constants import NUSCENES_TABLES
-from benchmark.datasets.schema import Fault, check_tables
+from benchmark.datasets.schema import Fault
+from benchmark.datasets.schema.check import check_tables
 from benchmark.errors import InputError
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from tests.generation.nuscenes_writer.written_roots import SolidRenderer, short_scene, with_adversary, write_root

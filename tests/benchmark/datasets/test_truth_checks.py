@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmark.datasets.categories import read_categories
-from benchmark.datasets.schema import check_tables
+from benchmark.datasets.schema.check import check_tables
 from tests.benchmark.edited_roots import (
     Row,
     annotated_until,

@@ -11,7 +11,7 @@ import pytest
 from bench.attacking.mutations import FORMS
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.nuscenes import NuScenesData
-from benchmark.datasets.schema import check_tables
+from benchmark.datasets.schema.check import check_tables
 from benchmark.errors import InputError
 from tests.benchmark.datasets.nuscenes_tables import VERSION, TinyRoot
 from tests.benchmark.edited_roots import copy_of, small_town, version_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmark.datasets.nuscenes import NuScenesData
-from benchmark.datasets.schema import check_tables
+from benchmark.datasets.schema.check import check_tables
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.metrics.confusion import comparisons

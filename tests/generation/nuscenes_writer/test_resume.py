@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.datasets.schema import check_tables
+from benchmark.datasets.schema.check import check_tables
 from benchmark.errors import InputError
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmark.constants import CAMERA_NAMES, CATEGORIES, NUMBERED_CATEGORIES, NUSCENES_TABLES
-from benchmark.datasets.schema import check_tables
+from benchmark.datasets.schema.check import check_tables
 from benchmark.errors import InputError
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set, write_scene

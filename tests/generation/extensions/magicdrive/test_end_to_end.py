@@ -11,7 +11,7 @@ import pytest
 
 from adapters.registry import planner_factory
 from benchmark.datasets.roots import DataSet, open_data
-from benchmark.datasets.schema import check_tables
+from benchmark.datasets.schema.check import check_tables
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.geometry import transform_matrix
 from benchmark.machine.workers import LocalProcesses
