@@ -1,4 +1,4 @@
-"""Foreign checkpoints as tensors of PyTorch: found by the door (`foreign.checkpoints`), mapped from the file."""
+"""Foreign checkpoints as tensors of PyTorch: found by the door (`untrusted.checkpoints`), mapped from the file."""
 
 import math
 from dataclasses import dataclass

@@ -1,0 +1,72 @@
+"""Extensions that are not there, and those of other packages that are broken."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import typer
+
+from benchmark.cli import extensions
+from benchmark.cli.extensions import OWN, Groups, add_commands_of_others
+
+ROOT = Path(__file__).resolve().parents[3]
+WITHOUT = """
+import sys
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name == sys.argv[1] or name.startswith(sys.argv[1] + "."):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Absent())
+from benchmark.cli.app import main
+package = sys.argv.pop(1)
+main()
+"""
+
+
+def run_without(package: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", WITHOUT, package, *arguments]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_commands_of_an_extension_that_is_not_there_say_so_and_help_answers(name: str) -> None:
+    package, commands = OWN[name]
+    shown = run_without(package, "--help")
+    assert shown.returncode == 0 and "Traceback" not in shown.stderr
+    asked = run_without(package, *commands[0].split(), "--some", "thing")
+    assert asked.returncode == 2, asked.stderr
+    (line,) = asked.stderr.splitlines()
+    assert line.startswith(f"error: {commands[0]} belongs to the extension {name}, which is not installed here; ")
+
+
+@dataclass
+class Entry:
+    """An entry point of another package."""
+
+    name: str
+    loaded: Callable[[Groups], None] | None
+
+    def load(self) -> Callable[[Groups], None]:
+        if self.loaded is None:
+            raise ImportError("no such\nmodule")
+        return self.loaded
+
+
+def test_a_broken_extension_of_another_package_costs_its_own_commands_alone(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def add(groups: Groups) -> None:
+        groups[""].command("theirs")(lambda: None)
+
+    found = {extensions.ENTRY_POINTS: [Entry("broken", None), Entry("sound", add)]}
+    monkeypatch.setattr(extensions, "entry_points", lambda group: found[group])
+    app = typer.Typer()
+    add_commands_of_others({"": app})
+    assert [command.name for command in app.registered_commands] == ["theirs"]
+    said = capsys.readouterr().err
+    assert said.startswith("warning: the extension broken adds no commands: no such") and said.count("\n") == 1
