@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
 from benchmark.datasets.contents import scenes_by_split
-from benchmark.extensions.infos.order import exported_order
+from benchmark.datasets.exported_order import exported_order
 from benchmark.geometry import Bools, Floats, rotation_matrix, yaw_of_quaternion
 from benchmark.planning import Command
 from benchmark.scene import Scene
@@ -117,7 +117,7 @@ class RecordedSamples:
         """The same in every order of info files that are sorted by time, the likelier one first.
 
         Where scenes overlap in time, as all variants of one recording do, a converter mixes them, and the info files
-        that are exported here keep them apart (`benchmark.extensions.infos.order`). Nobody can run a planner with
+        that are exported here keep them apart (`benchmark.datasets.exported_order`). Nobody can run a planner with
         memory on variants that are mixed; recordings of two cars at the same time have official info files.
         """
         exported = exported_order(self.scenes, self.timestamps_us)

@@ -8,8 +8,8 @@ from benchmark.closed_loop.riding import RideMaker
 from benchmark.closed_loop.world import ENGINE
 from benchmark.errors import InputError, did_you_mean
 from benchmark.extensions.neuroncap.riding import RECORDED, SCENARIOS, NeuroncapRides
-from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.records.drive_schema import Measured, UntilName
+from benchmark.records.neuroncap_switches import Switches
 
 UNTIL: Final[tuple[UntilName, ...]] = get_args(UntilName)
 ENGINES: Final = (ENGINE, "neuroncap@code", "neuroncap@paper")

@@ -5,9 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.extensions.neuroncap.aggregate import Metrics, aggregated
-from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.records.drive_schema import DriveRow, PublishedTable
+from benchmark.records.neuroncap_aggregate import Metrics, aggregated
+from benchmark.records.neuroncap_switches import Switches
 
 ENGINE: Final = "neuroncap@code"
 """The published code rounds; `neuroncap@paper` does not, and has no such table."""

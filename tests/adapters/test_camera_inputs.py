@@ -23,7 +23,7 @@ from adapters.camera_inputs import (
     lidar_pose,
     lidar_to_image,
 )
-from adapters.extensions.golden_sets.example_inputs import example_images, example_projections
+from adapters.networks.example_inputs import example_images, example_projections
 from benchmark.constants import CAMERA_NAMES
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError

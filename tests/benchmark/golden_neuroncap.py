@@ -29,10 +29,10 @@ from benchmark.extensions.neuroncap.recording import Annotations, Recording, act
 from benchmark.extensions.neuroncap.scenarios import Scenario
 from benchmark.extensions.neuroncap.score import score_of
 from benchmark.extensions.neuroncap.staging import Cast, staged
-from benchmark.extensions.neuroncap.switches import CODE
 from benchmark.extensions.neuroncap.verification import BUILT_IN
 from benchmark.extensions.neuroncap.verification.checked_moments import CheckRow, checks_of
 from benchmark.geometry import Floats, quaternion_from_yaw, transform_matrix
+from benchmark.records.neuroncap_switches import CODE
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "golden" / "neuroncap"
 START_US = 1_700_000_000_000_000

@@ -5,7 +5,7 @@ from typing import Any
 import torch
 
 from adapters.camera_inputs import camera_images, lidar_pose, lidar_to_image
-from adapters.extensions.golden_sets.example_inputs import example_images, example_projections
+from adapters.networks.example_inputs import example_images, example_projections
 from adapters.networks.layers.reporting import Reporting
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.model import SparseInputs, SparseNetwork

@@ -5,7 +5,7 @@ from typing import Any
 import torch
 
 from adapters.camera_inputs import camera_images, can_bus_vector, lidar_pose, lidar_to_image
-from adapters.extensions.golden_sets.example_inputs import example_images, example_projections
+from adapters.networks.example_inputs import example_images, example_projections
 from adapters.networks.layers.reporting import Reporting
 from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.frames import UniADInputs, UniADOutputs

@@ -3,7 +3,7 @@
 import torch
 
 from adapters.camera_inputs import camera_images, can_bus_vector, lidar_to_image
-from adapters.extensions.golden_sets.example_inputs import example_images, example_projections
+from adapters.networks.example_inputs import example_images, example_projections
 from adapters.networks.layers.reporting import Reporting
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD, VADInputs

@@ -11,6 +11,7 @@ from typing import Final
 
 import shapely
 
+from benchmark.datasets.exported_order import shifts_us
 from benchmark.datasets.map_layers import expansion_file, read_road_map
 from benchmark.datasets.schema import FaultList, Refusal
 from benchmark.datasets.split_names import evaluated_split, read_splits, scenes_of_split
@@ -22,7 +23,6 @@ from benchmark.extensions.infos.can_messages import OFFICIAL_NAME, CanMessages
 from benchmark.extensions.infos.ego import Drive
 from benchmark.extensions.infos.making import Info, SceneSources, is_level, scene_infos
 from benchmark.extensions.infos.map_lines import MapLines
-from benchmark.extensions.infos.order import shifts_us
 from benchmark.extensions.infos.repositories import (
     TEST,
     Part,

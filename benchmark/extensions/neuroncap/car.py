@@ -12,8 +12,8 @@ from benchmark.constants import (
     EGO_WHEELBASE_M,
     EGO_WIDTH_M,
 )
-from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.pdm.definition import COMFORT_CENTER_AHEAD_M, WHEELBASE_M
+from benchmark.records.neuroncap_switches import Switches
 
 SLIPPED_LENGTH_M: Final = 4.018
 """Of the ego's box in the published code: a slip of digits."""

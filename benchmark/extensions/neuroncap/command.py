@@ -5,9 +5,9 @@ from typing import Final
 import numpy as np
 
 from benchmark.constants import COMMAND_LATERAL_M
-from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.geometry import Floats
 from benchmark.planning import Command
+from benchmark.records.neuroncap_switches import Switches
 
 _AHEAD_S: Final = 3.0
 _SLOWEST_M_S: Final = 2.0

@@ -10,8 +10,8 @@ import shapely
 from benchmark.extensions.neuroncap.actors import FURTHER_VEHICLES, HIT_CLASSES, Actor
 from benchmark.extensions.neuroncap.car import Car
 from benchmark.extensions.neuroncap.poses import heading_of
-from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.geometry import Floats, box_corners, boxes_overlap
+from benchmark.records.neuroncap_switches import Switches
 
 _ROOM_M: Final = 1.0
 """That the search radius has beyond the diagonals of both boxes."""

@@ -16,8 +16,8 @@ from benchmark.extensions.neuroncap.recording import (
     at_frames,
     steering_at_frames,
 )
-from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.geometry import Floats, transform_matrix
+from benchmark.records.neuroncap_switches import Switches
 from benchmark.scene import Scene
 
 _POSE: Final[dict[str, Kind]] = {

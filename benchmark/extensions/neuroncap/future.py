@@ -11,8 +11,8 @@ from benchmark.extensions.neuroncap.actors import Actor
 from benchmark.extensions.neuroncap.car import Car
 from benchmark.extensions.neuroncap.contact import EgoMoment, touched
 from benchmark.extensions.neuroncap.plan_path import WAYPOINT_US
-from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.geometry import Floats, quaternion_from_yaw, transform_matrix
+from benchmark.records.neuroncap_switches import Switches
 
 _STILL_M: Final = 0.2
 """Next waypoints nearer than this to the origin give no heading."""

@@ -25,10 +25,10 @@ from benchmark.extensions.neuroncap.plan_path import usable_waypoints
 from benchmark.extensions.neuroncap.poses import pose_between
 from benchmark.extensions.neuroncap.recording import Recording, Singles
 from benchmark.extensions.neuroncap.staging import Staged
-from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.extensions.neuroncap.vehicle import STEP_US, DrivenStep, Vehicle, driven
 from benchmark.geometry import Floats
 from benchmark.planning import Command
+from benchmark.records.neuroncap_switches import Switches
 
 _INSTANTS: Final = 10
 """Of contact within a step."""

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from benchmark.extensions.neuroncap.actors import FURTHER_VEHICLES, KEPT_CLASSES, Actor, Integers
 from benchmark.extensions.neuroncap.poses import heading_of
-from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.geometry import Floats, transform_matrix
+from benchmark.records.neuroncap_switches import Switches
 
 Singles = NDArray[np.float32]
 CAN_COLUMNS = 16

@@ -42,11 +42,11 @@ from benchmark.extensions.neuroncap.recording import Recording, actors_of
 from benchmark.extensions.neuroncap.scenarios import Scenario, official_scenarios
 from benchmark.extensions.neuroncap.score import reference_speed, score_of
 from benchmark.extensions.neuroncap.staging import Cast, staged
-from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.geometry import Floats, transform_matrix
 from benchmark.interactions.tracks import Tracks
 from benchmark.pdm.motion import headed
 from benchmark.planning import Command, Plan
+from benchmark.records.neuroncap_switches import Switches
 from benchmark.scene import Scene
 
 _ACCELERATION, _RATE, _VELOCITY = slice(7, 10), slice(10, 13), slice(13, 16)

@@ -11,8 +11,8 @@ from benchmark.extensions.neuroncap.actors import Actor, Integers
 from benchmark.extensions.neuroncap.draws import Draw, Draws
 from benchmark.extensions.neuroncap.poses import pose_between
 from benchmark.extensions.neuroncap.scenarios import STEP_S, Scenario, ScenarioActor
-from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.geometry import Floats
+from benchmark.records.neuroncap_switches import Switches
 
 _UP: Final = np.array([0.0, 0.0, 1.0])
 _NO_TIME_S: Final = 1e-6

@@ -20,9 +20,9 @@ from benchmark.extensions.neuroncap.plan_path import (
     path_of,
     usable_waypoints,
 )
-from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.extensions.neuroncap.tracker import LARGEST_ACCELERATION, STOPPING_GAIN, Tracked, asked_for
 from benchmark.geometry import Floats, quaternion_from_yaw, transform_matrix, wrap_angle
+from benchmark.records.neuroncap_switches import Switches
 
 SUBSTEPS: Final = 5
 STEP_US: Final = SUBSTEPS * SUBSTEP_US

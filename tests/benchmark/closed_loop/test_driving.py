@@ -19,8 +19,8 @@ from benchmark.closed_loop.scoring import score_drive
 from benchmark.dynamics.lane_path import Path
 from benchmark.errors import InputError
 from benchmark.extensions.neuroncap.riding import NeuroncapRides
-from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.planning import Observation, Plan
+from benchmark.records.neuroncap_switches import Switches
 from benchmark.runs.plan_rows import BrokenImageError
 from benchmark.scene import Scene
 from generation.sources.town import town_scene

@@ -16,9 +16,9 @@ from benchmark.closed_loop.observing import STEERING_RATIO
 from benchmark.closed_loop.riding import RideMaker
 from benchmark.closed_loop.world import STEP_US
 from benchmark.extensions.neuroncap.riding import NeuroncapRides
-from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.geometry import Floats
 from benchmark.planning import CameraView, Command, Observation
+from benchmark.records.neuroncap_switches import Switches
 from benchmark.scene import Scene
 from generation.render.sensor import SchematicSensor
 from tests.benchmark.closed_loop.staged import Peeking, Watching, can_of, staged

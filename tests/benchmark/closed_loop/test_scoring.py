@@ -12,9 +12,9 @@ from benchmark.closed_loop.driving import Drive, drive
 from benchmark.closed_loop.nuplan import NuplanTerms, Progress, no_collision
 from benchmark.closed_loop.scoring import DriveScores, score_drive
 from benchmark.extensions.neuroncap.riding import NeuroncapRides
-from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.interactions.contacts import EGO_MASS_KG, mass_kg
 from benchmark.planning import Planner
+from benchmark.records.neuroncap_switches import Switches
 from benchmark.scene import Scene
 from tests.benchmark.closed_loop.staged import Watching, staged
 from tests.hand_made import Car, scene_on_straight_road

@@ -18,12 +18,12 @@ from benchmark.closed_loop.engines import ENGINES, rides_of
 from benchmark.closed_loop.scoring import VERSION
 from benchmark.errors import InputError
 from benchmark.extensions.neuroncap.riding import OFFICIAL, OWN, NeuroncapRides
-from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.machine.storage import write_json
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Observation, Plan
 from benchmark.records.drive_schema import DriveRow
 from benchmark.records.drives import DriveRecord, load_drives, write_drives
+from benchmark.records.neuroncap_switches import Switches
 from benchmark.runs.drive_estimate import estimate
 from benchmark.runs.driving import DriveSettings, drive_split, drives_directory, job_of, kept_units
 from benchmark.runs.redriving import driven_again

@@ -13,10 +13,10 @@ from benchmark.closed_loop.driving import drive, drive_together
 from benchmark.closed_loop.riding import RideMaker
 from benchmark.errors import InputError
 from benchmark.extensions.neuroncap.riding import OWN, NeuroncapRides
-from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Observation, Plan, Planner
 from benchmark.records.drives import DriveRecord
+from benchmark.records.neuroncap_switches import Switches
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.driving import DriveSettings, drive_planners, drive_split
 from benchmark.scene import Scene

@@ -12,8 +12,8 @@ from benchmark.extensions.neuroncap.actors import Actor
 from benchmark.extensions.neuroncap.car import Car
 from benchmark.extensions.neuroncap.command import command_at
 from benchmark.extensions.neuroncap.contact import EgoMoment, touched
-from benchmark.extensions.neuroncap.switches import CODE
 from benchmark.extensions.neuroncap.verification.golden_set import TOLERANCE, NcapArrays
+from benchmark.records.neuroncap_switches import CODE
 from benchmark.verification.checks import Comparison
 
 IOU_TOLERANCE: Final = 1e-6

@@ -10,9 +10,9 @@ import numpy as np
 from benchmark.extensions.neuroncap.actors import Actor, Integers
 from benchmark.extensions.neuroncap.scenarios import Scenario
 from benchmark.extensions.neuroncap.staging import Cast, Staged, staged
-from benchmark.extensions.neuroncap.switches import CODE
 from benchmark.extensions.neuroncap.verification.golden_set import TOLERANCE, NcapFacts
 from benchmark.geometry import quaternion_from_yaw, transform_matrix
+from benchmark.records.neuroncap_switches import CODE
 from benchmark.verification.checks import Comparison
 
 _SHARED_SIZES: Final = "in_sequence"

@@ -11,7 +11,6 @@ from benchmark.errors import InputError
 from benchmark.extensions.neuroncap.actors import Integers
 from benchmark.extensions.neuroncap.car import Car
 from benchmark.extensions.neuroncap.recording import CAN_COLUMNS
-from benchmark.extensions.neuroncap.switches import CODE, Switches
 from benchmark.extensions.neuroncap.vehicle import STEP_US, SUBSTEPS, DrivenStep, Vehicle, driven
 from benchmark.extensions.neuroncap.verification.golden_set import (
     CODE_TOLERANCE,
@@ -20,6 +19,7 @@ from benchmark.extensions.neuroncap.verification.golden_set import (
     beyond_single,
 )
 from benchmark.geometry import Floats, wrap_angle
+from benchmark.records.neuroncap_switches import CODE, Switches
 from benchmark.verification.checks import Comparison
 
 STATE_COLUMNS: Final = (

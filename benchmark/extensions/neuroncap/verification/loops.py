@@ -16,10 +16,10 @@ from benchmark.extensions.neuroncap.recording import (
 )
 from benchmark.extensions.neuroncap.scenarios import Scenario
 from benchmark.extensions.neuroncap.staging import Cast, Staged, staged
-from benchmark.extensions.neuroncap.switches import CODE
 from benchmark.extensions.neuroncap.verification.golden_set import TOLERANCE, NcapArrays, NcapFacts
 from benchmark.extensions.neuroncap.verification.replays import compare_run
 from benchmark.geometry import transform_matrix
+from benchmark.records.neuroncap_switches import CODE
 from benchmark.verification.checks import Comparison
 
 

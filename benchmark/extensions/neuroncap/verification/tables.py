@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from benchmark.errors import InputError
-from benchmark.extensions.neuroncap.aggregate import aggregated, why_invalid
-from benchmark.extensions.neuroncap.switches import CODE
 from benchmark.extensions.neuroncap.verification.golden_set import NcapFacts
+from benchmark.records.neuroncap_aggregate import aggregated, why_invalid
+from benchmark.records.neuroncap_switches import CODE
 from benchmark.verification.checks import Comparison
 
 _VALID = "passes"

@@ -22,10 +22,10 @@ from benchmark.evaluation import evaluate
 from benchmark.extensions.http.images import ImageFormat
 from benchmark.extensions.http.model import http_planner
 from benchmark.extensions.neuroncap.riding import NeuroncapRides
-from benchmark.extensions.neuroncap.switches import Switches
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import CameraView, Planner
 from benchmark.records.drives import DriveRecord, load_drives
+from benchmark.records.neuroncap_switches import Switches
 from benchmark.runs.driving import DriveSettings, drive_split
 from generation.render.sensor import SchematicSensor
 from tests.benchmark.closed_loop.staged import staged

@@ -13,9 +13,9 @@ from benchmark.extensions.neuroncap.contact import touched
 from benchmark.extensions.neuroncap.loop import Engine, World, begin, finished, goes_on, moments, step
 from benchmark.extensions.neuroncap.plan_path import UnusablePlanError
 from benchmark.extensions.neuroncap.score import score_of, scored_impact
-from benchmark.extensions.neuroncap.switches import CODE, PAPER
 from benchmark.extensions.neuroncap.vehicle import Vehicle, driven
 from benchmark.geometry import Floats
+from benchmark.records.neuroncap_switches import CODE, PAPER
 from tests.benchmark.extensions.neuroncap.made import (
     SECOND,
     constant,

@@ -10,8 +10,8 @@ from benchmark.extensions.neuroncap.own_scenarios import own_scenarios
 from benchmark.extensions.neuroncap.recording import Recording
 from benchmark.extensions.neuroncap.scenarios import Scenario
 from benchmark.extensions.neuroncap.staging import Cast, staged
-from benchmark.extensions.neuroncap.switches import PAPER
 from benchmark.geometry import Floats, to_local
+from benchmark.records.neuroncap_switches import PAPER
 from tests.benchmark.extensions.neuroncap.made import KNOWN, straight
 from tests.benchmark.golden_neuroncap import made_inputs, recording_of
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.extensions.neuroncap.aggregate import aggregated
 from benchmark.extensions.neuroncap.car import Car
 from benchmark.extensions.neuroncap.command import command_at
 from benchmark.extensions.neuroncap.contact import Contact, EgoMoment, touched
@@ -18,9 +17,10 @@ from benchmark.extensions.neuroncap.recording import actors_of
 from benchmark.extensions.neuroncap.scenarios import Scenario
 from benchmark.extensions.neuroncap.score import reference_speed
 from benchmark.extensions.neuroncap.staging import Staged, staged
-from benchmark.extensions.neuroncap.switches import CODE, PAPER, Switches
 from benchmark.extensions.neuroncap.vehicle import Vehicle, driven
 from benchmark.planning import Command
+from benchmark.records.neuroncap_aggregate import aggregated
+from benchmark.records.neuroncap_switches import CODE, PAPER, Switches
 from tests.benchmark.extensions.neuroncap.made import (
     SECOND,
     constant,

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from benchmark.errors import InputError
-from benchmark.extensions.neuroncap.switches import Switches
+from benchmark.records.neuroncap_switches import Switches
 
 Metrics = Mapping[str, bool | float | None]
 """Of one run, by name; ``None`` where there is nothing to say."""

@@ -1,0 +1,1 @@
+"""Networks of the native planners in plain PyTorch, forward only."""
