@@ -16,7 +16,7 @@ from typing import Any, TextIO
 
 from adapters.models import MODELS, published_as
 from benchmark.errors import InputError, did_you_mean
-from benchmark.extensions.http.address import Address, is_address
+from benchmark.machine.address import Address, is_address
 from benchmark.machine.several_devices import device_here
 from benchmark.machine.storage import content_key, file_sha256
 from benchmark.planning import Planner

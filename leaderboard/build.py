@@ -17,8 +17,6 @@ from benchmark.records.run import RunRecord
 from benchmark.records.scenes import NO_SHEETS, Sheets
 from benchmark.report.plots import page_size
 from benchmark.report.table import Table, escape_markdown
-from leaderboard.extensions.challenge.tables import CHALLENGES, challenge_tables
-from leaderboard.extensions.quality.tables import quality_tables
 from leaderboard.figures.attacks import attack_figures, nothing_drawn
 from leaderboard.figures.charts import NamedFigure, data_set_figures
 from leaderboard.figures.heat_map import heat_maps, lift_maps
@@ -27,6 +25,7 @@ from leaderboard.figures.refinement import refinement_figures
 from leaderboard.paper.contents import paper_tables
 from leaderboard.paper.document import paper_document
 from leaderboard.paper.runtime_chart import runtime_charts
+from leaderboard.sections import sections_of
 from leaderboard.selection import one_run_each
 from leaderboard.site.index_data import PlacedFigure, PlacedTable
 from leaderboard.site.site import INDEX_PATH, site_files
@@ -159,8 +158,10 @@ def _made(
     for data_set in found:
         sections += _add_data_set(made, data_set, sheets, [record for each in found for record in each.records])
     sections += _add_closed_loop(made, drives)
-    sections += _add_challenges(made, challenges)
-    sections += _add_quality(made, quality)
+    for section in sections_of({"challenges": challenges, "quality": quality}):
+        made.place(section.data_name, section.group, section.tables)
+        sections += [*((f"## {section.heading}", "") if section.heading else ())]
+        sections += [table.markdown() for table in section.tables]
     sections += _add_paper(made, found, sheets, ablations)
     for name, tables in generation_tables(sheets, ablations).items():
         made.place(name, "scenes and their generation", tables)
@@ -341,16 +342,6 @@ def _without(table: Table, said: Collection[str]) -> Table:
     return replace(table, notes=tuple(note for note in table.notes if note not in said))
 
 
-def _add_quality(made: _Made, records: Sequence[QualityRecord]) -> list[str]:
-    """Add the tables on video quality; their section of ``README.md``."""
-    lines = ["## Video quality", ""] if records else []
-    for data_name in sorted({record.facts.data.name for record in records}):
-        tables = quality_tables([record for record in records if record.facts.data.name == data_name])
-        made.place(data_name, "video quality", tables)
-        lines += [table.markdown() for table in tables]
-    return lines
-
-
 def _add_closed_loop(made: _Made, drives: Sequence[DriveRecord]) -> list[str]:
     """Add the tables of drives, beside open loop where the planners ran there too; their sections of ``README.md``."""
     lines: list[str] = []
@@ -369,17 +360,6 @@ def _add_closed_loop(made: _Made, drives: Sequence[DriveRecord]) -> list[str]:
         for figure in pressure_figures(own):
             made.draw(name, figure)
             lines += [f"![{escape_markdown(figure.title)}]({quote(_picture(file_name(name), figure.name))})", ""]
-    return lines
-
-
-def _add_challenges(made: _Made, challenges: Sequence[ChallengeScores]) -> list[str]:
-    """Add the tables of challenges, beside those of the planners on the same recordings; their sections."""
-    lines: list[str] = []
-    for scores in challenges:
-        tables = challenge_tables(scores)
-        made.place(scores.base.name, CHALLENGES, tables)
-        lines += [f"## {escape_markdown(scores.base.name)}: challenge {escape_markdown(scores.challenge)}", ""]
-        lines += [table.markdown() for table in tables]
     return lines
 
 

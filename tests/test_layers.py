@@ -20,13 +20,23 @@ LEADERBOARD_MAY_READ = (
     "benchmark.metrics",
     "benchmark.report",
     "benchmark.published",
+    "benchmark.machine.extension",
     "benchmark.machine.storage",
     "benchmark.errors",
     "benchmark.constants",
     "benchmark.geometry",
     "benchmark.waypoints",
 )
-FLAT_MODULES = {"benchmark": 13, "generation": 3, "adapters": 7, "leaderboard": 3}
+FLAT_MODULES = {"benchmark": 12, "generation": 3, "adapters": 7, "leaderboard": 4}
+MOST_ROOMS = 20
+"""Folders of the core of `benchmark`."""
+NEEDS = {
+    "adapters.extensions.golden_sets": {"benchmark.extensions.golden_sets"},
+    "benchmark.extensions.http": {"benchmark.extensions.neuroncap"},
+    "generation.extensions.golden_sets": {"generation.extensions.magicdrive"},
+    "generation.extensions.magicdrive": {"benchmark.extensions.explain"},
+}
+"""Extensions that import another one."""
 
 
 def is_composition_root(path: Path) -> bool:
@@ -90,6 +100,31 @@ def test_leaderboard_reads_records_only() -> None:
         for name in imports(path):
             allowed = any(name == known or name.startswith(f"{known}.") for known in LEADERBOARD_MAY_READ)
             assert not name.startswith("benchmark.") or allowed or name == "benchmark.machine", (path, name)
+
+
+def extension_of(name: str) -> str | None:
+    """``package.extensions.name``, if a module is of an extension."""
+    parts = name.split(".")
+    return ".".join(parts[:3]) if len(parts) > 2 and parts[1] == "extensions" else None
+
+
+def test_the_core_imports_no_extension_and_an_extension_only_those_that_it_needs() -> None:
+    needed: dict[str, set[str]] = {}
+    for name, path in modules().items():
+        found = {of for each in imports(path) if (of := extension_of(each)) is not None}
+        own = extension_of(name)
+        if is_composition_root(path) or name == "benchmark":
+            continue
+        if own is None:
+            assert not found, (path, found)
+        else:
+            needed[own] = needed.get(own, set()) | (found - {own})
+    assert {own: found for own, found in needed.items() if found} == NEEDS
+
+
+def test_the_core_of_benchmark_has_few_rooms() -> None:
+    rooms = {path.parent for path in (ROOT / "benchmark").rglob("*.py") if "extensions" not in path.parts}
+    assert len(rooms - {ROOT / "benchmark"}) <= MOST_ROOMS, sorted(str(room) for room in rooms)
 
 
 def test_no_circle_of_imports_not_even_inside_functions() -> None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def looks_at_images(name: str) -> bool | None:
     """Whether a planner looks at images: built-in ones say so, HTTP carries some, of others nobody knows (``None``)."""
     from adapters.models import MODELS
-    from benchmark.extensions.http.address import is_address
+    from benchmark.machine.address import is_address
 
     if is_address(name):
         return True
@@ -158,7 +158,7 @@ def _given_tracks(directory: "Path", split: str) -> "tuple[AdversaryMaker, int]"
 def require_sensor(sensor: str) -> None:
     """Raise `InputError` for what names no sensor; nobody is asked whether a server answers."""
     from benchmark.closed_loop.sensors import NO_SENSOR
-    from benchmark.extensions.http.address import Address, is_address
+    from benchmark.machine.address import Address, is_address
 
     known = (NO_SENSOR, "schematic")
     if is_address(sensor):
@@ -173,8 +173,8 @@ def require_sensor(sensor: str) -> None:
 
 def _sensor(name: str, split: str, *, tensors: bool) -> "Sensor":
     from benchmark.closed_loop.sensors import NO_SENSOR, NoSensor
-    from benchmark.extensions.http.address import Address, is_address
     from benchmark.extensions.http.sensor import HttpSensor
+    from benchmark.machine.address import Address, is_address
     from benchmark.machine.workspace import is_generated
     from generation.render.sensor import SchematicSensor
 

@@ -71,9 +71,9 @@ def require_answers(models: "Sequence[str]", sensors: "Sequence[str]") -> None:
     Raises:
         InputError: If one is no address, or nobody answers.
     """
-    from benchmark.extensions.http.address import Address
     from benchmark.extensions.http.model import http_planner
     from benchmark.extensions.http.sensor import HttpSensor
+    from benchmark.machine.address import Address
 
     for each in models:
         http_planner(each).require_alive()

@@ -23,7 +23,7 @@ def require_servers(
     Raises:
         InputError: If one is no address, nobody answers there, or a model behind HTTP would be sent no pictures.
     """
-    from benchmark.extensions.http.address import is_address
+    from benchmark.machine.address import is_address
 
     served = [each for each in models if is_address(each)]
     if image_format is not None and not served:
@@ -48,7 +48,7 @@ def require_frame(models: Sequence[str], frame: str | None, *, of_file: bool = F
     Raises:
         InputError: If there is nothing that the option could be about.
     """
-    from benchmark.extensions.http.address import is_address
+    from benchmark.machine.address import is_address
 
     if frame is not None and not of_file and not any(map(is_address, models)):
         raise InputError(

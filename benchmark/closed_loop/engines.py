@@ -7,12 +7,15 @@ from benchmark.closed_loop.default_engine import AGENTS, DefaultRides
 from benchmark.closed_loop.riding import RideMaker
 from benchmark.closed_loop.world import ENGINE
 from benchmark.errors import InputError, did_you_mean
-from benchmark.extensions.neuroncap.riding import RECORDED, SCENARIOS, NeuroncapRides
-from benchmark.records.drive_schema import Measured, UntilName
-from benchmark.records.neuroncap_switches import Switches
+from benchmark.machine.extension import from_extension
+from benchmark.records.drive_schema import RECORDED, SCENARIOS, Measured, UntilName
 
 UNTIL: Final[tuple[UntilName, ...]] = get_args(UntilName)
-ENGINES: Final = (ENGINE, "neuroncap@code", "neuroncap@paper")
+OF_EXTENSIONS: Final = dict.fromkeys(
+    ("neuroncap@code", "neuroncap@paper"), "benchmark.extensions.neuroncap.riding:neuroncap_rides"
+)
+"""Engines of extensions: what makes their rides, given the engine's name and the scenarios."""
+ENGINES: Final = (ENGINE, *OF_EXTENSIONS)
 
 
 def rides_of(
@@ -58,7 +61,8 @@ def rides_of(
         raise InputError(f"actors of {engine} never react and its plans take effect at once; take --engine {ENGINE}")
     if until != "contact":
         raise InputError(f"every contact ends a run of {engine}; take --engine {ENGINE} or leave --until {until} out")
-    return NeuroncapRides(Switches.named(engine), scenarios)
+    made: RideMaker = from_extension(OF_EXTENSIONS[engine])(engine, scenarios)
+    return made
 
 
 def rides_as(measured: Measured) -> RideMaker:

@@ -1,6 +1,6 @@
 """The schema of records of drives: ``drive.json``, a line a drive in ``drives.jsonl``, ``summary.json``."""
 
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self, get_args
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
@@ -19,6 +19,10 @@ REASONS: Final = ("raised", "no plan", "unusable plan", "timeout", "died")
 EngineName = Literal["default", "neuroncap@code", "neuroncap@paper"]
 UntilName = Literal["contact", "fault"]
 """What ends a drive before its time: any contact, or one that is the ego's fault."""
+ScenariosName = Literal["recorded", "own", "official"]
+"""What scenes are driven with in NeuroNCAP's engine: as they are, ours, or NeuroNCAP's own."""
+SCENARIOS: Final[tuple[ScenariosName, ...]] = get_args(ScenariosName)
+RECORDED, OWN, OFFICIAL = SCENARIOS
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Fraction = Share | None
 
@@ -43,7 +47,7 @@ class Measured(Stored):
     sensor: Name
     sensor_facts: dict[str, Any] = Field(default_factory=dict)
     latency_ms: Annotated[int, Field(ge=0, le=600_000)] = 0
-    scenarios: Literal["recorded", "own", "official"] = "recorded"
+    scenarios: ScenariosName = "recorded"
     agents_facts: dict[str, Any] = Field(default_factory=dict)
     until: UntilName = "contact"
 

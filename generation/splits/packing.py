@@ -13,25 +13,24 @@ from benchmark.constants import VERSION
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.statistics import statistics
 from benchmark.errors import InputError
-from benchmark.extensions.challenge.rules import RULES_FILE, Rules
 from benchmark.fairness.splits import adversarial_names, judge_split
+from benchmark.machine.extension import from_extension
 from benchmark.machine.storage import canonical_json, content_key, write_bytes
 from benchmark.machine.workers import Executor
 from benchmark.records.drives import DriveRecord
 from benchmark.records.review import REVIEW_FILE, ReviewFile, read_review
 from benchmark.records.review import SCHEMA as REVIEW_SCHEMA
-from benchmark.records.store import validated
 from benchmark.records.stored import Stored
 from benchmark.untrusted.files import one_line, read_file
 from benchmark.untrusted.limits import SETTINGS
 from benchmark.untrusted.packages import package_bytes
-from benchmark.untrusted.toml_text import parse_toml
 from generation.splits.packaged import NamedSplit
 
 FORMAT: Final = "challenger-bench split package"
 SCHEMA: Final = 1
 MANIFEST: Final = "manifest.json"
-RULES_MEMBER: Final = f"rules/{RULES_FILE}"
+RULES_MEMBER: Final = "rules/rules.toml"
+_CHECKED_RULES: Final = "benchmark.extensions.challenge.rules:checked_rules"
 VERDICTS_FILE: Final = f"verdicts/{REVIEW_FILE}"
 STATISTICS_FILE: Final = "statistics/split.json"
 _PLAIN: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
@@ -163,24 +162,9 @@ def pack_split(path: Path, contents: PackageContents, executor: Executor) -> Pac
 
 
 def checked_rules(data: bytes, where: str) -> bytes:
-    """A file of rules that can be read (`benchmark.extensions.challenge.rules`).
-
-    Args:
-        data: Its bytes.
-        where: What to call it in the message.
-
-    Returns:
-        The bytes.
-
-    Raises:
-        InputError: If it is no TOML text, or has a rule that there is not.
-    """
-    validated(
-        Rules.model_validate,
-        parse_toml(data, where),
-        lambda place, why: f"{where}: {place or 'the rules'}: {one_line(why, 120)}; see docs/challenge.md",
-    )
-    return data
+    """A file of rules that the extension of challenges can read; arguments and errors as of its own function."""
+    checked: bytes = from_extension(_CHECKED_RULES)(data, where)
+    return checked
 
 
 def _require_names(splits: Sequence[NamedSplit]) -> None:

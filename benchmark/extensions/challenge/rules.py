@@ -16,7 +16,8 @@ from pydantic import Field, model_validator
 from benchmark.machine.storage import content_key
 from benchmark.records.store import validated
 from benchmark.records.stored import Stored
-from benchmark.untrusted.toml_text import read_toml
+from benchmark.untrusted.files import one_line
+from benchmark.untrusted.toml_text import parse_toml, read_toml
 
 SCHEMA: Final = 1
 RULES_FILE: Final = "rules.toml"
@@ -226,3 +227,24 @@ def _value(value: Any) -> str:
         # A string of JSON is one of TOML; DEL alone must be written out.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     return repr(value)
+
+
+def checked_rules(data: bytes, where: str) -> bytes:
+    """A file of rules that can be read.
+
+    Args:
+        data: Its bytes.
+        where: What to call it in the message.
+
+    Returns:
+        The bytes.
+
+    Raises:
+        InputError: If it is no TOML text, or has a rule that there is not.
+    """
+    validated(
+        Rules.model_validate,
+        parse_toml(data, where),
+        lambda place, why: f"{where}: {place or 'the rules'}: {one_line(why, 120)}; see docs/challenge.md",
+    )
+    return data

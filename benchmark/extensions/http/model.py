@@ -6,12 +6,12 @@ The protocol has no identity. What is kept of a planner goes by the name that th
 import sys
 from typing import Any, Final
 
-from benchmark.extensions.http.address import Address
 from benchmark.extensions.http.answers import ModelAnswer
 from benchmark.extensions.http.connection import ALIVE_S, Connection, Reply
 from benchmark.extensions.http.images import ImageFormat
 from benchmark.extensions.http.observed import request_of
 from benchmark.extensions.http.values import WireError
+from benchmark.machine.address import Address
 from benchmark.planning import Observation, Plan, PlanFrame, PlannerGoneError, PlannerLateError, SceneInfo
 from benchmark.runs.code_identity import outside_identity
 from benchmark.untrusted.files import one_line

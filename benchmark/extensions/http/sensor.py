@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.errors import InputError
-from benchmark.extensions.http.address import Address
 from benchmark.extensions.http.connection import ALIVE_S, Connection, Reply
 from benchmark.extensions.http.images import TENSOR_FLAG, ImageFormat, image_from, picture_from
 from benchmark.extensions.http.observed import camera_pose
@@ -22,6 +21,7 @@ from benchmark.extensions.http.renderer import MovedActor, RendererActor, actors
 from benchmark.extensions.http.requests import CAMERAS
 from benchmark.extensions.http.values import WireError
 from benchmark.geometry import Floats, quaternion_from_yaw, transform_matrix
+from benchmark.machine.address import Address
 from benchmark.planning import CameraView, PlannerGoneError, PlannerLateError
 from benchmark.scene import Camera, Scene
 from benchmark.untrusted.wire_images import TensorRefused

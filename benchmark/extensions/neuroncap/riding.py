@@ -46,14 +46,13 @@ from benchmark.geometry import Floats, transform_matrix
 from benchmark.interactions.tracks import Tracks
 from benchmark.pdm.motion import headed
 from benchmark.planning import Command, Plan
+from benchmark.records.drive_schema import OWN, RECORDED
 from benchmark.records.neuroncap_switches import Switches
 from benchmark.scene import Scene
 
 _ACCELERATION, _RATE, _VELOCITY = slice(7, 10), slice(10, 13), slice(13, 16)
 """Of a CAN row of the engine."""
 _FEWEST_TICKS: Final = 4
-RECORDED, OWN, OFFICIAL = "recorded", "own", "official"
-SCENARIOS: Final = (RECORDED, OWN, OFFICIAL)
 WITHOUT_SCENARIO: Final = Scenario()
 """What the published code drives where there is no scenario file."""
 _COLUMNS: Final = [0, 1, 2, 3, 4, 6, 5]
@@ -354,3 +353,8 @@ def _after(ride: Ride, plan: Plan) -> Ride | UndrivablePlanError:
 
 def _target(engine: Engine) -> Actor | None:
     return next((actor for actor in engine.actors if actor.is_target), None)
+
+
+def neuroncap_rides(engine: str, scenarios: str) -> NeuroncapRides:
+    """What begins rides of the engine of a name; raises `InputError` if there is no such engine."""
+    return NeuroncapRides(Switches.named(engine), scenarios)

@@ -1,11 +1,13 @@
 """Entries of a challenge, ranked, and which places are not told apart."""
 
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from benchmark.metrics.disagreement import EXACT
 from benchmark.records.challenge_scores import ChallengeScores, EntryScore, Measured, Pair, PlannerOnEntry, Rank
 from benchmark.report.cells import UNDEFINED, Origin, Shown
-from benchmark.report.table import Brief, Table, table_of
+from benchmark.report.table import Brief, Table, escape_markdown, table_of
+from leaderboard.sections import Section
 from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, mark_notes, name_cell
 
 CHALLENGES: Final = "challenges"
@@ -178,3 +180,10 @@ def _pair(pair: Pair, origin: Origin) -> tuple[str | Shown, ...]:
     found = pair.difference
     cell = origin.cell(found.value, "points", found.denominator, "resamples", low=found.low, high=found.high, scale=100)
     return pair.first, pair.second, cell.shown(1, signed=True), cell.interval(1), "yes" if pair.told_apart else "no"
+
+
+def sections(challenges: Sequence[ChallengeScores]) -> Iterator[Section]:
+    """The tables of challenges, beside those of the planners on the same recordings."""
+    for scores in challenges:
+        heading = f"{escape_markdown(scores.base.name)}: challenge {escape_markdown(scores.challenge)}"
+        yield Section(scores.base.name, CHALLENGES, heading, challenge_tables(scores))

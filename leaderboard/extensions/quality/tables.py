@@ -1,7 +1,7 @@
 """Table 3 of the paper: subject consistency and imaging quality by split, ours and the published ones."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from benchmark.machine.storage import content_key
@@ -10,6 +10,7 @@ from benchmark.records.quality import QualityRecord
 from benchmark.records.review import review_words
 from benchmark.report.cells import UNDEFINED, Origin, Shown, named_record
 from benchmark.report.table import Brief, Table, table_of
+from leaderboard.sections import Section
 from leaderboard.tables.published import quoted
 from leaderboard.tables.rows import CAVEAT_MARK, FEW_NOTE, FEW_SCENES, part_of_split, split_place
 
@@ -166,3 +167,11 @@ def _kind(record: QualityRecord) -> str:
     facts = record.facts
     weights = {name: used.content for name, used in facts.weights.items()}
     return content_key(facts.definition, weights, facts.device)
+
+
+def sections(records: Sequence[QualityRecord]) -> Iterator[Section]:
+    """The tables on video quality, under one heading."""
+    names = sorted({record.facts.data.name for record in records})
+    for name in names:
+        own = [record for record in records if record.facts.data.name == name]
+        yield Section(name, "video quality", "Video quality" if name == names[0] else "", quality_tables(own))

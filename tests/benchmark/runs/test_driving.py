@@ -17,11 +17,11 @@ from benchmark.closed_loop.driving import drive
 from benchmark.closed_loop.engines import ENGINES, rides_of
 from benchmark.closed_loop.scoring import VERSION
 from benchmark.errors import InputError
-from benchmark.extensions.neuroncap.riding import OFFICIAL, OWN, NeuroncapRides
+from benchmark.extensions.neuroncap.riding import NeuroncapRides
 from benchmark.machine.storage import write_json
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Observation, Plan
-from benchmark.records.drive_schema import DriveRow
+from benchmark.records.drive_schema import OFFICIAL, OWN, DriveRow
 from benchmark.records.drives import DriveRecord, load_drives, write_drives
 from benchmark.records.neuroncap_switches import Switches
 from benchmark.runs.drive_estimate import estimate

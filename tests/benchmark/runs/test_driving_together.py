@@ -12,9 +12,10 @@ from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.closed_loop.driving import drive, drive_together
 from benchmark.closed_loop.riding import RideMaker
 from benchmark.errors import InputError
-from benchmark.extensions.neuroncap.riding import OWN, NeuroncapRides
+from benchmark.extensions.neuroncap.riding import NeuroncapRides
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Observation, Plan, Planner
+from benchmark.records.drive_schema import OWN
 from benchmark.records.drives import DriveRecord
 from benchmark.records.neuroncap_switches import Switches
 from benchmark.records.run_schema import PlannerFacts

@@ -11,10 +11,10 @@ import pytest
 
 from benchmark.closed_loop.asking import Failure, Reason, asked, told
 from benchmark.errors import InputError
-from benchmark.extensions.http.address import Address, is_address
 from benchmark.extensions.http.images import ImageFormat
 from benchmark.extensions.http.model import HttpPlanner, ModelFailedError, http_planner
 from benchmark.extensions.http.observed import request_of
+from benchmark.machine.address import Address, is_address
 from benchmark.planning import PlannerAwayError, PlannerGoneError, PlannerLateError, SceneInfo
 from benchmark.runs.planner_facts import facts_of
 from benchmark.untrusted.limits import WIRE_ANSWER
