@@ -4,7 +4,6 @@ Names are looked up when they are asked for, so that ``import benchmark`` answer
 only what needs it.
 """
 
-import importlib
 from typing import TYPE_CHECKING, Any, Final
 
 from benchmark.constants import VERSION
@@ -275,8 +274,13 @@ else:
     def __getattr__(name: str) -> Any:
         if name not in _FACE:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        module, _, attribute = _FACE[name].partition(":")
-        found = getattr(importlib.import_module(module), attribute)
+        from benchmark.errors import InputError
+        from benchmark.machine.extension import from_extension
+
+        try:
+            found = from_extension(_FACE[name])
+        except InputError as absent:
+            raise AttributeError(f"benchmark.{name}: {absent}") from None
         globals()[name] = found
         return found
 

@@ -122,6 +122,39 @@ def test_the_core_imports_no_extension_and_an_extension_only_those_that_it_needs
     assert {own: found for own, found in needed.items() if found} == NEEDS
 
 
+WITHOUT_EXTENSIONS = """
+import importlib, sys
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        parts = name.split(".")
+        if len(parts) > 2 and parts[1] == "extensions":
+            raise ModuleNotFoundError(f"No module named {name!r}", name=".".join(parts[:3]))
+
+sys.meta_path.insert(0, Absent())
+for name in sys.argv[1:]:
+    importlib.import_module(name)
+import benchmark
+try:
+    benchmark.write_films
+except AttributeError as absent:
+    print(absent)
+from benchmark.cli.app import main
+sys.argv[1:] = ["--help"]
+main()
+"""
+
+
+def test_with_all_extensions_gone_every_core_module_imports_and_help_answers() -> None:
+    core = sorted(name for name in modules() if "extensions" not in name.split(".") and not name.endswith("__main__"))
+    command = [sys.executable, "-c", WITHOUT_EXTENSIONS, *core]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    first, _, rest = done.stdout.partition("\n")
+    assert first == "benchmark.write_films: this needs the extension films, which is not installed here; install it"
+    assert "Not installed: extension training." in rest
+
+
 def test_the_core_of_benchmark_has_few_rooms() -> None:
     rooms = {path.parent for path in (ROOT / "benchmark").rglob("*.py") if "extensions" not in path.parts}
     assert len(rooms - {ROOT / "benchmark"}) <= MOST_ROOMS, sorted(str(room) for room in rooms)

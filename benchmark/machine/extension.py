@@ -22,7 +22,7 @@ def from_extension(reference: str) -> Any:
     try:
         return getattr(importlib.import_module(module), attribute)
     except ModuleNotFoundError as absent:
-        if absent.name is None or not f"{module}.".startswith(f"{absent.name}."):
+        if absent.name is None or ".extensions." not in module or not f"{module}.".startswith(f"{absent.name}."):
             raise
         name = module.split(".")[2]
         raise InputError(f"this needs the extension {name}, which is not installed here; install it") from None
