@@ -71,6 +71,11 @@ def main() -> None:
         if debug:
             raise
         code = _fail(str(error))
+    except ModuleNotFoundError as error:
+        parts = (error.name or "").split(".")
+        if debug or len(parts) < 3 or parts[1] != "extensions":
+            raise
+        code = _fail(f"this needs the extension {parts[2]}, which is not installed here; install it")
     except OSError as error:
         if debug or error.errno not in _OF_A_PLACE or error.filename is None:
             raise

@@ -11,19 +11,21 @@ import typer
 
 from benchmark.cli import extensions
 from benchmark.cli.extensions import OWN, Groups, add_commands_of_others
+from tests.promise.said import small_town
 
 ROOT = Path(__file__).resolve().parents[3]
 WITHOUT = """
 import sys
 
+package = sys.argv.pop(1)
+
 class Absent:
     def find_spec(self, name, path=None, target=None):
-        if name == sys.argv[1] or name.startswith(sys.argv[1] + "."):
+        if name == package or name.startswith(package + "."):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 sys.meta_path.insert(0, Absent())
 from benchmark.cli.app import main
-package = sys.argv.pop(1)
 main()
 """
 
@@ -42,6 +44,19 @@ def test_commands_of_an_extension_that_is_not_there_say_so_and_help_answers(name
     assert asked.returncode == 2, asked.stderr
     (line,) = asked.stderr.splitlines()
     assert line.startswith(f"error: {commands[0]} belongs to the extension {name}, which is not installed here; ")
+
+
+def test_a_command_of_the_core_that_asks_for_an_extension_says_which(tmp_path: Path) -> None:
+    root = str(small_town(tmp_path / "town"))
+    for package, name, arguments in (
+        ("benchmark.extensions.exchange", "exchange", ("data", "export", "scenarionet", root, "--to", "there")),
+        ("leaderboard.extensions.films", "films", ("film", "--data", root, "--to", "there")),
+    ):
+        done = run_without(package, *arguments)
+        assert done.returncode == 2, done.stderr
+        assert done.stderr.splitlines()[-1] == (
+            f"error: this needs the extension {name}, which is not installed here; install it"
+        )
 
 
 @dataclass
