@@ -23,8 +23,16 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-_GROUPS: Final[Groups] = {"": app, "data": data.app, "leaderboard": show.leaderboard_app}
+_GROUPS: Final[Groups] = {
+    "": app,
+    "data": data.app,
+    "data export": data.export_app,
+    "leaderboard": show.leaderboard_app,
+}
 # In the order in which help lists them.
+add_own_commands("infos", _GROUPS)
+add_own_commands("exchange", _GROUPS)
+add_own_commands("submissions", _GROUPS)
 add_own_commands("review", _GROUPS)
 data.app.command("pack")(packages.data_pack_command)
 data.app.command("unpack")(packages.data_unpack_command)
@@ -43,9 +51,9 @@ app.command("models")(models.models_command)
 app.command("merge")(shards.merge_command)
 app.command("rescore")(evaluate.rescore_command)
 app.command("transfer")(evaluate.transfer_command)
-app.command("quality")(evaluate.quality_command)
+add_own_commands("quality", _GROUPS)
 app.command("sheets")(show.sheets_command)
-app.command("film")(show.film_command)
+add_own_commands("films", _GROUPS)
 app.command("verify")(verify.verify_command)
 app.command("demo")(demo.demo_command)
 add_own_commands("reproduce", _GROUPS)

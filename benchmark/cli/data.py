@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from benchmark import api
-from benchmark.cli import export
 from benchmark.cli.options import (
     CategoriesOption,
     Frames,
@@ -33,7 +32,8 @@ if TYPE_CHECKING:
     from benchmark.records.judged_splits import SplitJudgement
 
 app = typer.Typer(cls=WholeSummaries, help="Look at, check, import, build and export data sets.", no_args_is_help=True)
-app.add_typer(export.app, name="export")
+export_app = typer.Typer(cls=WholeSummaries, help="Write a data set for the code of others.", no_args_is_help=True)
+app.add_typer(export_app, name="export")
 
 
 @app.command("info")

@@ -5,7 +5,7 @@ from dataclasses import asdict, replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -17,8 +17,6 @@ from benchmark.cli.options import (
     CategoriesOption,
     DataOption,
     DryRunOption,
-    Frames,
-    FramesOption,
     ImageFormatOption,
     JsonOption,
     LimitOption,
@@ -33,7 +31,6 @@ from benchmark.cli.options import (
     SliceName,
     SplitOption,
     TablesOption,
-    WeightsFolderOption,
     WideOption,
     WorkersOption,
     name_list,
@@ -41,7 +38,6 @@ from benchmark.cli.options import (
     say_plan,
 )
 from benchmark.cli.result_files import ReadAs, opened_results, results_planner, write_dumps
-from benchmark.cli.shards import say_shard
 from benchmark.cli.what_next import same_place, say_next
 from benchmark.errors import InputError
 from benchmark.report.words import counted
@@ -469,88 +465,6 @@ def _of_adversary(known: "Sequence[RunRecord]", split: str, data: str) -> "list[
     telling = [record for record in known if record.run.split != split or says_whom(record)]
     found = transfer_matrices(telling, split, data=data, adversary_only=True)
     return [matrix for matrix in found.values() if len(matrix.planners) > 1]
-
-
-def quality_command(
-    split: SplitOption = "val",
-    data: DataOption = "mini",
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    masks: Annotated[
-        str, typer.Option(help="Source of masks: grounded-sam2 (the paper's), sam2-boxes, boxes (no network).")
-    ] = "grounded-sam2",
-    frames: FramesOption = Frames.KEYFRAMES,
-    lossless: Annotated[bool, typer.Option("--lossless", help="Score the PNG frames beside the split's own.")] = False,
-    weights_folder: WeightsFolderOption = None,
-    device: Annotated[
-        str,
-        typer.Option(help="Where networks run: cpu, cuda, cuda:1, or several for a process on each; GPUs if any."),
-    ] = "auto",
-    batch: Annotated[int, typer.Option(min=1, help="Pictures that go through a network together.")] = 16,
-    scenes: ScenesOption = None,
-    limit: LimitOption = None,
-    shard: ShardOption = None,
-    workers: WorkersOption = 0,
-    wide: WideOption = False,
-    json_output: JsonOption = False,
-    dry_run: DryRunOption = False,
-) -> None:
-    """Measure subject consistency and imaging quality of a split's videos; the same command goes on."""
-    from benchmark.cli.preflight_data_sets import require_data
-    from benchmark.cli.preflight_names import require_devices, require_quality_weights
-    from benchmark.cli.preflight_places import require_folder, require_place
-    from benchmark.extensions.quality.definition import Definition, mask_source
-    from benchmark.machine.several_devices import workers_for
-    from benchmark.runs.shards import Shard
-
-    files: Literal["own", "lossless"] = "lossless" if lossless else "own"
-    definition = Definition(mask_source(masks), frames.value, files, batch=batch)
-    require_devices(device)
-    api.worker_count(workers_for(workers, device))
-    mine = None if shard is None else Shard.named(shard)
-    require_folder(weights_folder, "--weights-folder")
-    ahead = require_data(data, tables, split, out, scenes=name_list(scenes), limit=limit)
-    require_place(out, "--out")
-    if dry_run and ahead.builds:
-        then = f"score {ahead.counted()} of {split}; masks from {masks}"
-        say_plan(ahead.plan(then), json_output=json_output)
-        return
-    if not dry_run:
-        require_quality_weights(definition, weights_folder)
-    from benchmark.extensions.quality.measure import QualitySettings, measure_quality, measure_shard, plan_of
-    from leaderboard.extensions.quality.tables import quality_tables
-
-    settings = QualitySettings(definition, weights_folder, device, name_list(scenes), limit, workers)
-    between = frames is Frames.ALL and split == "val" and not dry_run
-    source = api.open_data(data, tables=tables, workers=workers, out=out, sweeps=between)
-    dataset = api.open_split(source, split, out, workers=workers)
-    if dry_run:
-        say_plan([plan_of(dataset, split, settings)], json_output=json_output)
-        return
-    root = api.workspace(out).quality_root()
-    if mine is not None:
-        done = measure_shard(dataset, split, root, settings, mine)
-        say_shard(
-            mine,
-            [done],
-            "scored",
-            (f"quality{same_place(data, out, tables)}", "with the same options and no --shard, when all shards are"),
-            json_output=json_output,
-        )
-        return
-    record = measure_quality(dataset, split, root, settings)
-    for caveat in record.caveats:
-        api.tell(f"warning: {caveat.sentence}")
-    if json_output:
-        facts = record.facts.model_dump(mode="json", by_alias=True, include={"definition", "weights", "summary"})
-        print_json({"directory": str(record.directory), **facts})
-    else:
-        typer.echo(quality_tables([record])[0].plain(wide=wide))
-    say_next(
-        f"record: {record.directory}",
-        (f"leaderboard{same_place('mini', out)}", "all records in tables beside the paper's"),
-        json_output=json_output,
-    )
 
 
 def _also_by_its_own(settings: "EvalSettings", factory: "PlannerFactory") -> "EvalSettings":

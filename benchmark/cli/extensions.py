@@ -16,13 +16,18 @@ from benchmark.errors import InputError
 from benchmark.untrusted.files import one_line
 
 Groups = Mapping[str, typer.Typer]
-"""Groups of commands by name: the top one is ``""``, then ``data`` and ``leaderboard``."""
+"""Groups of commands by name: the top one is ``""``, then ``data``, ``data export`` and ``leaderboard``."""
 OWN: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
     "cards": ("benchmark.extensions.cards", ("data card", "leaderboard card")),
     "challenge": ("benchmark.extensions.challenge", ("challenge",)),
+    "exchange": ("benchmark.extensions.exchange", ("data export scenarionet", "data export openscenario")),
+    "films": ("leaderboard.extensions.films", ("film",)),
     "http": ("benchmark.extensions.http", ("serve",)),
+    "infos": ("benchmark.extensions.infos", ("data export infos",)),
+    "quality": ("benchmark.extensions.quality", ("quality",)),
     "reproduce": ("benchmark.extensions.reproduce", ("reproduce",)),
     "review": ("benchmark.extensions.review", ("data review",)),
+    "submissions": ("benchmark.extensions.submissions", ("leaderboard submit-check",)),
     "training": ("adapters.extensions.training", ("train",)),
 }
 """Of each extension that has commands: its package, and what it adds."""
