@@ -1,4 +1,4 @@
-"""Commands on data sets: ``data info|stats|show|check|import|build``; ``data export`` has its own module."""
+"""Commands on data sets: ``data info|stats|show|check|import|build``; extensions add ``data export``."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated

@@ -1,4 +1,4 @@
-"""Commands that judge planners and pictures: ``eval``, ``rescore``, ``transfer`` and ``quality``."""
+"""Commands that judge planners: ``eval``, ``rescore`` and ``transfer``."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace

@@ -1,4 +1,4 @@
-"""Commands that show results: ``sheets``, ``film`` and ``leaderboard``."""
+"""Commands that show results: ``sheets`` and ``leaderboard``."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -11,7 +11,6 @@ import typer
 
 from benchmark.cli import extensions
 from benchmark.cli.extensions import OWN, Groups, add_commands_of_others
-from tests.promise.said import small_town
 
 ROOT = Path(__file__).resolve().parents[3]
 WITHOUT = """
@@ -47,10 +46,9 @@ def test_commands_of_an_extension_that_is_not_there_say_so_and_help_answers(name
 
 
 def test_a_command_of_the_core_that_asks_for_an_extension_says_which(tmp_path: Path) -> None:
-    root = str(small_town(tmp_path / "town"))
     for package, name, arguments in (
-        ("benchmark.extensions.exchange", "exchange", ("data", "export", "scenarionet", root, "--to", "there")),
-        ("leaderboard.extensions.films", "films", ("film", "--data", root, "--to", "there")),
+        ("benchmark.extensions.golden_sets", "golden_sets", ("verify", "protocols")),
+        ("leaderboard.extensions.publishing", "publishing", ("leaderboard", "--publish-check", str(tmp_path))),
     ):
         done = run_without(package, *arguments)
         assert done.returncode == 2, done.stderr
