@@ -1,1 +1,1 @@
-"""Measurements of the project itself: speed, memory, model cards, equality of two trees."""
+"""Measurements of the project itself: speed, memory, equality of two trees."""

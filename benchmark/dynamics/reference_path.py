@@ -7,6 +7,7 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from benchmark.geometry import Floats
 
@@ -110,7 +111,8 @@ def _interpolation(frames_per_waypoint: int, smooth: bool) -> Floats:
     fraction = (time - segment)[:, None]
     matrix = (1.0 - fraction) * knots[segment] + fraction * knots[segment + 1]
     if smooth:
-        bend = _natural_spline_bends()
+        with threadpool_limits(1, user_api="blas"):
+            bend = _natural_spline_bends()
         matrix += ((1.0 - fraction) ** 3 - (1.0 - fraction)) / 6.0 * bend[segment]
         matrix += (fraction**3 - fraction) / 6.0 * bend[segment + 1]
     return np.ascontiguousarray(matrix[:, 1:])
@@ -140,8 +142,10 @@ def _speed_fit(frames: int, dt: float, true_jerk: bool) -> Floats:
     if not true_jerk:
         penalised[:-1] = acceleration[: len(penalised) - 1]
         penalised[-1] = acceleration[-1] - acceleration[-2]
-    normal = dt**2 * np.eye(frames) + JERK_PENALTY * penalised.T @ penalised
-    return np.asarray(np.linalg.inv(normal) * dt)
+    # Kept while the process lives: it must not depend on how many threads numpy has when it is first asked for.
+    with threadpool_limits(1, user_api="blas"):
+        normal = dt**2 * np.eye(frames) + JERK_PENALTY * penalised.T @ penalised
+        return np.asarray(np.linalg.inv(normal) * dt)
 
 
 def _hold(chord: Floats, dt: float) -> None:

@@ -5,7 +5,7 @@ far the recorded future is from the nearest of eight simple continuations of the
 speed, to keep the acceleration, to keep half of it, each straight ahead and along the recorded path itself. So what
 surprises is when somebody brakes, starts or speeds up, not where the road goes. A plan *hits* where its error is less
 than a fifth of the surprise. The limits and how often honest planners come near them: docs/submitting.md,
-``bench/leaks.py``.
+``docs/studies/leaks.md``.
 """
 
 from collections.abc import Sequence

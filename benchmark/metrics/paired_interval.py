@@ -1,7 +1,7 @@
 """The 95 % interval of a paired difference over recordings.
 
 What varies is the recording, drawn with all its variants. Over few recordings the percentile bootstrap is too narrow
-(`bench/effect_coverage.py`: at 5 to 7 recordings at most 89 % of its intervals hold the true difference), so the
+(`docs/studies/intervals.md`: at 5 to 7 recordings at most 89 % of its intervals hold the true difference), so the
 interval is the t-based one of a ratio of sums over clusters: linearised residuals of each recording, n - 1 degrees of
 freedom. Where hardly any recording differs nothing can be said of how much recordings vary, and there is no interval.
 """

@@ -77,8 +77,8 @@ OTHER_TERMS: Final = "**Weights and bank carry the terms of these sources**, wha
 NOT_MEASURED: Final = """\
 ## Measurements
 
-Not made: `python -m bench.denoiser_card WEIGHTS TRACKS` in a checkout of the project compares the samples with driving
-that the model never saw, tracks them with the physics simulator, and writes this card with the figures.
+Not made. How the packaged model was compared with driving that it never saw, and which script did it, is in
+`docs/studies/trajectory-model.md` of challenger-bench.
 """
 
 

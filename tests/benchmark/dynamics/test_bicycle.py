@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from threadpoolctl import threadpool_limits
 
 from benchmark.dynamics.bicycle import DriverLimits, MotionModel, SimulatedMotion, VehicleState, rear_axle, simulate
-from benchmark.dynamics.reference_path import _speed_fit, reference_path
+from benchmark.dynamics.reference_path import _interpolation, _speed_fit, reference_path
 from benchmark.geometry import Floats, wrap_angle
 from tests.benchmark.dynamics.slow_physics import slow_path, slow_simulate
 
@@ -55,6 +56,17 @@ def test_reference_model_repeats_the_golden_numbers(folder: Path) -> None:
         assert np.abs(motion.commands - golden["commands"][members])[good].max(initial=0.0) < 1e-11
         soon = golden["sensitivity_13_steps_m"][members] < 1e-6
         assert np.abs(error[soon, :14]).max(initial=0.0) < 1e-6
+
+
+def test_what_is_kept_for_the_whole_process_does_not_depend_on_threads() -> None:
+    kept = []
+    for threads in (1, 2, 4):
+        _speed_fit.cache_clear()
+        _interpolation.cache_clear()
+        with threadpool_limits(threads, user_api="blas"):
+            kept.append((_speed_fit(97, 1 / 12, True), _speed_fit(97, 1 / 12, False), _interpolation(6, True)))
+    for others in kept[1:]:
+        assert all(np.array_equal(one, other) for one, other in zip(kept[0], others))
 
 
 def test_reference_profiles_repeat_the_golden_numbers() -> None:

@@ -9,13 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from bench.denoiser_card.evaluation import wasserstein
 from benchmark.errors import InputError
 from generation.diffusion.bank import normal_noise, sample_actions
 from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser
 from generation.diffusion.fast_sampling import log_ratios, solve, solver_timesteps
 from generation.diffusion.prior import SOLVER_CALLS
 from generation.diffusion.schedule import ALPHA_BARS, STEPS, reverse, strided_timesteps
+from tests.generation.diffusion.distances import wasserstein
 
 MEAN = 0.05
 VARIANCES = torch.logspace(-4, -1.7, 48, dtype=torch.float64).view(16, 3)

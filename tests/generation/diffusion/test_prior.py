@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from bench.denoiser_card.evaluation import wasserstein
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import file_sha256
@@ -22,6 +21,7 @@ from generation.diffusion.prior import SOLVER_CALLS, SamplerSettings, Samples, T
 from generation.diffusion.standardiser import actions_from_waypoints
 from generation.extensions.golden_sets.built_in import BUILT_IN
 from generation.search.proposals import Mutation, Request, Sampling
+from tests.generation.diffusion.distances import wasserstein
 
 GOLDEN = BUILT_IN / "denoiser"
 CRUISING = np.array([-4.0, 0.0, 0.0])

@@ -1,1 +1,0 @@
-"""How good a trajectory model is, measured for its model card."""
