@@ -22,8 +22,7 @@ class Case:
         setup: Makes the state; whether a small size is wanted, and an empty folder.
         ours: The side that is measured.
         unit: What its units are.
-        other: The slow reference, or what else stands beside it.
-        beside: What that is, in a few words.
+        other: What stands beside it, a slow reference or another way, in a few words; and its side.
         same: Whether both came to the same, of the state and both results.
         more: Further figures, of the state and our result.
         digest: A word for our result that has to be the same in another commit.
@@ -39,8 +38,7 @@ class Case:
     setup: Callable[[bool, Path], Any]
     ours: Side
     unit: str
-    other: Side | None = None
-    beside: str = ""
+    other: tuple[str, Side] | None = None
     same: Callable[[Any, Any, Any], bool] | None = None
     more: Callable[[Any, Any], str] | None = None
     digest: Callable[[Any], str] | None = None
@@ -81,7 +79,9 @@ def measure(
 ) -> dict[str, Any]:
     """Both sides in turns; the least time of each counts. Figures as JSON values."""
     clock = clock or (time.perf_counter if case.wall else processor_seconds)
-    sides = [side for side in (case.ours, case.other) if side is not None]
+    beside, sides = "", [case.ours]
+    if case.other is not None:
+        beside, sides = case.other[0], [case.ours, case.other[1]]
     best, results, state, same = [float("inf")] * len(sides), [None] * len(sides), None, True
     for turn in range(repeat):
         if case.fresh or turn == 0:
@@ -94,19 +94,19 @@ def measure(
         same &= case.same is None or case.same(state, *results)
     figures: dict[str, Any] = {"name": case.name, "unit": case.unit, "ours_s": best[0], "peak_mb": round(peak_mb())}
     if case.other is not None:
-        figures |= {"other_s": best[1], "beside": case.beside, "ratio": best[1] / best[0]}
+        figures |= {"other_s": best[1], "beside": beside, "ratio": best[1] / best[0]}
     if case.more is not None:
         figures["more"] = case.more(state, results[0])
     if case.digest is not None:
         figures["digest"] = case.digest(results[0])
     limits = [] if quick else _past(case, figures)
-    return figures | {"wrong": [*limits, *(() if same else (f"{case.beside}: comes to something else",))]}
+    return figures | {"wrong": [*limits, *(() if same else (f"{beside}: comes to something else",))]}
 
 
 def _past(case: Case, figures: dict[str, Any]) -> list[str]:
     found = []
     if case.most_s is not None and figures["ours_s"] > case.most_s:
-        found.append(f"too slow: at most {in_words(case.most_s)} a {case.unit} are meant")
+        found.append(f"too slow: at most {in_words(case.most_s)} per {case.unit} are meant")
     if case.least_ratio is not None and figures["ratio"] < case.least_ratio:
         found.append(f"too slow: {case.least_ratio:.2f} times as fast is meant")
     if case.most_mb is not None and figures["peak_mb"] > case.most_mb:
@@ -124,7 +124,7 @@ def in_words(seconds: float) -> str:
 
 def said(figures: dict[str, Any]) -> str:
     """One line for people."""
-    text = f"{figures['name']:<32} {in_words(figures['ours_s'])} a {figures['unit']}"
+    text = f"{figures['name']:<32} {in_words(figures['ours_s'])} per {figures['unit']}"
     if "ratio" in figures:
         text += f"; {figures['beside']} {in_words(figures['other_s'])}: {figures['ratio']:.3g} times"
     if "there_s" in figures:

@@ -17,8 +17,7 @@ MADE_UP = Case(
     lambda quick, folder: [(quick, folder.name)],
     lambda state: (4, state),
     "thing",
-    other=lambda _: (1, "slow"),
-    beside="slow version",
+    other=("slow version", lambda _: (1, "slow")),
     same=lambda state, ours, other: ours is state and other == "slow",
     more=lambda state, _: f"from {state}",
 )
@@ -41,7 +40,7 @@ def test_the_least_of_each_side_counts(tmp_path: Path) -> None:
     figures = measure(MADE_UP, tmp_path, repeat=2, clock=clock(2.0, 5.0, 1.0, 9.0))
     assert (figures["ours_s"], figures["other_s"], figures["ratio"]) == (0.25, 5.0, 20.0) and figures["wrong"] == []
     assert figures["more"] == "from [(False, '0')]" and json.loads(json.dumps(figures)) == figures
-    assert said(figures).startswith(f"{MADE_UP.name:<32} 250 ms a thing; slow version 5 s: 20 times; from ")
+    assert said(figures).startswith(f"{MADE_UP.name:<32} 250 ms per thing; slow version 5 s: 20 times; from ")
     assert [in_words(seconds) for seconds in (90.0, 1.5e-3, 2e-6)] == ["90 s", "1.5 ms", "2 us"]
 
 
@@ -53,7 +52,7 @@ def test_a_fresh_state_is_made_for_each_turn(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("strict", "says"),
     [
-        (replace(MADE_UP, most_s=0.2), "too slow: at most 200 ms a thing are meant"),
+        (replace(MADE_UP, most_s=0.2), "too slow: at most 200 ms per thing are meant"),
         (replace(MADE_UP, least_ratio=30.0), "too slow: 30.00 times as fast is meant"),
         (replace(MADE_UP, most_mb=1.0), "too large: at most 1 MB are meant"),
         (replace(MADE_UP, same=lambda *_: False), "slow version: comes to something else"),

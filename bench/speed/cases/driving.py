@@ -1,8 +1,7 @@
 """Closed loop and pictures: stepping, drives with and without images, the wire, the schematic renderer."""
 
 import hashlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -122,21 +121,15 @@ def estimates(state: Any, _found: Any) -> str:
     return "a dry run says " + ", ".join(said)
 
 
-@contextmanager
-def served(image_format: str | None) -> Iterator[Any]:
-    with serving(Looking()) as url:
-        yield http_planner(url, image_format=image_format) if image_format else http_planner(url)
-
-
 def looking(size: tuple[int, int], quick: bool, _folder: Path) -> Any:
     scene = scene_on_straight_road(seconds=4.0)
     scene = replace(scene, cameras=tuple(camera.resized(*size) for camera in scene.cameras))
     return replace(staged(scene, timeout_s=600.0), sensor=SchematicSensor(), most_plans=1 if quick else 4)
 
 
-def over_http(image_format: str | None, stage: Any) -> tuple[float, Any]:
-    with served(image_format) as planner:
-        drive(stage, planner)
+def over_http(image_format: str, stage: Any) -> tuple[float, Any]:
+    with serving(Looking()) as url:
+        drive(stage, http_planner(url, image_format=image_format))
     return stage.most_plans, None
 
 
@@ -181,18 +174,15 @@ def _drawing(what: str, step_frames: int) -> Iterator[Case]:
         )
 
 
-_together: Callable[[Any], tuple[float, Any]] = partial(step_through, together=True)
-
 CASES = (
     *(
         Case(
             f"closed-loop/{agents}",
             f"Scenes of the town stepped together, {agents} agents, no images.",
             partial(courses, agents),
-            _together,
+            partial(step_through, together=True),
             "scene-second",
-            other=partial(step_through, together=False),
-            beside="one by one",
+            other=("one by one", partial(step_through, together=False)),
             same=lambda _, one, other: all(a.ego == b.ego for a, b in zip(one, other, strict=True)),
             more=lambda state, _: f"{len(state[0])} scenes",
             most_s=0.001 if agents == "replay" else None,
@@ -206,8 +196,7 @@ CASES = (
             partial(driven_scene, name),
             drive_and_score,
             "plan",
-            other=draw_and_plan,
-            beside="rendering and planning",
+            other=("rendering and planning", draw_and_plan),
             least_ratio=1 / 1.5,
         )
         for name in ("vad-mini", "sparsedrive-mini", "uniad-mini")
@@ -219,8 +208,7 @@ CASES = (
             partial(planners_to_drive, agents),
             partial(drive_all, together=True),
             "drive",
-            other=partial(drive_all, together=False),
-            beside="one after another",
+            other=("one after another", partial(drive_all, together=False)),
             same=lambda _, one, other: one == other,
             more=estimates,
             fresh=True,
@@ -229,18 +217,17 @@ CASES = (
     ),
     *(
         Case(
-            f"wire/{name}-{size[0]}x{size[1]}",
+            f"wire/{image_format}-{size[0]}x{size[1]}",
             f"A planning instant over sockets, pictures of {size[0]} x {size[1]} drawn and looked at, {what}.",
             partial(looking, size),
             partial(over_http, image_format),
             "plan",
-            other=here,
-            beside="in this process",
+            other=("in this process", here),
             wall=True,
             needs=("httpx2",),
         )
         for size in (SIZE, (1600, 900))
-        for name, image_format, what in (("torch", None, "saved tensors"), ("png", "png", "PNG"))
+        for image_format, what in (("torch", "saved tensors"), ("png", "PNG"))
     ),
     *_drawing("samples", 6),
     *_drawing("all-frames", 1),
@@ -250,8 +237,7 @@ CASES = (
         partial(frames_of, 1),
         partial(draw_in, 2),
         "frame",
-        other=partial(draw_in, 1),
-        beside="one process",
+        other=("one process", partial(draw_in, 1)),
         wall=True,
     ),
 )

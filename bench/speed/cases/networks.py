@@ -15,26 +15,20 @@ from bench.speed.case import Case
 
 BATCH = 256
 PREVIOUS = np.array([-4.0, 0.0, 0.0])
+SMALL_TRANSFORMER = {
+    "feature_dim": 64,
+    "heads": 4,
+    "layers": 3,
+    "feedforward_dim": 192,
+    "history_tokens": 0,
+    "preconditioned": True,
+}
+"""What the packaged denoiser is an alternative to."""
 PLANNERS = ("uniad", "vad-base", "vad-tiny", "sparsedrive", "diffusiondrive")
 SOURCES = ("fresh", "reference", "stored")
 FRAME, SUBJECT = (450, 800), (90, 140)
 A_SCENE = {"dino": 1200, "musiq-subjects": 1200, "musiq-frames": 240}
 """Keyframes of six cameras over 20 s, and appearances of at least 1,024 pixels in them, about."""
-SAM2_LARGE = {
-    "model_type": "sam2_vision_model",
-    "backbone_config": {
-        "model_type": "sam2_hiera_det_model",
-        "hidden_size": 144,
-        "num_attention_heads": 2,
-        "blocks_per_stage": [2, 6, 36, 4],
-        "embed_dim_per_stage": [144, 288, 576, 1152],
-        "num_attention_heads_per_stage": [2, 4, 8, 16],
-        "window_size_per_stage": [8, 4, 16, 8],
-        "global_attention_blocks": [23, 33, 43],
-        "window_positional_embedding_background_size": [7, 7],
-    },
-    "backbone_channel_list": [1152, 576, 288, 144],
-}
 
 
 def call_once(work: Callable[[], object]) -> tuple[float, Any]:
@@ -42,21 +36,13 @@ def call_once(work: Callable[[], object]) -> tuple[float, Any]:
     return 1, work()
 
 
-def sides(name: str, measures: str, setup: Callable[[bool], Any], unit: str, beside: str, **other: Any) -> Case:
+def sides(name: str, measures: str, setup: Callable[[bool], Any], unit: str, beside: str) -> Case:
     """A case whose state is a pair of functions, ours and the other."""
-    return Case(
-        name,
-        measures,
-        lambda quick, _: setup(quick),
-        lambda state: call_once(state[0]),
-        unit,
-        other=lambda state: call_once(state[1]),
-        beside=beside,
-        **other,
-    )
+    ours, other = (lambda state: call_once(state[0])), (lambda state: call_once(state[1]))
+    return Case(name, measures, lambda quick, _: setup(quick), ours, unit, (beside, other))
 
 
-def denoise_calls(other: dict[str, Any] | None, _quick: bool) -> Any:
+def denoise_calls(other: dict[str, Any], _quick: bool) -> Any:
     import torch
 
     from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser
@@ -68,7 +54,7 @@ def denoise_calls(other: dict[str, Any] | None, _quick: bool) -> Any:
         with torch.inference_mode():
             return denoiser(noisy, torch.tensor([4.0]))
 
-    large = TrajectoryDenoiser(*(() if other is None else (DenoiserConfig(**other),))).eval()
+    large = TrajectoryDenoiser(DenoiserConfig(**other)).eval()
     ours = partial(call, load_denoiser(PACKAGED_WEIGHTS))
     ours()
     return ours, partial(call, large)
@@ -119,7 +105,7 @@ def magicdrive(mode: str, quick: bool) -> Any:
     frames, height, width = (9, 32, 64) if quick else (9, 96, 160)
     jobs = [Job("cpu", each, frames, height, width, 60, 31, 1, quick) for each in (mode, "plain")]
     with torch.no_grad():
-        return tuple(torch.no_grad()(ready(job)()) for job in jobs)
+        return [torch.no_grad()(ready(job)()) for job in jobs]
 
 
 def quality(part: str, device_name: str, quick: bool, folder: Path) -> Any:
@@ -153,76 +139,19 @@ def score_pictures(state: Any) -> tuple[float, Any]:
         return state[0], state[1]()
 
 
-def tracked(device_name: str, _quick: bool, folder: Path) -> Any:
-    from transformers import Sam2VideoConfig, Sam2VideoModel
-
-    from benchmark.machine.devices import device_of
-    from benchmark.quality.segmentation import Segmenter
-
-    Sam2VideoModel(Sam2VideoConfig(vision_config=SAM2_LARGE)).save_pretrained(folder / "sam2")
-    frame = np.random.default_rng(0).integers(0, 256, (*FRAME, 3), dtype=np.uint8)
-    return Segmenter(folder / "sam2", device_of(device_name)).open([frame] * 3)
-
-
-def follow(left: float, video: Any) -> tuple[float, Any]:
-    from benchmark.machine.devices import single_precision
-
-    with single_precision():
-        return 1, (video.begin(0, (left, 10.0, left + 190.0, 200.0)), video.follow(1))
-
-
-def quality_cases(device: str) -> list[Case]:
-    name = "quality" if device == "cpu" else "quality-gpu"
-    common = {"needs": ("transformers", *(("gpu",) if device == "cuda" else ())), "wall": device == "cuda"}
-    parts = [
-        Case(
-            f"{name}/{part}",
-            f"Video quality: {part}, networks of the published sizes, batches of 16; {count} pictures are a scene.",
-            partial(quality, part, device),
-            score_pictures,
-            "picture",
-            **common,
-        )
-        for part, count in A_SCENE.items()
-    ]
-    sam2 = Case(
-        f"{name}/sam2",
-        "SAM 2 large on another subject of two frames that it has seen (2 GB of memory); beside it the first subject.",
-        partial(tracked, device),
-        partial(follow, 300.0),
-        "subject",
-        other=partial(follow, 10.0),
-        beside="the other subject",
-        on_request=True,
-        **common,
-    )
-    return [*parts, sam2]
-
-
 CASES = (
-    sides(
-        "denoiser/call",
-        "A call of the packaged denoiser, 256 trajectories, beside one of the reference's size.",
-        partial(denoise_calls, None),
-        "call",
-        "reference's size",
-    ),
-    sides(
-        "denoiser/call-small-transformer",
-        "A call of the packaged denoiser, 256 trajectories, beside the small transformer that it is an alternative to.",
-        partial(
-            denoise_calls,
-            {
-                "feature_dim": 64,
-                "heads": 4,
-                "layers": 3,
-                "feedforward_dim": 192,
-                "history_tokens": 0,
-                "preconditioned": True,
-            },
-        ),
-        "call",
-        "small transformer",
+    *(
+        sides(
+            name,
+            f"A call of the packaged denoiser, 256 trajectories, beside: {what}.",
+            partial(denoise_calls, sizes),
+            "call",
+            what,
+        )
+        for name, sizes, what in (
+            ("denoiser/call", {}, "reference's size"),
+            ("denoiser/call-small-transformer", SMALL_TRANSFORMER, "small transformer"),
+        )
     ),
     *(
         sides(
@@ -272,6 +201,17 @@ CASES = (
         "view",
         needs=("diffusers",),
     ),
-    *quality_cases("cpu"),
-    *quality_cases("cuda"),
+    *(
+        Case(
+            f"quality{'-gpu' * (device == 'cuda')}/{part}",
+            f"Video quality: {part}, networks of the published sizes, batches of 16; {count} pictures are a scene.",
+            partial(quality, part, device),
+            score_pictures,
+            "picture",
+            needs=("transformers", *["gpu"] * (device == "cuda")),
+            wall=device == "cuda",
+        )
+        for device in ("cpu", "cuda")
+        for part, count in A_SCENE.items()
+    ),
 )

@@ -130,8 +130,7 @@ def evaluation_case(place: str, frames: str, *, in_python: bool = False) -> Case
         partial(candidates, place, frames),
         evaluation,
         "candidate",
-        other=partial(slow_evaluation, in_python=in_python),
-        beside="as the reference works",
+        other=("as the reference works", partial(slow_evaluation, in_python=in_python)),
         more=lambda state, _: f"{state[4].boxes.shape[1]} objects, {state[0].scored_frames[-1]} steps",
     )
 
