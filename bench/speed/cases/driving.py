@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -124,18 +125,19 @@ def estimates(state: Any, _found: Any) -> str:
 def looking(size: tuple[int, int], quick: bool, _folder: Path) -> Any:
     scene = scene_on_straight_road(seconds=4.0)
     scene = replace(scene, cameras=tuple(camera.resized(*size) for camera in scene.cameras))
-    return replace(staged(scene, timeout_s=600.0), sensor=SchematicSensor(), most_plans=1 if quick else 4)
+    stage = replace(staged(scene, timeout_s=600.0), sensor=SchematicSensor(), most_plans=1 if quick else 4)
+    # The server ends with the process.
+    return stage, (stack := ExitStack()).enter_context(serving(Looking())), stack
 
 
-def over_http(image_format: str, stage: Any) -> tuple[float, Any]:
-    with serving(Looking()) as url:
-        drive(stage, http_planner(url, image_format=image_format))
-    return stage.most_plans, None
+def over_http(image_format: str, state: Any) -> tuple[float, Any]:
+    drive(state[0], http_planner(state[1], image_format=image_format))
+    return state[0].most_plans, None
 
 
-def here(stage: Any) -> tuple[float, Any]:
-    drive(stage, Looking())
-    return stage.most_plans, None
+def here(state: Any) -> tuple[float, Any]:
+    drive(state[0], Looking())
+    return state[0].most_plans, None
 
 
 def frames_of(step_frames: int, quick: bool, _folder: Path) -> tuple[Scene, range]:
