@@ -85,7 +85,7 @@ def measured(name: str, device_name: str, mode: str, frames: int, *, tiny: bool 
     """Time and memory of one network in this process."""
     device = torch.device(device_name)
     network, step = ready(name, device, mode, tiny=tiny)
-    wait = torch.cuda.synchronize if device.type == "cuda" else lambda: None
+    wait: Callable[[], None] = torch.cuda.synchronize if device.type == "cuda" else lambda: None
     for _ in range(WARM_UP_FRAMES[device.type]):
         step()
     if device.type == "cuda":

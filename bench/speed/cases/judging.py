@@ -104,7 +104,7 @@ def busy_scenes(quick: bool, _folder: Path) -> tuple[list[tuple[Scene, list[Plan
 
 def busy_samples(quick: bool, folder: Path) -> tuple[list[SampleTruth], Floats, int]:
     """Truths of those scenes, plans, and how many the slow version judges."""
-    truths = []
+    truths: list[SampleTruth] = []
     for number, (scene, _) in enumerate(busy_scenes(quick, folder)[0]):
         truths += truth_of_scene(scene, [f"{number} {index}" for index in range(len(scene.keyframes))])
     plans = np.random.default_rng(0).normal([0.0, 4.0], [0.3, 1.0], (len(truths), 6, 2)).cumsum(axis=1)

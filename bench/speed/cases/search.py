@@ -7,6 +7,7 @@ steering and motion, which the reference vectorises.
 """
 
 import pickle
+from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -72,7 +73,7 @@ def parked_place(hyper: HyperParameters) -> tuple[VehicleState, Floats, Surround
     return VehicleState(np.array([0.0, -0.3 * 4.6, np.pi / 2]), 0.0), np.array([4.6, 1.9]), around
 
 
-PLACES = {
+PLACES: dict[str, Callable[[HyperParameters], tuple[VehicleState, Floats, Surroundings]]] = {
     "free-road": partial(town_place, traffic=False),
     "dense-traffic": partial(town_place, traffic=True),
     "parked": parked_place,
