@@ -84,7 +84,7 @@ docs: $(VENV)/.docs
 
 # What waits for a GPU has a target of its own.
 bench: setup
-	for script in $(filter-out bench/gpu.py bench/__init__.py,$(wildcard bench/[a-z]*.py)); do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+	$(BIN)/python -m bench.speed
 
 # Everything that waits for a GPU, in pieces of under ten minutes; the same command goes on (docs/performance.md).
 gpu: setup

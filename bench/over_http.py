@@ -2,7 +2,7 @@
 
 Run ``python bench/over_http.py [seed]``. A split is driven ten times while the model server's process is killed once at
 a moment drawn by chance, and started again: the rows have to be those of this process. Then a server is sent a thousand
-malformed requests: it must say no traceback, keep its memory, and answer as before. Last, what the wire costs.
+malformed requests: it must say no traceback, keep its memory, and answer as before.
 """
 
 import random
@@ -11,7 +11,6 @@ import sys
 import tempfile
 import threading
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +18,14 @@ import httpx2
 
 from adapters.registry import planner
 from benchmark.closed_loop.default_engine import DefaultRides
-from benchmark.closed_loop.driving import drive
 from benchmark.errors import InputError
 from benchmark.extensions.http.images import ImageFormat
 from benchmark.extensions.http.model import HttpPlanner, http_planner
 from benchmark.extensions.http.observed import request_of
 from benchmark.runs.driving import DriveSettings, drive_split
-from generation.render.sensor import SchematicSensor
-from tests.benchmark.closed_loop.staged import staged
-from tests.benchmark.extensions.http.made import Looking, Painted, free_port, observed, serving
+from tests.benchmark.extensions.http.made import Painted, free_port, observed
 from tests.benchmark.extensions.http.malformed import answered, malformed
 from tests.benchmark.fake_data import town_of_two
-from tests.hand_made import scene_on_straight_road
 
 KILLS, REQUESTS = 10, 1000
 SERVED = "constant-velocity"
@@ -131,34 +126,10 @@ def malformed_requests(seed: int, folder: Path) -> None:
     assert "Traceback" not in said and max(sizes[1:]) < sizes[0] + 16.0
 
 
-def cost_of_the_wire() -> None:
-    """What a plan costs beside drawing what it looks at, for pictures of 1600 x 900 and of 448 x 256."""
-    for width, height in ((448, 256), (1600, 900)):
-        scene = scene_on_straight_road(seconds=4.0)
-        scene = replace(scene, cameras=tuple(camera.resized(width, height) for camera in scene.cameras))
-        stage = replace(staged(scene, timeout_s=600.0), sensor=SchematicSensor(), most_plans=4)
-        times = {}
-        with serving(Looking()) as url:
-            for name, one in (
-                ("here", Looking()),
-                ("torch", http_planner(url)),
-                ("png", http_planner(url, image_format="png")),
-            ):
-                drive(replace(stage, most_plans=1), one)
-                started = time.perf_counter()
-                drive(stage, one)
-                times[name] = (time.perf_counter() - started) / 4
-        print(
-            f"a planning instant at {width} x {height}, drawn and planned: {times['here']:.3f} s here, "
-            f"{times['torch']:.3f} s over sockets with saved tensors, {times['png']:.3f} s with PNG"
-        )
-
-
 def main(seed: int) -> None:
     for work in (killed_at_random, malformed_requests):
         with tempfile.TemporaryDirectory() as folder:
             work(seed, Path(folder))
-    cost_of_the_wire()
 
 
 if __name__ == "__main__":

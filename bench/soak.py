@@ -8,6 +8,7 @@ figures.
 
 import argparse
 import gc
+import resource
 import sys
 import tempfile
 import threading
@@ -19,7 +20,6 @@ from typing import Final
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from bench.memory import resident_mb
 from benchmark import api
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.evaluation import EvalSettings, evaluate
@@ -61,7 +61,8 @@ class Held:
         for path in Path("/proc/self/task").glob("*/children"):
             with suppress(OSError):
                 children += list(map(int, path.read_text().split()))
-        return cls(resident_mb(), open_files, threads, tuple(sorted(children)))
+        memory_mb = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
+        return cls(memory_mb, open_files, threads, tuple(sorted(children)))
 
     def left(self, before: "Held") -> list[str]:
         """What is there that was not before, as sentences."""

@@ -8,8 +8,8 @@ import torch
 
 from adapters.extensions.golden_sets.models import verify_model
 from adapters.models import resolve
+from bench.gpu_day.network_speed import MEASURED_FRAMES, few_tracks, measured, model_measured, on_device
 from bench.gpu_day.pieces import Piece, Setting, with_random_weights
-from bench.models import MEASURED_FRAMES, few_tracks, measured, model_measured, on_device
 from benchmark.machine.devices import single_precision
 
 NETWORKS: Final = ("uniad", "vad-base", "vad-tiny", "sparsedrive", "diffusiondrive")
@@ -21,7 +21,7 @@ def speed(setting: Setting, *, name: str, mode: str) -> dict[str, Any]:
     """Frames per second and peak memory of one network, with random weights."""
     kind = torch.device(setting.device).type
     frames = 2 if setting.tiny else MEASURED_FRAMES[kind]
-    line = measured(name, setting.device, mode, frames, parts=False, tiny=setting.tiny)
+    line = measured(name, setting.device, mode, frames, tiny=setting.tiny)
     seconds = line.seconds if setting.on_gpu else line.processor_seconds
     return with_random_weights(line.peak_gib, frames, frames_per_s=1 / seconds, ms=1e3 * seconds)
 

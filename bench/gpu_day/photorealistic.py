@@ -3,8 +3,8 @@
 from functools import partial
 from typing import Any, Final
 
+from bench.gpu_day.magicdrive_speed import PUBLISHED_SECONDS, STEPS, Job, measured
 from bench.gpu_day.pieces import Piece, Setting, with_random_weights
-from bench.magicdrive import PUBLISHED_SECONDS, STEPS, Job, measured
 
 SIZES: Final = {"224x400": (224, 400), "424x800": (424, 800)}
 """The paper's size, and the larger one that the network draws."""

@@ -1,6 +1,7 @@
 """The physics written as the reference works: one candidate, one frame, one matrix at a time.
 
-Nothing is shared with the fast side but its constants of vehicle and driver. `bench/evaluation.py` times it.
+Nothing is shared with the fast side but its constants of vehicle and driver. `python -m bench.speed evaluation` times
+it.
 """
 
 import math

@@ -1,6 +1,6 @@
 """The score written point by point and polygon by polygon, as the appendix says it.
 
-Nothing is shared with the fast side but the hyper-parameters. `bench/evaluation.py` times it.
+Nothing is shared with the fast side but the hyper-parameters.
 """
 
 import math

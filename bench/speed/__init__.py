@@ -1,0 +1,1 @@
+"""How fast things are, beside a slow reference in the same run."""
