@@ -39,7 +39,9 @@ def test_a_good_planner_of_others_runs_and_a_failing_one_is_a_partial_run(doors:
 def test_who_would_serve_for_ever_is_interrupted(doors: Doors) -> None:
     serving = ("serve", "--seed is a number of 400 digits"), ("serve", "--seed is a billion")
     places = {(tried.command, tried.name): place for place, tried in enumerate(doors.tries)}
-    assert [doors.run(places[each]).code for each in serving] == [2, 0]
+    refused, interrupted = (doors.run(places[each]).code for each in serving)
+    # On a machine that is busy it is interrupted before it serves.
+    assert refused == 2 and interrupted in (0, 130)
 
 
 def test_what_is_attacked_and_what_is_left_out_are_commands() -> None:
