@@ -25,7 +25,6 @@ from leaderboard.figures.refinement import refinement_figures
 from leaderboard.paper.contents import paper_tables
 from leaderboard.paper.document import paper_document
 from leaderboard.paper.runtime_chart import runtime_charts
-from leaderboard.sections import sections_of
 from leaderboard.selection import one_run_each
 from leaderboard.site.index_data import PlacedFigure, PlacedTable
 from leaderboard.site.site import INDEX_PATH, site_files
@@ -36,6 +35,7 @@ from leaderboard.tables.loops import DISAGREEMENTS, loop_tables
 from leaderboard.tables.pages import CLOSED_LOOP, TABLES_FOLDER, group_of, page_path, page_text, table_files
 from leaderboard.tables.pressure import pressure_tables
 from leaderboard.tables.published import published_tables
+from leaderboard.tables.sections import sections_of
 from leaderboard.tables.slices import SLICES
 from leaderboard.tables.standing import standing_tables
 

@@ -12,6 +12,7 @@ from benchmark.cli.streams import replace_what_cannot_be_shown
 from benchmark.cli.whole_help import WholeSummaries
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
+from benchmark.machine.extension import absent_extension, not_installed
 from benchmark.machine.garbage import collect_rarely
 
 app = typer.Typer(
@@ -80,10 +81,10 @@ def main() -> None:
             raise
         code = _fail(str(error))
     except ModuleNotFoundError as error:
-        parts = (error.name or "").split(".")
-        if debug or len(parts) < 3 or parts[1] != "extensions":
+        name = absent_extension(error)
+        if debug or name is None:
             raise
-        code = _fail(f"this needs the extension {parts[2]}, which is not installed here; install it")
+        code = _fail(str(not_installed(name)))
     except OSError as error:
         if debug or error.errno not in _OF_A_PLACE or error.filename is None:
             raise

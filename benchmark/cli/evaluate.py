@@ -528,7 +528,8 @@ def _show_runs(
     from leaderboard.tables.slices import run_slices
 
     partial = [record for record in records if not record.complete]
-    against = unchanged_candidates(run_root, records)
+    # The table that compares is shown where none is asked for by name.
+    against = unchanged_candidates(run_root, records) if json_output or protocols is None else []
     sliced = run_slices(data_name, records, kinds_named(by), protocols, allow_partial=allow_partial)
     if json_output:
         rows = [

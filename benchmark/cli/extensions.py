@@ -13,6 +13,7 @@ from typing import Final, NoReturn
 import typer
 
 from benchmark.errors import InputError
+from benchmark.machine.extension import absent_extension
 from benchmark.untrusted.files import one_line
 
 Groups = Mapping[str, typer.Typer]
@@ -45,8 +46,8 @@ def add_own_commands(name: str, groups: Groups) -> None:
     package, commands = OWN[name]
     try:
         module = importlib.import_module(f"{package}.cli")
-    except ModuleNotFoundError as absent:
-        if absent.name is None or not f"{package}.cli".startswith(absent.name):
+    except ModuleNotFoundError as error:
+        if absent_extension(error) is None:
             raise
         for command in commands:
             _add_absent(name, command, groups)

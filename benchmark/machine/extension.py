@@ -6,6 +6,17 @@ from typing import Any
 from benchmark.errors import InputError
 
 
+def absent_extension(error: ModuleNotFoundError) -> str | None:
+    """Name of the extension that is not installed, if that is why an import failed."""
+    parts = (error.name or "").split(".")
+    return parts[2] if len(parts) > 2 and parts[1] == "extensions" else None
+
+
+def not_installed(name: str) -> InputError:
+    """What to say where an extension is missing."""
+    return InputError(f"this needs the extension {name}, which is not installed here; install it")
+
+
 def from_extension(reference: str) -> Any:
     """Import what a table names.
 
@@ -21,8 +32,7 @@ def from_extension(reference: str) -> Any:
     module, _, attribute = reference.partition(":")
     try:
         return getattr(importlib.import_module(module), attribute)
-    except ModuleNotFoundError as absent:
-        if absent.name is None or ".extensions." not in module or not f"{module}.".startswith(f"{absent.name}."):
+    except ModuleNotFoundError as error:
+        if (name := absent_extension(error)) is None:
             raise
-        name = module.split(".")[2]
-        raise InputError(f"this needs the extension {name}, which is not installed here; install it") from None
+        raise not_installed(name) from None

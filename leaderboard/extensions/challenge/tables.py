@@ -7,8 +7,8 @@ from benchmark.metrics.disagreement import EXACT
 from benchmark.records.challenge_scores import ChallengeScores, EntryScore, Measured, Pair, PlannerOnEntry, Rank
 from benchmark.report.cells import UNDEFINED, Origin, Shown
 from benchmark.report.table import Brief, Table, escape_markdown, table_of
-from leaderboard.sections import Section
 from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, mark_notes, name_cell
+from leaderboard.tables.sections import Section
 
 CHALLENGES: Final = "challenges"
 """What these tables are shown under."""

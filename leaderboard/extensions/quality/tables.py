@@ -10,9 +10,9 @@ from benchmark.records.quality import QualityRecord
 from benchmark.records.review import review_words
 from benchmark.report.cells import UNDEFINED, Origin, Shown, named_record
 from benchmark.report.table import Brief, Table, table_of
-from leaderboard.sections import Section
 from leaderboard.tables.published import quoted
 from leaderboard.tables.rows import CAVEAT_MARK, FEW_NOTE, FEW_SCENES, part_of_split, split_place
+from leaderboard.tables.sections import Section
 
 _COLUMNS: Final = (
     "split",
