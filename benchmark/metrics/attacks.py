@@ -26,7 +26,9 @@ __all__ = [
     "attack_facts",
     "attack_rates",
     "counted_rows",
+    "counts_attacks",
     "has_adversaries",
+    "knows_adversaries",
     "says_severity",
     "scene_attacks",
 ]
@@ -86,6 +88,20 @@ def says_severity(record: RunRecord) -> bool:
     """Whether a record says of its plans how severe they are; older ones do not."""
     said = record.columns.values("severity")
     return any(said[place] is not None for place in record.columns.planned.tolist())
+
+
+def knows_adversaries(record: RunRecord) -> bool:
+    """Whether it is known which road users of a record's scenes are adversaries; of strangers' data it is not."""
+    facts = [record.run.scene_facts.get(scene) for scene in record.run.scenes]
+    return all(fact is not None and fact.adversaries is not None for fact in facts)
+
+
+def counts_attacks(record: RunRecord) -> bool:
+    """Whether attack success can be told: who the adversaries are, and how severe plans are, is known.
+
+    Where nobody says who the adversary is, every contact would be a bystander's, and success 0 %.
+    """
+    return has_adversaries(record) and knows_adversaries(record) and says_severity(record)
 
 
 def counted_rows(record: RunRecord) -> list[BriefRow]:
@@ -160,9 +176,9 @@ def attack_facts(record: RunRecord) -> dict[str, Any]:
 
     Returns:
         ``attack_success``: rates by reading and of first contacts with bystanders, of ``samples`` and of ``scenes``;
-        nothing of a split without adversaries, or where the record does not say how severe its plans are.
+        nothing where that cannot be told (`counts_attacks`).
     """
-    if not (has_adversaries(record) and says_severity(record)):
+    if not counts_attacks(record):
         return {}
     found = attack_rates(record)
     of_samples: dict[str, Rate] = {name: found.samples[name] for name in READINGS}

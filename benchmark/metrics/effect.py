@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
-from benchmark.metrics.attacks import has_adversaries
+from benchmark.metrics.attacks import has_adversaries, knows_adversaries
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.paired_interval import PairedDifference, paired_difference
 from benchmark.metrics.rates import HORIZONS, with_average
@@ -134,12 +134,6 @@ def attributes(record: RunRecord) -> bool:
         facts.adversaries for facts in record.run.scene_facts.values()
     )
     return has_adversaries(record) and not known_to_have_none
-
-
-def knows_adversaries(record: RunRecord) -> bool:
-    """Whether it is known which road users of a record's scenes are adversaries; of strangers' data it is not."""
-    facts = [record.run.scene_facts.get(scene) for scene in record.run.scenes]
-    return all(fact is not None and fact.adversaries is not None for fact in facts)
 
 
 def _judges_whom(record: RunRecord, protocol: str = EXACT) -> bool:

@@ -14,7 +14,7 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmark.metrics.attacks import attack_rates, has_adversaries, says_severity
+from benchmark.metrics.attacks import attack_rates, counts_attacks, has_adversaries, says_severity
 from benchmark.metrics.judgements import split_ladders
 from benchmark.metrics.rates import Rate
 from benchmark.records.judgement import FeatureRow
@@ -66,7 +66,7 @@ def generator_settings(records: Sequence[RunRecord]) -> list[Setting]:
         and split.
     """
     found: dict[tuple[str, str], list[RunRecord]] = {}
-    for record in in_table_order([each for each in records if has_adversaries(each) and says_severity(each)]):
+    for record in in_table_order(list(filter(counts_attacks, records))):
         found.setdefault((record.run.data.name, record.run.split), []).append(record)
     settings = []
     for (data_name, split), runs in sorted(found.items(), key=lambda each: (each[0][0], split_place(each[0][1]))):

@@ -7,8 +7,9 @@ import numpy as np
 
 from benchmark.constants import PLAN_STEP_S
 from benchmark.geometry import Floats, to_global
+from benchmark.metrics.attacks import knows_adversaries
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import attributes, knows_adversaries
+from benchmark.metrics.effect import attributes
 from benchmark.records.row_schema import OutcomeRow, PlanRow, SampleRow
 from benchmark.records.run import RunRecord
 from benchmark.report.placing import PlacedForecasts, placed_plan

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Final
 
-from benchmark.metrics.attacks import READINGS, AttackRates, Reading, attack_rates, has_adversaries, says_severity
+from benchmark.metrics.attacks import READINGS, AttackRates, Reading, attack_rates, counts_attacks
 from benchmark.metrics.severities import Spread, contacts_of, near_passes_of
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import PERCENT, Origin, Shown, origin_of
@@ -47,10 +47,10 @@ def attack_tables(data_name: str, records: Sequence[RunRecord]) -> list[Table]:
         records: Runs on this data set.
 
     Returns:
-        Attack success on each planner, on splits with adversaries; severity with contact and without. Runs from before
-        there was severity are left out; none where no other run has adversaries.
+        Attack success on each planner, on splits with adversaries; severity with contact and without. Runs that
+        cannot tell (`counts_attacks`) are left out; none where no other run has adversaries.
     """
-    runs = [record for record in in_table_order(records) if has_adversaries(record) and says_severity(record)]
+    runs = [record for record in in_table_order(records) if counts_attacks(record)]
     if not runs:
         return []
     notes = tuple(run_notes(runs, ()))

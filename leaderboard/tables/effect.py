@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from typing import Final
 
 from benchmark.errors import InputError
-from benchmark.metrics.attacks import has_adversaries
+from benchmark.metrics.attacks import has_adversaries, knows_adversaries
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import AdversaryEffect, PairedEffect, effect_of, knows_adversaries, says_whom
+from benchmark.metrics.effect import AdversaryEffect, PairedEffect, effect_of, says_whom
 from benchmark.metrics.paired_interval import PairedDifference
 from benchmark.metrics.unchanged import sees_images, unchanged_record
 from benchmark.records.run import RunRecord

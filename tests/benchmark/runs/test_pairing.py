@@ -6,11 +6,13 @@ from pathlib import Path
 import pytest
 
 from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.metrics.attacks import attack_facts
 from benchmark.metrics.effect import effect_facts, effect_of
 from benchmark.metrics.unchanged import unchanged_candidates, unchanged_record
 from benchmark.records.run import load_record
 from benchmark.records.store import ROWS_FILE
 from leaderboard.build import leaderboard_tables
+from leaderboard.tables.attacks import success_table
 from leaderboard.tables.effect import effect_table
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Straight
@@ -58,6 +60,8 @@ def test_published_scenes_are_paired_with_the_recordings_of_the_data_set_that_is
     told = effect_facts(paired, val)["effect"]
     assert told["adversary"] is None and told["unchanged"] == {"data": "fake", "split": "val"}
     assert told["paired"]["pairs"] == effect.paired.pairs and effect_facts(val, None) == {}
+    # Nor is success 0 %: it cannot be told.
+    assert success_table("p", [paired]) is None and attack_facts(paired) == {}
     table = next(table for table in leaderboard_tables([val, paired])[1].tables if table.name == "effect")
     row = dict(zip(table.columns, table.rows[0]))
     assert row["compared with"] == "val" and row["adversary 3s"] == row["new others"] == "–"
