@@ -392,3 +392,9 @@ MODELS: Final = {
     **{model.name: model for model in (*_PUBLISHED, *_MINIATURES)},
 }
 """All built-in planners by what ``--model`` takes; ``vad`` is short for ``vad-base``."""
+
+
+def verified_models() -> dict[str, str]:
+    """What compares each model with its official code, family by family."""
+    known = {name: model.net.verify for name, model in published_models().items() if model.net.verify is not None}
+    return dict(sorted(known.items(), key=lambda item: item[1], reverse=True))

@@ -17,6 +17,7 @@ from typing import Any, TextIO
 from adapters.models import MODELS, published_as
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.address import Address, is_address
+from benchmark.machine.extension import OFFERS, imported
 from benchmark.machine.several_devices import device_here
 from benchmark.machine.storage import content_key, file_sha256
 from benchmark.planning import Planner
@@ -28,7 +29,7 @@ from benchmark.sandbox.planner import Identity, Maker, identity_of, supervised
 
 ENTRY_POINT_GROUP = "challenger_bench.adapters"
 _MAKER_OF_NETWORKS = "adapters.checkpoints.loading:planner_of"
-_MAKER_OVER_HTTP = "benchmark.extensions.http.model:http_planner"
+_MAKER_OVER_HTTP = OFFERS["planner"]["http"]
 _CONTRACT = ("reset", "plan")
 _LONGEST_NAME = 100
 _BUILT_FROM = "adapters.registry:planner_with_facts"
@@ -228,7 +229,7 @@ def planner(
     elif name in installed:
         made = _load(installed[name])
     elif is_address(name):
-        made = partial(_import(_MAKER_OVER_HTTP, name), name)
+        made = partial(imported(_MAKER_OVER_HTTP), name)
     else:
         _look_here()
         made = _import(name, name)

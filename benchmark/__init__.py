@@ -21,10 +21,8 @@ _DEFINED_IN: Final = {
         "load_planner",
         "schematic_renderer",
         "drive_settings",
-        "serve_planner",
         "planner_under_test",
         "write_sheets",
-        "write_drive_films",
         "write_leaderboard",
         "stale_leaderboard",
         "verify",
@@ -63,6 +61,7 @@ _DEFINED_IN: Final = {
     "benchmark.extensions.cards.data_card": ["write_data_card"],
     "benchmark.extensions.cards.records_card": ["write_records_card"],
     "benchmark.extensions.cards.writing": ["CardSettings"],
+    "benchmark.extensions.http.cli": ["serve_planner"],
     "benchmark.extensions.infos.exporting": ["InfoSettings", "export_infos"],
     "benchmark.extensions.exchange.exporting": ["export_scenarionet"],
     "benchmark.extensions.exchange.openscenario": ["export_openscenario"],
@@ -88,6 +87,7 @@ _DEFINED_IN: Final = {
     "generation.extensions.magicdrive.command": ["magicdrive_renderer"],
     "generation.pipeline.ablation": ["ablate"],
     "benchmark.scene_pages.writing": ["SheetSettings"],
+    "leaderboard.extensions.films.cli": ["write_drive_films"],
     "leaderboard.extensions.films.filming": ["write_films"],
     "leaderboard.extensions.films.film": ["FilmSettings"],
     "benchmark.extensions.quality.measure": ["measure_quality", "QualitySettings"],
@@ -166,7 +166,6 @@ if TYPE_CHECKING:
         reproduction_table as reproduction_table,
         run_tables as run_tables,
         schematic_renderer as schematic_renderer,
-        serve_planner as serve_planner,
         slice_tables as slice_tables,
         stale_leaderboard as stale_leaderboard,
         train_ego_status as train_ego_status,
@@ -198,6 +197,7 @@ if TYPE_CHECKING:
     from benchmark.datasets.contents import contents as _data_contents
     from benchmark.extensions.exchange.exporting import export_scenarionet as export_scenarionet
     from benchmark.extensions.exchange.openscenario import export_openscenario as export_openscenario
+    from benchmark.extensions.http.cli import serve_planner as serve_planner
     from benchmark.extensions.infos.exporting import InfoSettings as InfoSettings, export_infos as export_infos
     from benchmark.datasets.schema.check import check_tables as _check_data
     from benchmark.datasets.reviewed import record_verdicts as record_verdicts, scene_tokens as scene_tokens
@@ -275,10 +275,10 @@ else:
         if name not in _FACE:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         from benchmark.errors import InputError
-        from benchmark.machine.extension import from_extension
+        from benchmark.machine.extension import imported
 
         try:
-            found = from_extension(_FACE[name])
+            found = imported(_FACE[name])
         except InputError as absent:
             raise AttributeError(f"benchmark.{name}: {absent}") from None
         globals()[name] = found

@@ -11,7 +11,6 @@ from benchmark.api.driving import (
     looks_at_images as looks_at_images,
     require_sensor as require_sensor,
 )
-from benchmark.api.filming import write_drive_films as write_drive_films
 from benchmark.api.opening import (
     DEFAULT_IMAGE_SIZE as DEFAULT_IMAGE_SIZE,
     OUT as OUT,
@@ -23,7 +22,6 @@ from benchmark.api.opening import (
     worker_count as worker_count,
     workspace as workspace,
 )
-from benchmark.api.over_http import require_answers as require_answers, serve_planner as serve_planner
 from benchmark.api.planners import (
     load_planner as load_planner,
     model_that_runs as model_that_runs,
@@ -76,6 +74,7 @@ if TYPE_CHECKING:
     from generation.splits.packing import PackageContents as PackageContents, pack_split as pack_split
     from generation.splits.unpacking import read_split_package as read_split_package
     from leaderboard.figures.heat_map import write_heat_map as write_heat_map, write_lift_map as write_lift_map
+    from leaderboard.extensions.films.cli import write_drive_films as write_drive_films
     from leaderboard.extensions.films.film import FilmSettings as FilmSettings
     from leaderboard.extensions.films.filming import write_films as write_films
     from leaderboard.extensions.publishing.checking import check_publishable as check_publishable

@@ -88,6 +88,7 @@ def drive_settings(
     from benchmark.closed_loop.engines import rides_of
     from benchmark.closed_loop.world import ENGINE
     from benchmark.interactions.driving import LADDER
+    from benchmark.machine.extension import from_extension
     from benchmark.machine.workers import LocalProcesses
     from benchmark.runs.driving import DriveSettings
 
@@ -105,18 +106,13 @@ def drive_settings(
             raise InputError("--adversary-tracks are driven by an adversary; add --agents adversary")
         pursuit, runs = _given_tracks(adversary_tracks, split)
     elif agents == ADVERSARY and engine == ENGINE:
-        from generation.extensions.reactive_adversary.making import InTheLoop
-        from generation.extensions.reactive_adversary.settings import AdversarySettings
-
-        pursuit = InTheLoop.of(
-            AdversarySettings.of(
-                knows=adversary_knows,
-                every_s=adversary_every_s,
-                others=adversary_others,
-                rounds=adversary_rounds,
-                candidates=adversary_candidates,
-                keep_considered=keep_considered,
-            )
+        pursuit = from_extension("agents", ADVERSARY)(
+            knows=adversary_knows,
+            every_s=adversary_every_s,
+            others=adversary_others,
+            rounds=adversary_rounds,
+            candidates=adversary_candidates,
+            keep_considered=keep_considered,
         )
     return DriveSettings(
         engine=engine,
@@ -173,13 +169,14 @@ def require_sensor(sensor: str) -> None:
 
 def _sensor(name: str, split: str, *, tensors: bool) -> "Sensor":
     from benchmark.closed_loop.sensors import NO_SENSOR, NoSensor
-    from benchmark.extensions.http.sensor import HttpSensor
     from benchmark.machine.address import Address, is_address
+    from benchmark.machine.extension import from_extension
     from benchmark.machine.workspace import is_generated
     from generation.render.sensor import SchematicSensor
 
     require_sensor(name)
     if is_address(name):
-        return HttpSensor(Address.of(name, "--sensor"), tensors)
+        served: Sensor = from_extension("sensor", "http")(Address.of(name, "--sensor"), tensors)
+        return served
     # Generated splits are drawn in the second style, what they are made from in the first.
     return NoSensor() if name == NO_SENSOR else SchematicSensor("second" if is_generated(split) else "first")

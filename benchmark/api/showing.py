@@ -1,9 +1,11 @@
 """Scene sheets and the leaderboard, from everything that an output folder holds."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from benchmark.api.opening import OUT, workspace
+from benchmark.api.saying import say_once
+from benchmark.machine.extension import AbsentExtensionError, from_extension
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -15,6 +17,8 @@ if TYPE_CHECKING:
     from benchmark.records.run import RunRecord
     from benchmark.records.scenes import Sheets
     from benchmark.scene_pages.writing import SheetSettings, WrittenSheets
+
+_Record = TypeVar("_Record")
 
 
 def write_sheets(dataset: "DataSet", split: str, root: Path, settings: "SheetSettings") -> "WrittenSheets":
@@ -65,7 +69,7 @@ def write_leaderboard(
     from leaderboard.build import write_leaderboard as write
 
     found, quality, sheets, ablations, drives = _shown(out, records)
-    challenges = find_scores(workspace(out).challenge_root())
+    challenges = _with_tables("challenges", find_scores(workspace(out).challenge_root()))
     return write(found, to or out / "leaderboard", quality, sheets, ablations, drives, challenges=challenges, site=site)
 
 
@@ -77,7 +81,7 @@ def stale_leaderboard(
     from leaderboard.build import stale_files
 
     found, quality, sheets, ablations, drives = _shown(out, records)
-    challenges = find_scores(workspace(out).challenge_root())
+    challenges = _with_tables("challenges", find_scores(workspace(out).challenge_root()))
     return stale_files(
         found, to or out / "leaderboard", quality, sheets, ablations, drives, challenges=challenges, site=site
     )
@@ -96,7 +100,8 @@ def _shown(
     from benchmark.records.scenes import find_sheets
 
     space = workspace(out)
-    quality, sheets = find_quality(space.quality_root()), find_sheets(space.sheet_root())
+    quality = _with_tables("quality", find_quality(space.quality_root()))
+    sheets = find_sheets(space.sheet_root())
     ablations = find_ablations(space.ablation_root())
     own = [space.drive_root()] if space.drive_root().is_dir() else []
     drives = [with_drive_cost(each, folders or own, space.timings_of) for each in find_drives(*(folders or own))]
@@ -107,3 +112,14 @@ def _shown(
     records = [] if no_runs else with_reproductions(find_records(*roots), find_reproductions(roots))
     records = [with_cost(record, roots, space.timings_of) for record in records]
     return records, quality, sheets, ablations, drives
+
+
+def _with_tables(kind: str, records: "list[_Record]") -> "list[_Record]":
+    """Records of an extension, or none, and a sentence, where the one that makes tables of them is not installed."""
+    if records:
+        try:
+            from_extension("section", kind)
+        except AbsentExtensionError as absent:
+            say_once(f"the records of {kind} are not shown: {absent}")
+            return []
+    return records

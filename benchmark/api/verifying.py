@@ -1,28 +1,13 @@
 """What stands behind ``verify``: comparisons with golden numbers, wherever the numerics are."""
 
-import importlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING
 
 from benchmark.errors import InputError, did_you_mean
+from benchmark.machine.extension import OFFERS, from_extension
 
 if TYPE_CHECKING:
     from benchmark.verification.checks import Check
-
-_VERIFIED: Final = {
-    "physics": "generation.extensions.golden_sets.physics",
-    "scoring": "generation.extensions.golden_sets.scoring",
-    "denoiser": "generation.extensions.golden_sets.denoiser",
-    "protocols": "benchmark.extensions.golden_sets.protocols",
-    "pdm": "benchmark.extensions.golden_sets.pdm",
-    "results": "adapters.extensions.golden_sets.result_files",
-    "drivers": "benchmark.extensions.golden_sets.drivers",
-    "severity": "benchmark.extensions.golden_sets.severity",
-    "realism": "benchmark.extensions.golden_sets.realism",
-    "infos": "benchmark.extensions.infos.verification",
-    "neuroncap": "benchmark.extensions.neuroncap.verification",
-}
-"""What `verify` compares, and where its ``verify_NAME`` is: imported when it is asked for, since some need torch."""
 
 
 def verify(what: str, golden: Path | None = None, model: str | None = None, *, noise: bool = False) -> "list[Check]":
@@ -47,25 +32,29 @@ def verify(what: str, golden: Path | None = None, model: str | None = None, *, n
         raise InputError("--noise belongs to verify model; leave it out")
     if model is not None:
         raise InputError("--model belongs to verify model; leave it out")
-    if what not in _VERIFIED:
-        raise InputError(f"cannot verify {what!r}; what has golden numbers is {', '.join(_VERIFIED)} and model")
-    verified = getattr(importlib.import_module(_VERIFIED[what]), f"verify_{what}")
-    return cast("list[Check]", verified(golden))
+    known = OFFERS["golden set"]
+    if what not in known:
+        others = ", ".join(name for name in known if name != "model")
+        raise InputError(f"cannot verify {what!r}; what has golden numbers is {others} and model")
+    checks: list[Check] = from_extension("golden set", what)(golden)
+    return checks
 
 
 def _verify_model(model: str | None, golden: Path | None, *, noise: bool) -> "list[Check]":
-    from adapters.extensions.golden_sets.models import verified_models, verify_model
+    from adapters.models import verified_models
 
-    known = (*verified_models(), "magicdrive")
+    renderers = OFFERS["golden set of a renderer"]
+    known = (*verified_models(), *renderers)
     if model not in known:
         missing = "verify model needs --model" if model is None else f"no model {model!r} can be verified"
         raise InputError(f"{missing}; {did_you_mean(model or '', known)}known are {', '.join(known)}")
     if golden is None:
         raise InputError("verify model needs --golden, a directory of numbers of the official code; none is built in")
-    if model != "magicdrive":
-        return verify_model(model, golden, noise=noise)
+    checks: list[Check]
+    if model not in renderers:
+        checks = from_extension("golden set", "model")(model, golden, noise=noise)
+        return checks
     if noise:
-        raise InputError("--noise is for driving models; leave it out for magicdrive")
-    from generation.extensions.golden_sets.magicdrive import verify_magicdrive
-
-    return verify_magicdrive(golden)
+        raise InputError(f"--noise is for driving models; leave it out for {model}")
+    checks = from_extension("golden set of a renderer", model)(golden)
+    return checks

@@ -7,7 +7,7 @@ from typing import Annotated, Final
 import typer
 
 from benchmark.cli import data, demo, drive, evaluate, generate, models, packages, shards, show, verify, weights
-from benchmark.cli.extensions import Groups, add_commands_of_others, add_own_commands
+from benchmark.cli.extensions import Groups, add_command_of_extension, add_commands_of_others
 from benchmark.cli.streams import replace_what_cannot_be_shown
 from benchmark.cli.whole_help import WholeSummaries
 from benchmark.constants import VERSION
@@ -31,33 +31,35 @@ _GROUPS: Final[Groups] = {
     "leaderboard": show.leaderboard_app,
 }
 # In the order in which help lists them.
-add_own_commands("infos", _GROUPS)
-add_own_commands("exchange", _GROUPS)
-add_own_commands("submissions", _GROUPS)
-add_own_commands("review", _GROUPS)
+add_command_of_extension("data export infos", _GROUPS)
+add_command_of_extension("data export scenarionet", _GROUPS)
+add_command_of_extension("data export openscenario", _GROUPS)
+add_command_of_extension("leaderboard submit-check", _GROUPS)
+add_command_of_extension("data review", _GROUPS)
 data.app.command("pack")(packages.data_pack_command)
 data.app.command("unpack")(packages.data_unpack_command)
-add_own_commands("cards", _GROUPS)
+add_command_of_extension("data card", _GROUPS)
+add_command_of_extension("leaderboard card", _GROUPS)
 app.add_typer(data.app, name="data")
-add_own_commands("training", _GROUPS)
+add_command_of_extension("train", _GROUPS)
 app.add_typer(weights.app, name="weights")
 app.add_typer(show.leaderboard_app, name="leaderboard")
-add_own_commands("challenge", _GROUPS)
+add_command_of_extension("challenge", _GROUPS)
 app.command("generate")(generate.generate_command)
 app.command("ablate")(generate.ablate_command)
 app.command("eval")(evaluate.eval_command)
 app.command("drive")(drive.drive_command)
-add_own_commands("http", _GROUPS)
+add_command_of_extension("serve", _GROUPS)
 app.command("models")(models.models_command)
 app.command("merge")(shards.merge_command)
 app.command("rescore")(evaluate.rescore_command)
 app.command("transfer")(evaluate.transfer_command)
-add_own_commands("quality", _GROUPS)
+add_command_of_extension("quality", _GROUPS)
 app.command("sheets")(show.sheets_command)
-add_own_commands("films", _GROUPS)
+add_command_of_extension("film", _GROUPS)
 app.command("verify")(verify.verify_command)
 app.command("demo")(demo.demo_command)
-add_own_commands("reproduce", _GROUPS)
+add_command_of_extension("reproduce", _GROUPS)
 app.command("doctor")(verify.doctor_command)
 add_commands_of_others(_GROUPS)
 

@@ -162,13 +162,13 @@ def data_show_command(
     api.worker_count(workers)
     require_root(root, tables, out, name_list(scenes))
     require_place(to, "--to")
-    from generation.extensions.magicdrive.condition_pictures import write_condition_pictures
+    from benchmark.machine.extension import from_extension
     from generation.render.pictures import write_pictures
     from generation.render.schematic import SchematicRenderer
 
     dataset = _open_to_look(root, tables, workers, out)
     names = (name_list(scenes) or dataset.scene_names(None))[:limit]
-    write = write_condition_pictures if conditions else write_pictures
+    write = from_extension("pictures", "conditions") if conditions else write_pictures
     written = write(dataset, names, to, SchematicRenderer())
     typer.echo(f"{counted(len(written), 'picture')} in {to}")
 

@@ -496,12 +496,12 @@ def _explain(
     json_output: bool,
 ) -> None:
     """Where protocols differ from exact on these runs: the table, and a picture of the clearest case of each cause."""
-    from benchmark.extensions.explain.pictures import explain
+    from benchmark.machine.extension import from_extension
     from leaderboard.tables.disagreement import disagreement_table
 
     split = records[0].run.split
     folder = space.out / "explained" / data_name / split
-    pictures = explain(records, dataset, folder)
+    pictures = from_extension("judge", "explanation")(records, dataset, folder)
     typer.echo(disagreement_table(data_name, split, records).plain(wide=wide), err=json_output)
     for picture in pictures:
         typer.echo(f"{picture.path}: {picture.sentence}", err=json_output)

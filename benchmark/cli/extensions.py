@@ -1,58 +1,38 @@
-"""Commands of extensions: our own by one table, those of other packages by an entry point.
+"""Commands of extensions: our own from the table of offers, those of other packages by an entry point.
 
-``cli.py`` of an extension has ``add_commands(groups)``. An extension that is not there leaves commands behind that say
-so; one of another package that is broken costs its own commands alone.
+A command whose extension is not there says so; one of another package that is broken costs its own commands alone.
 """
 
-import importlib
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.metadata import entry_points
-from typing import Final, NoReturn
+from typing import Any, Final, NoReturn
 
 import typer
 
 from benchmark.errors import InputError
-from benchmark.machine.extension import absent_extension
+from benchmark.machine.extension import OFFERS, AbsentExtensionError, extension_of, from_extension
 from benchmark.untrusted.files import one_line
 
 Groups = Mapping[str, typer.Typer]
 """Groups of commands by name: the top one is ``""``, then ``data``, ``data export`` and ``leaderboard``."""
-OWN: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
-    "cards": ("benchmark.extensions.cards", ("data card", "leaderboard card")),
-    "challenge": ("benchmark.extensions.challenge", ("challenge",)),
-    "exchange": ("benchmark.extensions.exchange", ("data export scenarionet", "data export openscenario")),
-    "films": ("leaderboard.extensions.films", ("film",)),
-    "http": ("benchmark.extensions.http", ("serve",)),
-    "infos": ("benchmark.extensions.infos", ("data export infos",)),
-    "quality": ("benchmark.extensions.quality", ("quality",)),
-    "reproduce": ("benchmark.extensions.reproduce", ("reproduce",)),
-    "review": ("benchmark.extensions.review", ("data review",)),
-    "submissions": ("benchmark.extensions.submissions", ("leaderboard submit-check",)),
-    "training": ("adapters.extensions.training", ("train",)),
-}
-"""Of each extension that has commands: its package, and what it adds."""
+Offered = Mapping[str, typer.Typer | Callable[..., Any]]
+"""Commands by the words that they are called with: an application, or a function that one makes a command of."""
 ENTRY_POINTS: Final = "challenger_bench.extensions"
-"""Group in which other packages name a function that takes `Groups`."""
+"""Group in which other packages name an `Offered`."""
 
 
-def add_own_commands(name: str, groups: Groups) -> None:
-    """Add the commands of one of our extensions, or commands that say that it is not there.
+def add_command_of_extension(words: str, groups: Groups) -> None:
+    """Add a command of one of our extensions, or one that says that the extension is not there.
 
     Args:
-        name: Of the extension.
-        groups: Where its commands go.
+        words: As the table of offers has it, ``data card``.
+        groups: Where it goes.
     """
-    package, commands = OWN[name]
     try:
-        module = importlib.import_module(f"{package}.cli")
-    except ModuleNotFoundError as error:
-        if absent_extension(error) is None:
-            raise
-        for command in commands:
-            _add_absent(name, command, groups)
-        return
-    module.add_commands(groups)
+        _add(words, from_extension("command", words), groups)
+    except AbsentExtensionError:
+        _add_absent(words, extension_of(OFFERS["command"][words]), groups)
 
 
 def add_commands_of_others(groups: Groups) -> None:
@@ -63,14 +43,24 @@ def add_commands_of_others(groups: Groups) -> None:
     """
     for entry in entry_points(group=ENTRY_POINTS):
         try:
-            entry.load()(groups)
+            offered: Offered = entry.load()
+            for words, command in offered.items():
+                _add(words, command, groups)
         except Exception as error:
             print(f"warning: the extension {entry.name} adds no commands: {one_line(error)}", file=sys.stderr)
 
 
-def _add_absent(name: str, command: str, groups: Groups) -> None:
-    group, _, last = command.rpartition(" ")
-    sentence = f"{command} belongs to the extension {name}, which is not installed here; install it to use the command"
+def _add(words: str, command: typer.Typer | Callable[..., Any], groups: Groups) -> None:
+    group, _, last = words.rpartition(" ")
+    if isinstance(command, typer.Typer):
+        groups[group].add_typer(command, name=last)
+    else:
+        groups[group].command(last)(command)
+
+
+def _add_absent(words: str, name: str, groups: Groups) -> None:
+    group, _, last = words.rpartition(" ")
+    sentence = f"{words} belongs to the extension {name}, which is not installed here; install it to use the command"
 
     def say() -> NoReturn:
         raise InputError(sentence)

@@ -161,6 +161,7 @@ def generate_command(
     from benchmark.cli.preflight_data_sets import require_room_to_draw, require_root, require_source
     from benchmark.cli.preflight_names import require_categories, supervision_of
     from benchmark.cli.preflight_places import require_place
+    from benchmark.machine.extension import OFFERS, from_extension
     from benchmark.machine.several_devices import require_one_device, workers_for
     from benchmark.runs.shards import Shard
     from generation.search.departures import told
@@ -190,8 +191,19 @@ def generate_command(
         raise InputError("--surrogate-checkpoint belongs to --surrogate; name the planner that it is for")
     _require_tools(surrogate, surrogate_checkpoint, data, device, denoiser)
     supervision = supervision_of([] if surrogate is None else [surrogate], sample_limit, memory_limit)
-    if renderer is RendererName.MAGICDRIVE:
-        _require_magicdrive(render_device, weights_folder, dry_run=dry_run)
+    photorealistic = None
+    if renderer.value in OFFERS["renderer"]:
+        photorealistic = from_extension("renderer", renderer.value)(
+            weights_folder,
+            drawn_size=render_size.value,
+            written_size=written_size.value,
+            look=prompt_look.value,
+            device=render_device,
+            seed=seed,
+            tera_operations=tflops,
+            estimates_only=dry_run,
+        )
+        photorealistic.require()
     pixels, named = image_size(size), name_list(scenes)
     if executor is not ExecutorName.LOCAL:
         require_one_device(device, "a Ray cluster gives its tasks GPUs itself")
@@ -225,23 +237,10 @@ def generate_command(
     drawing: Renderer | None = None
     if renderer is RendererName.SCHEMATIC:
         drawing = api.schematic_renderer(pixels)
-    rendering, photorealistic = None, None
-    if renderer is RendererName.MAGICDRIVE:
-        from generation.extensions.magicdrive.command import magicdrive_renderer, rendering_executor
-
-        drawing = photorealistic = magicdrive_renderer(
-            api.workspace(out).rendering_root(),
-            weights_folder,
-            drawn_size=render_size.value,
-            written_size=written_size.value,
-            look=prompt_look.value,
-            device=render_device,
-            seed=seed,
-            tera_operations=tflops,
-            estimates_only=dry_run,
-        )
-        # Estimates for a GPU are wanted on machines that have none.
-        rendering = None if dry_run else rendering_executor(place, render_device)
+    rendering = None
+    if photorealistic is not None:
+        drawing = network = photorealistic.renderer(api.workspace(out).rendering_root())
+        rendering = photorealistic.executor(place)
     # Last: the embedded data set takes minutes to build the first time, and a mistyped option should not.
     source = recordings()
     root = api.workspace(out).split_root(source.name, wanted[0].split)
@@ -279,7 +278,7 @@ def generate_command(
         dry_run=dry_run,
     )
     if photorealistic is not None:
-        typer.echo(photorealistic.estimate(source.scene(source_scenes(source, settings)[0])).plain(), err=True)
+        typer.echo(network.estimate(source.scene(source_scenes(source, settings)[0])).plain(), err=True)
     space, own = api.workspace(out), []
     for one in wanted:
         root = space.split_root(source.name, one.split)
@@ -330,22 +329,6 @@ def _require_tools(planner: str | None, checkpoint: Path | None, data: str, devi
         require_models([planner], checkpoint, data=data)
     require_devices(device)
     require_file(denoiser, "--denoiser")
-
-
-def _require_magicdrive(device: str, weights_folder: Path | None, *, dry_run: bool) -> None:
-    """Refuse the photorealistic renderer where its weights are absent; estimates need none."""
-    from benchmark.cli.preflight_names import require_device, require_package
-    from benchmark.cli.preflight_places import require_folder
-
-    require_device(device)
-    require_folder(weights_folder, "--weights-folder")
-    if not dry_run:
-        from generation.extensions.magicdrive.weights import NetworkFiles
-
-        NetworkFiles.find(weights_folder)
-        for package in ("diffusers", "transformers"):
-            extra = "install it with: pip install 'challenger-bench[render]'"
-            require_package(package, f"the renderer magicdrive needs the package {package}; {extra}")
 
 
 def _require_cluster(place: "Executor", ahead: "Ahead") -> None:

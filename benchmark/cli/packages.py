@@ -113,6 +113,8 @@ def data_unpack_command(
     from generation.splits.unpacking import read_split_package, write_files
 
     found = read_split_package(package)
+    for sentence in found.left_out:
+        api.tell(sentence)
     chosen = None
     if data is not None:
         chosen = found.split(split)

@@ -10,7 +10,6 @@ from benchmark import api
 from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
-    from benchmark.extensions.quality.definition import Definition
     from benchmark.sandbox.limits import Supervision
 
 _DEVICE: Final = re.compile(r"auto|cpu|cuda(:\d+)?")
@@ -201,19 +200,6 @@ def require_package(module: str, sentence: str) -> None:
     """Raise `InputError` with a sentence where an optional package is not installed; nothing is imported."""
     if importlib.util.find_spec(module) is None:
         raise InputError(sentence)
-
-
-def require_quality_weights(definition: "Definition", given: Path | None) -> None:
-    """Refuse networks that are not here, before a split is built for them."""
-    from benchmark.extensions.quality.definition import needed_for
-    from benchmark.weights.folders import folder_of
-
-    for weights in needed_for(definition.masks):
-        folder_of(weights, given)
-    require_package(
-        "transformers",
-        "video quality needs the package transformers; install it with: pip install 'challenger-bench[quality]'",
-    )
 
 
 def require_categories(named: str | None) -> None:

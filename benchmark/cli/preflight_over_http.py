@@ -23,7 +23,8 @@ def require_servers(
     Raises:
         InputError: If one is no address, nobody answers there, or a model behind HTTP would be sent no pictures.
     """
-    from benchmark.machine.address import is_address
+    from benchmark.machine.address import Address, is_address
+    from benchmark.machine.extension import from_extension
 
     served = [each for each in models if is_address(each)]
     if image_format is not None and not served:
@@ -34,7 +35,10 @@ def require_servers(
     if not served and not is_address(sensor):
         return
     require_package("httpx2", NEEDS.format(what="asking over HTTP", package="httpx2"))
-    api.require_answers(served, [sensor] if is_address(sensor) else [])
+    for each in served:
+        from_extension("planner", "http")(each).require_alive()
+    if is_address(sensor):
+        from_extension("sensor", "http")(Address.of(sensor, "--sensor")).require_alive()
 
 
 def require_frame(models: Sequence[str], frame: str | None, *, of_file: bool = False) -> None:
@@ -55,20 +59,3 @@ def require_frame(models: Sequence[str], frame: str | None, *, of_file: bool = F
             "--frame says in which frame a file or a model at http://HOST:PORT plans; a class says so with PlanFrame "
             "in its Plan, leave --frame out"
         )
-
-
-def require_server(host: str, port: int) -> None:
-    """Refuse to serve where nothing can listen, or without the packages that do.
-
-    Args:
-        host: As ``--host`` takes it.
-        port: As ``--port`` takes it.
-
-    Raises:
-        InputError: If a package is not installed, or the port is taken.
-    """
-    for package in ("uvicorn", "starlette"):
-        require_package(package, NEEDS.format(what="serving", package=package))
-    from benchmark.extensions.http.listening import listening
-
-    listening(host, port).close()

@@ -158,9 +158,9 @@ def leaderboard_command(
 
 def _say_publishable(folder: Path, may_show: "Sequence[str]", *, json_output: bool) -> int:
     """Say what of a folder should not be published; the exit code."""
-    from leaderboard.extensions.publishing.checking import check_publishable
+    from benchmark.machine.extension import from_extension
 
-    root, found = check_publishable(folder, may_show=may_show)
+    root, found = from_extension("check", "publishing")(folder, may_show=may_show)
     if json_output:
         print_json({"folder": str(root), "findings": [each.as_json() for each in found]})
     else:

@@ -7,15 +7,11 @@ from benchmark.closed_loop.default_engine import AGENTS, DefaultRides
 from benchmark.closed_loop.riding import RideMaker
 from benchmark.closed_loop.world import ENGINE
 from benchmark.errors import InputError, did_you_mean
-from benchmark.machine.extension import from_extension
+from benchmark.machine.extension import OFFERS, from_extension
 from benchmark.records.drive_schema import RECORDED, SCENARIOS, Measured, UntilName
 
 UNTIL: Final[tuple[UntilName, ...]] = get_args(UntilName)
-OF_EXTENSIONS: Final = dict.fromkeys(
-    ("neuroncap@code", "neuroncap@paper"), "benchmark.extensions.neuroncap.riding:neuroncap_rides"
-)
-"""Engines of extensions: what makes their rides, given the engine's name and the scenarios."""
-ENGINES: Final = (ENGINE, *OF_EXTENSIONS)
+ENGINES: Final = (ENGINE, *OFFERS["engine"])
 
 
 def rides_of(
@@ -61,7 +57,7 @@ def rides_of(
         raise InputError(f"actors of {engine} never react and its plans take effect at once; take --engine {ENGINE}")
     if until != "contact":
         raise InputError(f"every contact ends a run of {engine}; take --engine {ENGINE} or leave --until {until} out")
-    made: RideMaker = from_extension(OF_EXTENSIONS[engine])(engine, scenarios)
+    made: RideMaker = from_extension("engine", engine)(engine, scenarios)
     return made
 
 

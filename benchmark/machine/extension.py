@@ -1,9 +1,83 @@
-"""What an extension adds to a table of the core: named there, imported when somebody asks for it."""
+"""What extensions offer to the core: one table of kinds, names and where each is defined.
+
+Nothing is imported before somebody asks for it by name, and an extension that is not installed is told by a sentence.
+"""
 
 import importlib
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Final
 
 from benchmark.errors import InputError
+
+OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
+    # A Typer application, or a function that one makes a command of, by the words that it is called with.
+    "command": {
+        "data card": "benchmark.extensions.cards.cli:data_card_command",
+        "leaderboard card": "benchmark.extensions.cards.cli:records_card_command",
+        "challenge": "benchmark.extensions.challenge.cli:app",
+        "data export scenarionet": "benchmark.extensions.exchange.cli:export_scenarionet_command",
+        "data export openscenario": "benchmark.extensions.exchange.cli:export_openscenario_command",
+        "data export infos": "benchmark.extensions.infos.cli:export_infos_command",
+        "film": "leaderboard.extensions.films.cli:film_command",
+        "serve": "benchmark.extensions.http.cli:serve_command",
+        "quality": "benchmark.extensions.quality.cli:quality_command",
+        "reproduce": "benchmark.extensions.reproduce.cli:reproduce_command",
+        "data review": "benchmark.extensions.review.cli:data_review_command",
+        "leaderboard submit-check": "benchmark.extensions.submissions.cli:submit_check_command",
+        "train": "adapters.extensions.training.cli:app",
+    },
+    # From the engine's name and its scenarios to a `closed_loop.riding.RideMaker`.
+    "engine": {
+        "neuroncap@code": "benchmark.extensions.neuroncap.riding:neuroncap_rides",
+        "neuroncap@paper": "benchmark.extensions.neuroncap.riding:neuroncap_rides",
+    },
+    # From settings to a `closed_loop.adversary.AdversaryMaker`.
+    "agents": {"adversary": "generation.extensions.reactive_adversary.making:adversary_that_answers"},
+    # From an address to a planner, and to a `closed_loop.sensors.Sensor`; by scheme.
+    "planner": {"http": "benchmark.extensions.http.model:http_planner"},
+    "sensor": {"http": "benchmark.extensions.http.sensor:HttpSensor"},
+    # From the options of ``generate`` to what checks them and makes a `generation.render.contract.Renderer`.
+    "renderer": {"magicdrive": "generation.extensions.magicdrive.cli:Photorealistic"},
+    # Pictures of scenes for ``data show``.
+    "pictures": {"conditions": "generation.extensions.magicdrive.condition_pictures:write_condition_pictures"},
+    # From records of a kind to `leaderboard.tables.sections.Section`, in the order of the page.
+    "section": {
+        "challenges": "leaderboard.extensions.challenge.tables:sections",
+        "quality": "leaderboard.extensions.quality.tables:sections",
+    },
+    # From run records to pictures of where judges part.
+    "judge": {"explanation": "benchmark.extensions.explain.pictures:explain"},
+    # From a folder to what of it should not be published.
+    "check": {"publishing": "leaderboard.extensions.publishing.checking:check_publishable"},
+    # From the bytes of a member of a package of splits to the same bytes, or `InputError`.
+    "package": {"rules": "benchmark.extensions.challenge.rules:checked_rules"},
+    # From a folder of golden numbers to checks.
+    "golden set": {
+        "physics": "generation.extensions.golden_sets.physics:verify_physics",
+        "scoring": "generation.extensions.golden_sets.scoring:verify_scoring",
+        "denoiser": "generation.extensions.golden_sets.denoiser:verify_denoiser",
+        "protocols": "benchmark.extensions.golden_sets.protocols:verify_protocols",
+        "pdm": "benchmark.extensions.golden_sets.pdm:verify_pdm",
+        "results": "adapters.extensions.golden_sets.result_files:verify_results",
+        "drivers": "benchmark.extensions.golden_sets.drivers:verify_drivers",
+        "severity": "benchmark.extensions.golden_sets.severity:verify_severity",
+        "realism": "benchmark.extensions.golden_sets.realism:verify_realism",
+        "infos": "benchmark.extensions.infos.verification:verify_infos",
+        "neuroncap": "benchmark.extensions.neuroncap.verification:verify_neuroncap",
+        "model": "adapters.extensions.golden_sets.models:verify_model",
+    },
+    "golden set of a renderer": {"magicdrive": "generation.extensions.golden_sets.magicdrive:verify_magicdrive"},
+}
+"""By kind and name: ``package.extensions.name.module:attribute``."""
+
+
+class AbsentExtensionError(InputError):
+    """An extension is not installed."""
+
+
+def extension_of(reference: str) -> str:
+    """Name of the extension that a reference leads to."""
+    return reference.split(".")[2]
 
 
 def absent_extension(error: ModuleNotFoundError) -> str | None:
@@ -12,22 +86,38 @@ def absent_extension(error: ModuleNotFoundError) -> str | None:
     return parts[2] if len(parts) > 2 and parts[1] == "extensions" else None
 
 
-def not_installed(name: str) -> InputError:
-    """What to say where an extension is missing."""
-    return InputError(f"this needs the extension {name}, which is not installed here; install it")
+def not_installed(name: str) -> AbsentExtensionError:
+    """The error where an extension is missing."""
+    return AbsentExtensionError(f"this needs the extension {name}, which is not installed here; install it")
 
 
-def from_extension(reference: str) -> Any:
-    """Import what a table names.
+def from_extension(kind: str, name: str) -> Any:
+    """Import what an extension offers.
 
     Args:
-        reference: ``package.extensions.name.module:attribute``.
+        kind: Of `OFFERS`.
+        name: Of that kind.
+
+    Returns:
+        What the table says of the kind.
+
+    Raises:
+        AbsentExtensionError: If the extension is not installed.
+    """
+    return imported(OFFERS[kind][name])
+
+
+def imported(reference: str) -> Any:
+    """Import what a reference, ``module:attribute``, leads to.
+
+    Args:
+        reference: Of a module of the core or of an extension.
 
     Returns:
         The attribute.
 
     Raises:
-        InputError: If the extension is not installed.
+        AbsentExtensionError: If it is of an extension that is not installed.
     """
     module, _, attribute = reference.partition(":")
     try:

@@ -9,6 +9,7 @@ from benchmark.closed_loop.scoring import VERSION
 from benchmark.datasets.scene_facts import with_truth
 from benchmark.errors import InputError
 from benchmark.machine.environment import facts as environment_facts
+from benchmark.machine.extension import AbsentExtensionError
 from benchmark.machine.storage import only_writer
 from benchmark.records.drives import DRIVE_FILE, DRIVE_FILES, DriveRecord, load_drives, summarise, write_drives
 from benchmark.records.store import pending, settle
@@ -72,6 +73,8 @@ def rescore_all_drives(root: Path, open_split: Callable[[str], "DataSet"], data_
     for directory in sorted({path.parent for name in names for path in root.rglob(name)}):
         try:
             yield Rescored(directory, _rescore(directory, open_for)[1])
+        except AbsentExtensionError as absent:
+            yield Rescored(directory, f"left alone: {absent}")
         except InputError as error:
             yield Rescored(directory, str(error), failed=True)
 

@@ -30,7 +30,6 @@ FORMAT: Final = "challenger-bench split package"
 SCHEMA: Final = 1
 MANIFEST: Final = "manifest.json"
 RULES_MEMBER: Final = "rules/rules.toml"
-_CHECKED_RULES: Final = "benchmark.extensions.challenge.rules:checked_rules"
 VERDICTS_FILE: Final = f"verdicts/{REVIEW_FILE}"
 STATISTICS_FILE: Final = "statistics/split.json"
 _PLAIN: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
@@ -163,7 +162,7 @@ def pack_split(path: Path, contents: PackageContents, executor: Executor) -> Pac
 
 def checked_rules(data: bytes, where: str) -> bytes:
     """A file of rules that the extension of challenges can read; arguments and errors as of its own function."""
-    checked: bytes = from_extension(_CHECKED_RULES)(data, where)
+    checked: bytes = from_extension("package", "rules")(data, where)
     return checked
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.errors import InputError
+from benchmark.machine.extension import AbsentExtensionError
 from benchmark.machine.storage import write_bytes
 from benchmark.records.review import ReviewFile
 from benchmark.records.store import validated
@@ -37,7 +38,8 @@ class Package:
         manifest: What it says of itself.
         splits: Its frozen splits.
         review: Its verdicts, if it has any.
-        files: Content of every file but the manifest, by name.
+        files: Content of every file but the manifest and those that are left out, by name.
+        left_out: A sentence for each file that an extension reads which is not installed.
     """
 
     path: Path
@@ -45,6 +47,7 @@ class Package:
     splits: tuple[NamedSplit, ...]
     review: ReviewFile | None
     files: Mapping[str, bytes]
+    left_out: tuple[str, ...] = ()
 
     def split(self, name: str | None) -> NamedSplit:
         """One of its splits; ``None`` is the only one.
@@ -80,13 +83,18 @@ def read_split_package(path: Path) -> Package:
     if missing or unknown:
         said = f"lacks {missing[0]}" if missing else f"holds {unknown[0]}, which its manifest does not name"
         raise InputError(f"{path} {said}; it is damaged, fetch it again")
+    left_out = []
     for name, file in manifest.files.items():
         data = members[name]
         if len(data) != file.bytes or hashlib.sha256(data).hexdigest() != file.sha256:
             raise InputError(
                 f"{path}: {name} is not what the manifest says (its hash differs); fetch the package again"
             )
-        _require_form(path, name, file.kind, data)
+        try:
+            _require_form(path, name, file.kind, data)
+        except AbsentExtensionError as absent:
+            left_out.append(f"{path}: {name} is left out: {absent}")
+            del members[name]
     splits = []
     for each in manifest.splits:
         frozen = _frozen(path, each.name, members[split_file(each.name)])
@@ -99,7 +107,7 @@ def read_split_package(path: Path) -> Package:
         review = validated(
             ReviewFile.model_validate, _json(path, VERDICTS_FILE, members[VERDICTS_FILE]), _damaged(path, VERDICTS_FILE)
         )
-    return Package(path, manifest, tuple(splits), review, members)
+    return Package(path, manifest, tuple(splits), review, members, tuple(left_out))
 
 
 def write_files(package: Package, to: Path) -> tuple[Path, ...]:

@@ -2,16 +2,10 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
-from benchmark.machine.extension import from_extension
+from benchmark.machine.extension import OFFERS, from_extension
 from benchmark.report.table import Table
-
-OF_EXTENSIONS: Final[Mapping[str, str]] = {
-    "challenges": "leaderboard.extensions.challenge.tables:sections",
-    "quality": "leaderboard.extensions.quality.tables:sections",
-}
-"""By kind of record, in the order of the page: what makes its sections."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +37,7 @@ def sections_of(records: Mapping[str, Sequence[Any]]) -> Iterator[Section]:
     Raises:
         InputError: If there are records of an extension that is not installed.
     """
-    for kind, reference in OF_EXTENSIONS.items():
+    for kind in OFFERS["section"]:
         if records.get(kind):
-            made: Iterable[Section] = from_extension(reference)(records[kind])
+            made: Iterable[Section] = from_extension("section", kind)(records[kind])
             yield from made

@@ -4,15 +4,9 @@ from functools import partial
 from pathlib import Path
 from typing import cast
 
-from adapters.models import published_models, resolve
+from adapters.models import published_models, resolve, verified_models
 from benchmark.errors import InputError
 from benchmark.verification.checks import Check
-
-
-def verified_models() -> dict[str, str]:
-    """What compares each model with its official code, family by family."""
-    known = {name: model.net.verify for name, model in published_models().items() if model.net.verify is not None}
-    return dict(sorted(known.items(), key=lambda item: item[1], reverse=True))
 
 
 def verify_model(name: str, golden: Path, device: str = "cpu", *, noise: bool = False) -> list[Check]:

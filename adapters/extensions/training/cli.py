@@ -7,7 +7,6 @@ from typing import Annotated
 import typer
 
 from benchmark import api
-from benchmark.cli.extensions import Groups
 from benchmark.cli.options import (
     Architecture,
     DeviceOption,
@@ -155,8 +154,3 @@ def train_ego_status_command(
     from adapters.extensions.training.ego_status import train_ego_status
 
     print_json(train_ego_status(tracks, out, seed=seed))
-
-
-def add_commands(groups: Groups) -> None:
-    """``train``."""
-    groups[""].add_typer(app, name="train")

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from benchmark import api
-from benchmark.cli.extensions import Groups
 from benchmark.cli.options import JsonOption, OutOption, RecordsOption, TablesOption, WorkersOption, print_json
 from benchmark.errors import InputError
 from benchmark.report.words import counted
@@ -106,9 +105,3 @@ def _say(
         print_json(written.as_json())
     else:
         typer.echo(f"{counted(written.rows, rows)} in {written.files[1]}, beside {written.files[0].name} for a hub")
-
-
-def add_commands(groups: Groups) -> None:
-    """``data card`` and ``leaderboard card``."""
-    groups["data"].command("card")(data_card_command)
-    groups["leaderboard"].command("card")(records_card_command)

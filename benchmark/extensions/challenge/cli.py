@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from benchmark import api
-from benchmark.cli.extensions import Groups
 from benchmark.cli.options import (
     JsonOption,
     OutOption,
@@ -230,8 +229,3 @@ def challenge_rules_command(
         print_json({"fingerprint": said.fingerprint, "rules": said.model_dump(mode="json", by_alias=True)})
     else:
         typer.echo(rules_text(said), nl=False)
-
-
-def add_commands(groups: Groups) -> None:
-    """``challenge``."""
-    groups[""].add_typer(app, name="challenge")

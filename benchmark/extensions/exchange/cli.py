@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from benchmark import api
-from benchmark.cli.extensions import Groups
 from benchmark.cli.options import (
     JsonOption,
     LimitOption,
@@ -102,9 +101,3 @@ def _say_exported(files: "Sequence[ExportedScene]", to: Path, json_output: bool)
     adversaries = sum(len(file.adversaries) for file in files)
     who = f"{adversaries} adversar{'y' if adversaries == 1 else 'ies'} named in {'it' if len(files) == 1 else 'them'}"
     typer.echo(f"{counted(len(files), 'scene')} in {to}, {who}")
-
-
-def add_commands(groups: Groups) -> None:
-    """``data export scenarionet`` and ``data export openscenario``."""
-    groups["data export"].command("scenarionet")(export_scenarionet_command)
-    groups["data export"].command("openscenario")(export_openscenario_command)

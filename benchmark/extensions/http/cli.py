@@ -2,13 +2,17 @@
 
 import contextlib
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from benchmark import api
-from benchmark.cli.extensions import Groups
 from benchmark.cli.options import MemoryLimitOption, SampleLimitOption, SeedOption
+
+if TYPE_CHECKING:
+    from benchmark.extensions.http.server import PlannerServer
+    from benchmark.planning import Planner
+    from benchmark.sandbox.limits import Supervision
 
 
 def serve_command(
@@ -31,12 +35,11 @@ def serve_command(
 ) -> None:
     """Answer a simulator's requests with a planner's plans, over HTTP, until interrupted."""
     from benchmark.cli.preflight_names import require_models, supervision_of
-    from benchmark.cli.preflight_over_http import require_server
 
     require_models([model], checkpoint, data="", device=device, precision=precision)
     supervision = supervision_of([model], sample_limit, memory_limit)
-    require_server(host, port)
-    server = api.serve_planner(
+    _require_server(host, port)
+    server = serve_planner(
         model,
         checkpoint,
         host=host,
@@ -60,6 +63,60 @@ def serve_command(
     api.tell("ended")
 
 
-def add_commands(groups: Groups) -> None:
-    """``serve``."""
-    groups[""].command("serve")(serve_command)
+def serve_planner(
+    name: str,
+    checkpoint: Path | None = None,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    accept_torch_tensors: bool = False,
+    device: str | None = None,
+    precision: str | None = None,
+    seed: int = 0,
+    supervision: "Supervision | None" = None,
+) -> "PlannerServer":
+    """A planner as a model server for NeuroNCAP, or for whoever speaks its protocol.
+
+    Args:
+        name: Planner name or ``package.module:Class``; no miniature stands in for a model without weights.
+        checkpoint: Its weights, if not its own.
+        host: Where to listen; this machine alone by default.
+        port: Where; 0 takes a free one.
+        accept_torch_tensors: Whether pictures may be saved tensors, which are pickles.
+        device: Where a network runs.
+        precision: Of a network.
+        seed: For planners that take one.
+        supervision: Limits of a planner of another package, which runs in a process of its own (docs/planners.md).
+
+    Returns:
+        It listens; ``with`` answers in a thread, `serve` until interrupted.
+
+    Raises:
+        InputError: If the planner cannot be built or wants what is not on the wire, or the port is taken.
+    """
+    from adapters.registry import is_foreign, planner, planner_factory
+    from benchmark.extensions.http.server import PlannerServer
+    from benchmark.extensions.http.session import Session
+    from benchmark.machine.pages import keep_pages_of
+
+    runs = api.model_that_runs(name, checkpoint, data="")
+    built: Planner
+    if is_foreign(runs):
+        built = planner_factory(
+            runs, checkpoint=checkpoint, seed=seed, device=device, precision=precision, supervision=supervision
+        )()
+    else:
+        built = planner(runs, checkpoint=checkpoint, seed=seed, device=device, precision=precision)
+    keep_pages_of(getattr(built, "weights_sha256", None))
+    return PlannerServer(Session(built, tensors=accept_torch_tensors, seed=seed), host, port)
+
+
+def _require_server(host: str, port: int) -> None:
+    """Refuse to serve where nothing can listen, or without the packages that do."""
+    from benchmark.cli.preflight_names import require_package
+    from benchmark.cli.preflight_over_http import NEEDS
+    from benchmark.extensions.http.listening import listening
+
+    for package in ("uvicorn", "starlette"):
+        require_package(package, NEEDS.format(what="serving", package=package))
+    listening(host, port).close()

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from benchmark import api
-from benchmark.cli.extensions import Groups
 from benchmark.cli.options import (
     JsonOption,
     OutOption,
@@ -72,8 +71,3 @@ def export_infos_command(
         typer.echo(f"otherwise than converted: {departure.what}")
     for sentence in exported.not_cured:
         typer.echo(f"not to be cured here: {sentence}")
-
-
-def add_commands(groups: Groups) -> None:
-    """``data export infos``."""
-    groups["data export"].command("infos")(export_infos_command)

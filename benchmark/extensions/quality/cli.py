@@ -1,11 +1,11 @@
 """Command that measures the quality of videos: ``quality``."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from benchmark import api
-from benchmark.cli.extensions import Groups
 from benchmark.cli.options import (
     DataOption,
     DryRunOption,
@@ -29,7 +29,7 @@ from benchmark.cli.shards import say_shard
 from benchmark.cli.what_next import same_place, say_next
 
 if TYPE_CHECKING:
-    pass
+    from benchmark.extensions.quality.definition import Definition
 
 
 def quality_command(
@@ -58,7 +58,7 @@ def quality_command(
 ) -> None:
     """Measure subject consistency and imaging quality of a split's videos; the same command goes on."""
     from benchmark.cli.preflight_data_sets import require_data
-    from benchmark.cli.preflight_names import require_devices, require_quality_weights
+    from benchmark.cli.preflight_names import require_devices
     from benchmark.cli.preflight_places import require_folder, require_place
     from benchmark.extensions.quality.definition import Definition, mask_source
     from benchmark.machine.several_devices import workers_for
@@ -77,7 +77,7 @@ def quality_command(
         say_plan(ahead.plan(then), json_output=json_output)
         return
     if not dry_run:
-        require_quality_weights(definition, weights_folder)
+        _require_weights(definition, weights_folder)
     from benchmark.extensions.quality.measure import QualitySettings, measure_quality, measure_shard, plan_of
     from leaderboard.extensions.quality.tables import quality_tables
 
@@ -114,6 +114,15 @@ def quality_command(
     )
 
 
-def add_commands(groups: Groups) -> None:
-    """``quality``."""
-    groups[""].command("quality")(quality_command)
+def _require_weights(definition: "Definition", given: Path | None) -> None:
+    """Refuse networks that are not here, before a split is built for them."""
+    from benchmark.cli.preflight_names import require_package
+    from benchmark.extensions.quality.definition import needed_for
+    from benchmark.weights.folders import folder_of
+
+    for weights in needed_for(definition.masks):
+        folder_of(weights, given)
+    require_package(
+        "transformers",
+        "video quality needs the package transformers; install it with: pip install 'challenger-bench[quality]'",
+    )

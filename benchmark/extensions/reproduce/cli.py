@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from benchmark import api
-from benchmark.cli.extensions import Groups
 from benchmark.cli.options import (
     DataOption,
     DryRunOption,
@@ -138,8 +137,3 @@ def _expected(name: str, file: Path | None, split: str) -> "Expected":
     if split != _SPLIT:
         raise InputError(f"numbers are published of split {_SPLIT}, not of {split}; leave --split out")
     return published_numbers(name, own or "")
-
-
-def add_commands(groups: Groups) -> None:
-    """``reproduce``."""
-    groups[""].command("reproduce")(reproduce_command)

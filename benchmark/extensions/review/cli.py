@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from benchmark import api
-from benchmark.cli.extensions import Groups
 from benchmark.cli.options import (
     JsonOption,
     LimitOption,
@@ -137,8 +136,3 @@ def _say(dataset: "DataSet", split: str | None, *, json_output: bool) -> None:
     for each in review.judged:
         typer.echo(f"{each.verdict}: {each.name}{f': {each.reason}' if each.reason else ''}")
     typer.echo(f"{split or 'all scenes'} of {dataset.root}: {review.sentence()}")
-
-
-def add_commands(groups: Groups) -> None:
-    """``data review``."""
-    groups["data"].command("review")(data_review_command)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from benchmark import api
-from benchmark.cli.extensions import Groups
 from benchmark.cli.options import (
     DataOption,
     JsonOption,
@@ -58,8 +57,3 @@ def submit_check_command(
             rows = counted(len(record.rows), "sample" if isinstance(record, RunRecord) else "drive")
             typer.echo(f"fit: {record.directory}: {record.planner} on {facts_of_record(record).split}, {rows}")
     raise typer.Exit(1 if any(found.level is Level.ERROR for found in findings) else 0)
-
-
-def add_commands(groups: Groups) -> None:
-    """``leaderboard submit-check``."""
-    groups["leaderboard"].command("submit-check")(submit_check_command)

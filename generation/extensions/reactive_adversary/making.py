@@ -67,6 +67,11 @@ class InTheLoop:
         return Adversary(scene, agent, start, run, self.settings, others(agent), self.prior(), diversify)
 
 
+def adversary_that_answers(**settings: Any) -> InTheLoop:
+    """What ``drive --agents adversary`` puts among the agents; arguments and errors as of `AdversarySettings.of`."""
+    return InTheLoop.of(AdversarySettings.of(**settings))
+
+
 def _vehicles(scene: Scene, hyper: HyperParameters) -> tuple[int, ...]:
     known = [agent for agent, name in enumerate(scene.agents.ids) if name in scene.adversaries]
     if known:

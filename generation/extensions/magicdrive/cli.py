@@ -1,0 +1,71 @@
+"""``generate --renderer magicdrive``: the renderer from the options of the command, where it can run."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from benchmark.machine.workers import Executor
+    from generation.extensions.magicdrive.renderer import MagicDriveRenderer
+
+
+@dataclass(frozen=True, slots=True)
+class Photorealistic:
+    """The options of the renderer, as `generation.extensions.magicdrive.command.magicdrive_renderer` has them.
+
+    Attributes:
+        weights: Folder of the published weights, or ``None`` for the cache.
+        drawn_size: HEIGHTxWIDTH of the network's pictures.
+        written_size: Of those that are written.
+        look: Weather and time of day.
+        device: ``cpu``, ``cuda``, ``cuda:1`` or ``auto``.
+        seed: Of noise and of the looks of objects.
+        tera_operations: Of the device in a second, 10^12, for estimates.
+        estimates_only: Whether nothing will be drawn; estimates need no weights.
+    """
+
+    weights: Path | None
+    drawn_size: str
+    written_size: str
+    look: str
+    device: str
+    seed: int
+    tera_operations: float | None
+    estimates_only: bool
+
+    def require(self) -> None:
+        """Raise `InputError` for a device that is none, and where weights or packages are absent that it draws with."""
+        from benchmark.cli.preflight_names import require_device, require_package
+        from benchmark.cli.preflight_places import require_folder
+
+        require_device(self.device)
+        require_folder(self.weights, "--weights-folder")
+        if not self.estimates_only:
+            from generation.extensions.magicdrive.weights import NetworkFiles
+
+            NetworkFiles.find(self.weights)
+            for package in ("diffusers", "transformers"):
+                extra = "install it with: pip install 'challenger-bench[render]'"
+                require_package(package, f"the renderer magicdrive needs the package {package}; {extra}")
+
+    def renderer(self, work: Path) -> "MagicDriveRenderer":
+        """The renderer; ``work`` is its folder for what is kept between stages."""
+        from generation.extensions.magicdrive.command import magicdrive_renderer
+
+        return magicdrive_renderer(
+            work,
+            self.weights,
+            drawn_size=self.drawn_size,
+            written_size=self.written_size,
+            look=self.look,
+            device=self.device,
+            seed=self.seed,
+            tera_operations=self.tera_operations,
+            estimates_only=self.estimates_only,
+        )
+
+    def executor(self, place: "Executor") -> "Executor | None":
+        """Where scenes are drawn; estimates for a GPU are wanted on machines that have none."""
+        from generation.extensions.magicdrive.command import rendering_executor
+
+        return None if self.estimates_only else rendering_executor(place, self.device)

@@ -1,0 +1,132 @@
+"""The core works with any extension taken away, and with all of them."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmark.machine.extension import OFFERS, imported
+from tests.test_layers import ROOT, extension_of, modules
+
+ABSENT = """
+import os, sys
+
+class Absent:
+    def __init__(self, names):
+        self.names = names
+
+    def find_spec(self, name, path=None, target=None):
+        parts = name.split(".")
+        if len(parts) > 2 and parts[1] == "extensions" and ("all" in self.names or parts[2] in self.names):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+"""
+EVERYWHERE = f"{ABSENT}\nsys.meta_path.insert(0, Absent(['all']))\n"
+EACH = f"""{ABSENT}
+import traceback
+import click
+import typer
+from benchmark.machine.extension import OFFERS, extension_of
+
+def helps(command, context):
+    yield context.command_path, command.get_help(context)
+    for name, inner in getattr(command, "commands", {{}}).items():
+        yield from helps(inner, type(context)(inner, info_name=name, parent=context))
+
+def check(name):
+    for module in list(sys.modules):
+        if module.startswith("benchmark.cli") or ".extensions." in module:
+            del sys.modules[module]
+    sys.meta_path.insert(0, Absent([name]))
+    from benchmark.cli.app import app
+    command = typer.main.get_command(app)
+    said = dict(helps(command, command.make_context("cb", ["doctor"])))
+    gone = {{f"cb {{words}}" for words, of in OFFERS["command"].items() if extension_of(of) == name}}
+    assert {{words for words, text in said.items() if f"Not installed: extension {{name}}." in text}} >= gone, name
+    assert len(said) > 40
+
+for name in sys.argv[1:]:
+    # What the command line brings along is imported once; each child has it from the parent.
+    import benchmark.cli.app
+    if not (child := os.fork()):
+        try:
+            check(name)
+        except BaseException:
+            traceback.print_exc()
+            os._exit(1)
+        os._exit(0)
+    if os.waitpid(child, 0)[1]:
+        sys.exit(name)
+"""
+EXTENSIONS = sorted({of.split(".")[2] for name in modules() if (of := extension_of(name))})
+
+
+def run_all_absent(arguments: list[str], where: Path, *, of: Path) -> subprocess.CompletedProcess[str]:
+    """Run Python without any extension, in processes that it starts too."""
+    (of / "sitecustomize.py").write_text(EVERYWHERE)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (of, ROOT)))}
+    command = [sys.executable, *arguments]
+    return subprocess.run(command, cwd=where, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_what_extensions_offer_is_there() -> None:
+    for kind, offered in OFFERS.items():
+        for name, reference in offered.items():
+            assert callable(imported(reference)), (kind, name)
+
+
+def test_with_one_extension_gone_every_help_answers_and_its_commands_say_so() -> None:
+    command = [sys.executable, "-c", EACH, *EXTENSIONS]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+IMPORTED = """
+import importlib, sys
+
+for name in sys.argv[1:]:
+    importlib.import_module(name)
+import benchmark
+try:
+    benchmark.write_films
+except AttributeError as absent:
+    print(absent)
+"""
+
+
+def test_with_all_gone_every_core_module_imports(tmp_path: Path) -> None:
+    core = sorted(name for name in modules() if "extensions" not in name.split(".") and not name.endswith("__main__"))
+    done = run_all_absent(["-c", IMPORTED, *core], ROOT, of=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (
+        done.stdout
+        == "benchmark.write_films: this needs the extension films, which is not installed here; install it\n"
+    )
+
+
+def test_with_all_gone_the_path_of_the_demo_runs(tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    work.mkdir()
+    small = "--candidates 64 --vehicles 3 --per-scene 1 --frames keyframes --workers 2"
+    evaluated = "--data town --model constant-velocity --model constant-velocity-on-path --workers 2"
+    for line in (
+        "data build --town-scenes 2 --frames keyframes --root town --workers 2",
+        f"generate --data town --split adv {small}",
+        f"eval {evaluated} --split val",
+        f"eval {evaluated} --split adv",
+        "drive --data town --split adv --model constant-velocity --limit 1 --workers 1",
+        "sheets --data town --split adv --limit 1 --workers 1",
+        "leaderboard",
+        "transfer",
+    ):
+        done = run_all_absent(["-m", "benchmark", *line.split()], work, of=tmp_path)
+        assert done.returncode == 0, (line, done.stderr)
+    assert (work / "challenger-out/leaderboard/site/index.html").is_file()
+
+
+@pytest.mark.parametrize("line", ["eval --model http://localhost:1", "generate --renderer magicdrive", "verify pdm"])
+def test_with_all_gone_what_asks_for_one_is_told_so(line: str, tmp_path: Path) -> None:
+    done = run_all_absent(["-m", "benchmark", *line.split()], tmp_path, of=tmp_path)
+    assert done.returncode == 2
+    assert "needs the extension" in done.stderr.splitlines()[-1] and "Traceback" not in done.stderr
