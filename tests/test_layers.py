@@ -30,13 +30,8 @@ LEADERBOARD_MAY_READ = (
 FLAT_MODULES = {"benchmark": 12, "generation": 3, "adapters": 7, "leaderboard": 3}
 MOST_ROOMS = 20
 """Folders of the core of `benchmark`."""
-NEEDS = {
-    "adapters.extensions.golden_sets": {"benchmark.extensions.golden_sets"},
-    "benchmark.extensions.http": {"benchmark.extensions.neuroncap"},
-    "generation.extensions.golden_sets": {"generation.extensions.magicdrive"},
-    "generation.extensions.magicdrive": {"benchmark.extensions.explain"},
-}
-"""Extensions that import another one."""
+NEEDS = {"adapters.extensions.golden_sets": {"benchmark.extensions.golden_sets"}}
+"""Extensions that import another one: this is the part of golden sets that reads files of results."""
 
 
 def is_composition_root(path: Path) -> bool:

@@ -66,7 +66,9 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "neuroncap": "benchmark.extensions.neuroncap.verification:verify_neuroncap",
         "model": "adapters.extensions.golden_sets.models:verify_model",
     },
-    "golden set of a renderer": {"magicdrive": "generation.extensions.golden_sets.magicdrive:verify_magicdrive"},
+    "golden set of a renderer": {
+        "magicdrive": "generation.extensions.magicdrive.verification.comparing:verify_magicdrive"
+    },
 }
 """By kind and name: ``package.extensions.name.module:attribute``."""
 

@@ -119,6 +119,13 @@ def _saved(sketch: Sketch, suffixes: tuple[str, ...], theme: Theme) -> tuple[byt
     return tuple(saved)
 
 
+def figure_png(figure: Figure) -> bytes:
+    """A figure as a PNG file without a date or a version in it."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None}, pil_kwargs={"optimize": True})
+    return buffer.getvalue()
+
+
 def png_size(picture: bytes) -> tuple[int, int]:
     """(width, height) of a PNG, pixels; zeros for what is none."""
     if not picture.startswith(b"\x89PNG"):

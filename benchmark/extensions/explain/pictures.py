@@ -29,7 +29,6 @@ from benchmark.extensions.explain.views import (
     fill,
     frame_view,
     outline,
-    png,
     raster_view,
     shade_cells,
 )
@@ -40,6 +39,7 @@ from benchmark.protocols import PROTOCOLS, CollisionProtocol
 from benchmark.protocols.exact import INSTANTS_PER_STEP, ego_boxes
 from benchmark.protocols.stacked import StackedTruths, stack
 from benchmark.records.run import RunRecord
+from benchmark.report.plots import figure_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -146,7 +146,7 @@ def draw_case(case: Case) -> bytes:
         _draw_what_is_seen(seen, case)
         happens.set_ylabel("metres ahead of the car now", fontsize=7, color="#777777")
         _write_around(figure, case)
-        return png(figure)
+        return figure_png(figure)
 
 
 def _middle(case: Case, instant: int) -> Floats:

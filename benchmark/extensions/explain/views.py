@@ -1,6 +1,5 @@
 """What a protocol compares at one step, as shapes from above: cells, boxes and paths on a matplotlib plane."""
 
-import io
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -21,7 +20,6 @@ from benchmark.truth import SampleTruth
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 EGO, HIT, INK = (hexadecimal(colour) for colour in (palette.EGO, palette.CONTACT, palette.INK))
 OBJECT, IGNORED, CELL, GHOST = "#7a8ba6", "#8a8f99", "#a9bcd8", "#8e5bb5"
@@ -186,10 +184,3 @@ def frame_view(axes: "Axes", centre: Floats, half_view_m: float) -> None:
     axes.set_aspect("equal")
     axes.tick_params(labelsize=7, colors="#777777")
     axes.set_xlabel("metres to the right of the car now", fontsize=7, color="#777777")
-
-
-def png(figure: "Figure") -> bytes:
-    """A figure as a PNG file without a date or a version in it."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None}, pil_kwargs={"optimize": True})
-    return buffer.getvalue()

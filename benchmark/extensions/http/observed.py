@@ -13,8 +13,7 @@ from benchmark.closed_loop.riding import can_row
 from benchmark.errors import InputError
 from benchmark.extensions.http.images import ImageFormat, image_from, image_text
 from benchmark.extensions.http.requests import CAMERAS, InferRequest
-from benchmark.extensions.neuroncap.poses import quaternion_of
-from benchmark.geometry import Floats, transform_matrix, yaw_of_quaternion
+from benchmark.geometry import Floats, quaternion_of, transform_matrix, yaw_of_quaternion
 from benchmark.machine.storage import token
 from benchmark.planning import CameraView, Command, EgoState, Observation
 from benchmark.scene import Camera, LidarMount

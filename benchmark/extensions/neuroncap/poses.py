@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.geometry import Floats, rotation_matrix
+from benchmark.geometry import Floats, quaternion_of, rotation_matrix
 
 _NEARLY_EQUAL: Final = 0.999
 """Cosine of two quaternions above which the arc is not worth a sine."""
@@ -13,31 +13,6 @@ _NEARLY_EQUAL: Final = 0.999
 def heading_of(pose: Floats) -> float:
     """Direction of a (4, 4) pose's x axis seen from above, radians."""
     return float(np.arctan2(pose[1, 0], pose[0, 0]))
-
-
-def quaternion_of(rotation: Floats) -> Floats:
-    """Quaternion of a rotation matrix, by its largest component.
-
-    Args:
-        rotation: (3, 3).
-
-    Returns:
-        (4,) w, x, y, z; of either sign.
-    """
-    # Four times the outer product of the quaternion with itself; any row is the quaternion, the largest the safest.
-    xx, yy, zz = rotation[0, 0], rotation[1, 1], rotation[2, 2]
-    wx, wy, wz = rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]
-    xy, xz, yz = rotation[0, 1] + rotation[1, 0], rotation[0, 2] + rotation[2, 0], rotation[1, 2] + rotation[2, 1]
-    outer = np.array(
-        [
-            [1 + xx + yy + zz, wx, wy, wz],
-            [wx, 1 + xx - yy - zz, xy, xz],
-            [wy, xy, 1 - xx + yy - zz, yz],
-            [wz, xz, yz, 1 - xx - yy + zz],
-        ]
-    )
-    row = outer[int(np.argmax(np.diag(outer)))]
-    return np.asarray(row / np.linalg.norm(row))
 
 
 def pose_between(first: Floats, second: Floats, fraction: float) -> Floats:

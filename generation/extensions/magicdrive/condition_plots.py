@@ -14,9 +14,9 @@ from benchmark.constants import (
     EGO_LENGTH_M,
     LIDAR_FROM_REAR_AXLE_M,
 )
-from benchmark.extensions.explain.views import png
 from benchmark.geometry import Floats, box_corners
 from benchmark.report.palette import ADVERSARY, EGO, hexadecimal
+from benchmark.report.plots import figure_png
 from generation.extensions.magicdrive.bev_map import MAP_CHANNELS, MAP_EXTENT_M
 from generation.extensions.magicdrive.clip import Clip, latent_frames
 from generation.extensions.magicdrive.conditions import MODEL_CAMERAS
@@ -246,7 +246,7 @@ def _figure(size: tuple[float, float], draw: Callable[["Figure"], None], headlin
         figure = Figure(figsize=size, dpi=_DPI, facecolor="white", layout="tight")
         figure.suptitle(headline, fontsize=10)
         draw(figure)
-        return png(figure)
+        return figure_png(figure)
 
 
 def _plan(axes: "Axes", extent_m: float) -> None:

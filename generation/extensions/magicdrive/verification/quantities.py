@@ -7,13 +7,13 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from generation.extensions.golden_sets.magicdrive_set import Case, MagicDriveSet
 from generation.extensions.magicdrive.conditions import Conditions, TextStates
 from generation.extensions.magicdrive.encoders import HIDDEN_BOX
 from generation.extensions.magicdrive.guidance import GuidanceMode, GuidedModel, null_conditions
 from generation.extensions.magicdrive.layers import rounded_to_bfloat16
 from generation.extensions.magicdrive.model import Encoded, MagicDriveDiT
 from generation.extensions.magicdrive.sampling import GivenFrames, SamplingOptions, SamplingState, sample, timesteps
+from generation.extensions.magicdrive.verification.golden_set import Case, MagicDriveSet
 
 STEPS: Final = 4
 REAL_INTRINSICS: Final = 100.0

@@ -17,7 +17,11 @@ from benchmark.machine.devices import single_precision
 from benchmark.verification.checks import Check, Comparison
 from benchmark.verification.filled_networks import NAMES, fill, same_names_and_shapes
 from benchmark.verification.golden import GoldenArrays
-from generation.extensions.golden_sets.magicdrive_quantities import (
+from generation.extensions.magicdrive.config import MagicDriveConfig
+from generation.extensions.magicdrive.model import MagicDriveDiT
+from generation.extensions.magicdrive.sampling import timesteps
+from generation.extensions.magicdrive.verification.golden_set import MagicDriveSet
+from generation.extensions.magicdrive.verification.quantities import (
     ENCODERS,
     EVALUATIONS,
     HALF_PRECISION,
@@ -26,10 +30,6 @@ from generation.extensions.golden_sets.magicdrive_quantities import (
     SCHEDULES,
     Clips,
 )
-from generation.extensions.golden_sets.magicdrive_set import MagicDriveSet
-from generation.extensions.magicdrive.config import MagicDriveConfig
-from generation.extensions.magicdrive.model import MagicDriveDiT
-from generation.extensions.magicdrive.sampling import timesteps
 
 OF_SPREAD: Final = 1e-3
 """Largest error as a share of the golden standard deviation."""
