@@ -45,7 +45,7 @@ def write_drive_films(
     settings: "FilmSettings | None" = None,
     watch: "Watch | None" = None,
 ) -> Iterator[Path]:
-    """Film drives one after the other (docs/films.md).
+    """Film drives one after the other (docs/extensions/films.md).
 
     Args:
         split: The split.

@@ -1,4 +1,4 @@
-"""What stands behind ``serve``, and behind models and renderers that answer over HTTP (docs/model-servers.md)."""
+"""What stands behind ``serve``, and behind models and renderers that answer over HTTP (docs/extensions/http.md)."""
 
 from typing import TYPE_CHECKING
 

@@ -26,7 +26,7 @@ _VERIFIED: Final = {
 
 
 def verify(what: str, golden: Path | None = None, model: str | None = None, *, noise: bool = False) -> "list[Check]":
-    """Compare numerics with golden numbers (docs/verify.md).
+    """Compare numerics with golden numbers (docs/extensions/golden_sets.md).
 
     Args:
         what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm``, ``drivers``, ``severity``, ``realism``,

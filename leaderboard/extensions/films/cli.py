@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -28,6 +28,10 @@ from benchmark.cli.what_next import same_place, say_next
 
 if TYPE_CHECKING:
     from benchmark.report.lettering import Picture
+
+_HELP: Final = (
+    "Film scenes from their sheets, or drives: cameras, view from above, plans and verdicts (docs/extensions/films.md)."
+)
 
 
 def film_command(
@@ -60,7 +64,7 @@ def film_command(
     tables: TablesOption = None,
     json_output: JsonOption = False,
 ) -> None:
-    """Film scenes from their sheets, or drives: cameras, view from above, plans and verdicts (docs/films.md)."""
+    """Film scenes from their sheets, or drives."""
     from benchmark.cli.preflight_names import planners_shown
     from benchmark.cli.preflight_places import require_folder, require_place
     from benchmark.constants import FRAME_HZ
@@ -126,4 +130,4 @@ def film_command(
 
 def add_commands(groups: Groups) -> None:
     """``film``."""
-    groups[""].command("film")(film_command)
+    groups[""].command("film", help=_HELP)(film_command)
