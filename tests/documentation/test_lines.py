@@ -31,6 +31,7 @@ BEFORE = {
     ],
     "cards.md": ["eval --split val --model constant-velocity"],
     "challenge.md": ["eval --split val --model constant-velocity"],
+    "publishing.md": ["eval --split adv --model constant-velocity", "leaderboard"],
     "site.md": ["eval --split adv --model constant-velocity"],
     "sheets.md": ["eval --split adv --model constant-velocity"],
     "models.md": ["eval --split adv --model constant-velocity"],
