@@ -31,7 +31,8 @@ class Setting:
         folder: What pieces leave lies below it.
         device: Where networks run.
         tiny: Whether networks have the sizes of the miniatures: the same classes, for a trial without a GPU.
-        golden: Folder of golden numbers of official code, a folder for each model (docs/verify.md), if they are given.
+        golden: Folder of golden numbers of official code, a folder for each model, if they are given
+            (docs/extensions/golden_sets.md).
         tracks: Recordings that the trajectory prior learns from; the embedded town if none.
     """
 

@@ -55,7 +55,7 @@ def drive_settings(
         split: The split; generated ones have pictures in a style of their own.
         engine: ``default``, ``neuroncap@code`` or ``neuroncap@paper``, with departures as its switches are named.
         agents: ``replay``, ``idm``, or ``adversary``, which the search of open loop plans anew while the ego drives
-            (docs/adversary-in-the-loop.md); NeuroNCAP's never react.
+            (docs/extensions/reactive_adversary.md); NeuroNCAP's never react.
         adversary_knows: What it expects of the ego: ``plan``, ``motion`` (that it keeps its speed and its turn), or
             ``nothing``.
         adversary_every_s: Seconds between its plans.
@@ -65,7 +65,7 @@ def drive_settings(
         adversary_tracks: A record of drives against an adversary: its tracks are driven again, and nothing is planned.
         keep_considered: Keep what the adversary considered at each of its plans beside the record, for films and site.
         ladder: Reference drivers that drive every encounter with an adversary too; all by default.
-        sensor: ``none``, ``schematic``, or the address of a renderer's server (docs/model-servers.md).
+        sensor: ``none``, ``schematic``, or the address of a renderer's server (docs/extensions/http.md).
         accept_torch_tensors: Whether a renderer's pictures may be saved tensors, which are pickles.
         latency_ms: So much later does a plan take effect; a multiple of 100, 0 in NeuroNCAP's engine.
         scenarios: In NeuroNCAP's engine: scenes as they are (``recorded``), with ``own`` or ``official`` scenarios.

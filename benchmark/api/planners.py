@@ -30,7 +30,7 @@ def load_planner(
     """A planner by name, for `benchmark.evaluate`.
 
     Args:
-        name: Planner name, ``package.module:Class``, or the address of a model server (docs/model-servers.md).
+        name: Planner name, ``package.module:Class``, or the address of a model server (docs/extensions/http.md).
         checkpoint: Its weights, if not its own.
         data: What it will drive on: on ``mini`` a miniature runs where the full model has no weights, and says so.
         seed: For planners that take one.

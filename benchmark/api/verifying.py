@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def verify(what: str, golden: Path | None = None, model: str | None = None, *, noise: bool = False) -> "list[Check]":
-    """Compare numerics with golden numbers (docs/verify.md).
+    """Compare numerics with golden numbers (docs/extensions/golden_sets.md).
 
     Args:
         what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm``, ``drivers``, ``severity``, ``realism``,

@@ -4,7 +4,7 @@ A plan is compared with the recorded future on the samples that nobody could hav
 far the recorded future is from the nearest of eight simple continuations of the motion so far: to stand, to keep the
 speed, to keep the acceleration, to keep half of it, each straight ahead and along the recorded path itself. So what
 surprises is when somebody brakes, starts or speeds up, not where the road goes. A plan *hits* where its error is less
-than a fifth of the surprise. The limits and how often honest planners come near them: docs/submitting.md,
+than a fifth of the surprise. The limits and how often honest planners come near them: docs/extensions/submissions.md,
 ``docs/studies/leaks.md``.
 """
 

@@ -1,7 +1,8 @@
 """Where NeuroNCAP's published code parts from its paper, its own comments or sense: one switch each.
 
 `CODE` is the published code to the last quirk, for comparison with published numbers; `PAPER` is what paper, documents
-and comments say, and what a sane engine does where they say nothing. docs/closed-loop.md has the table in words.
+and comments say, and what a sane engine does where they say nothing. docs/extensions/neuroncap.md has the table in
+words.
 """
 
 from dataclasses import dataclass, fields

@@ -166,7 +166,7 @@ class DriveSettings:
         if not found and self.agents == ADVERSARY:
             raise InputError(
                 f"no vehicle of {', '.join(scenes[:3])}{' ...' if len(scenes) > 3 else ''} can become an adversary; "
-                "take other scenes (docs/adversary-in-the-loop.md)"
+                "take other scenes (docs/extensions/reactive_adversary.md)"
             )
         if not found:
             raise InputError(

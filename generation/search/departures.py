@@ -81,7 +81,7 @@ PAPER: Final[tuple[Departure, ...]] = (
     Departure(
         "a random subset of the scenes is looked at by people (appendix Adv-nuSc)",
         "nobody has looked before data review is run on what was built",
-        "a command cannot; rejected scenes are left out from then on (docs/review.md)",
+        "a command cannot; rejected scenes are left out from then on (docs/extensions/review.md)",
     ),
     Departure(
         "scenes are rendered by MagicDriveDiT (section 3)",

@@ -58,9 +58,9 @@ _FAIRNESS: Final = (
 """Where reference drivers drove the same encounters."""
 _NOTE_FAIRNESS: Final = (
     "Attributable: contacts at fault with the adversary, in encounters that a careful human survives, who drives the "
-    "same path against the same adversary (docs/adversary-in-the-loop.md); bystander: the same with anybody else; "
-    "careful survives: the share of encounters in which this human touches nobody. The adversary answers each driver, "
-    "so that an encounter is the vehicle, the hand-over and the seed."
+    "same path against the same adversary (docs/extensions/reactive_adversary.md); bystander: the same with anybody "
+    "else; careful survives: the share of encounters in which this human touches nobody. The adversary answers each "
+    "driver, so that an encounter is the vehicle, the hand-over and the seed."
 )
 _PUBLISHED: Final = ("NNS as published code rounds", "CR % as published code rounds")
 _PUBLISHED_NOTE: Final = (

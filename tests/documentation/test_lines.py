@@ -31,14 +31,15 @@ BEFORE = {
     ],
     "cards.md": ["eval --split val --model constant-velocity"],
     "challenge.md": ["eval --split val --model constant-velocity"],
+    "publishing.md": ["eval --split adv --model constant-velocity", "leaderboard"],
     "site.md": ["eval --split adv --model constant-velocity"],
     "sheets.md": ["eval --split adv --model constant-velocity"],
     "models.md": ["eval --split adv --model constant-velocity"],
     "quality.md": ["eval --split adv --model constant-velocity"],
-    "submitting.md": ["eval --data ROOT --split val --model constant-velocity"],
+    "submissions.md": ["eval --data ROOT --split val --model constant-velocity"],
 }
 """What a page takes for granted: the reader gave these commands before."""
-MADE = {"README.md": "demo", "exchange.md": "mini", "info-files.md": "nuscenes"}
+MADE = {"README.md": "demo", "exchange.md": "mini", "infos.md": "nuscenes"}
 """Data set whose splits a page finds below challenger-out, because the reader made them before."""
 PLACES = {
     "ROOT": "town",
@@ -131,7 +132,7 @@ def test_the_lines_of_a_page_run_in_their_order(page: Path, desk: Path, capsys: 
         prepare(page)
     for line in lines:
         # Several roots are exported to folders of one name, which is refused; a reader takes one of them.
-        for exported in Path().glob("for-*") if page.name == "info-files.md" else ():
+        for exported in Path().glob("for-*") if page.name == "infos.md" else ():
             shutil.rmtree(exported)
         try:
             runs(line.text)

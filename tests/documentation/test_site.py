@@ -35,8 +35,9 @@ def test_every_page_of_docs_is_in_one_place_of_the_navigation() -> None:
     assert sorted(named) == sorted(PAGES["site_pages"]()), "mkdocs.yml: nav names every page of docs/ once"
 
 
-def test_the_navigation_has_four_parts_and_the_folders_of_made_pages() -> None:
-    assert [name for part in SETTINGS["nav"] for name in part] == ["Start", "How to", "Explained", "Reference"]
+def test_the_navigation_has_five_parts_and_the_folders_of_made_pages() -> None:
+    parts = ["Start", "How to", "Explained", "Extensions", "Reference"]
+    assert [name for part in SETTINGS["nav"] for name in part] == parts
     made = {address for address in addresses(SETTINGS["nav"]) if address.endswith("/")}
     pages = [*COMMANDS["command_pages"](), *FACE["face_pages"]()]
     assert made == {f"{Path(address).parent.as_posix()}/" for address in pages}

@@ -187,7 +187,9 @@ def read_rules(path: Path | None) -> Rules:
     return validated(
         Rules.model_validate,
         read_toml(path),
-        lambda where, why: f"{path}: {where or 'the rules'}: {why}; see docs/challenge.md for the rules that there are",
+        lambda where, why: (
+            f"{path}: {where or 'the rules'}: {why}; see docs/extensions/challenge.md for the rules that there are"
+        ),
     )
 
 
@@ -245,6 +247,6 @@ def checked_rules(data: bytes, where: str) -> bytes:
     validated(
         Rules.model_validate,
         parse_toml(data, where),
-        lambda place, why: f"{where}: {place or 'the rules'}: {one_line(why, 120)}; see docs/challenge.md",
+        lambda place, why: f"{where}: {place or 'the rules'}: {one_line(why, 120)}; see docs/extensions/challenge.md",
     )
     return data

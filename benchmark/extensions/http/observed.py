@@ -1,4 +1,4 @@
-"""From observations to requests and back. What the wire loses on the way is listed in ``docs/model-servers.md``."""
+"""From observations to requests and back. What the wire loses on the way is listed in ``docs/extensions/http.md``."""
 
 from collections import deque
 from functools import partial

@@ -1,1 +1,1 @@
-"""Video quality: subject consistency and imaging quality of driving videos (docs/quality.md)."""
+"""Video quality: subject consistency and imaging quality of driving videos (docs/extensions/quality.md)."""

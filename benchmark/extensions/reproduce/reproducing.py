@@ -127,7 +127,8 @@ def expected_file(path: Path, model: str, split: str) -> Expected:
         ExpectedValues.model_validate,
         read_json(path),
         lambda where, why: (
-            f"{path} is no file of expected values: {where or 'the whole file'}: {why}; see docs/reproduce.md"
+            f"{path} is no file of expected values: {where or 'the whole file'}: {why}; "
+            "see docs/extensions/reproduce.md"
         ),
     )
     if said.model != model or said.split != split:
@@ -137,7 +138,7 @@ def expected_file(path: Path, model: str, split: str) -> Expected:
     missing = sorted(set(said.values) - set(said.allowed))
     if missing or not any(said.values.values()):
         lacks = f"allows no difference for {missing[0]}" if missing else "has no values"
-        raise InputError(f"{path} {lacks}; add it (docs/reproduce.md)")
+        raise InputError(f"{path} {lacks}; add it (docs/extensions/reproduce.md)")
     numbers = [
         _Published(column, horizon, ((value, said.source),), said.allowed[column])
         for column, by_horizon in said.values.items()

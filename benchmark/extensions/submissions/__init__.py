@@ -1,1 +1,1 @@
-"""Submissions: whether records of strangers are fit for a leaderboard (docs/submitting.md)."""
+"""Submissions: whether records of strangers are fit for a leaderboard (docs/extensions/submissions.md)."""

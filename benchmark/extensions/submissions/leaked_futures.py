@@ -48,7 +48,10 @@ def leak_findings(record: RunRecord | DriveRecord, data: "DataSet") -> Iterator[
     if facts.planner.privileged:
         return
     if said := figures_of(record, data).suspicions:
-        yield Level.SUSPICIOUS, f"{'; '.join(said)}. It proves nothing: ask how it plans (docs/submitting.md)"
+        yield (
+            Level.SUSPICIOUS,
+            f"{'; '.join(said)}. It proves nothing: ask how it plans (docs/extensions/submissions.md)",
+        )
 
 
 def figures_of(record: RunRecord | DriveRecord, data: "DataSet") -> LeakFigures:

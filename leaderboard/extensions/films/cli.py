@@ -67,7 +67,7 @@ def film_command(
     tables: TablesOption = None,
     json_output: JsonOption = False,
 ) -> None:
-    """Film scenes from their sheets, or drives: cameras, view from above, plans and verdicts (docs/films.md)."""
+    """Film scenes from sheets, or drives: cameras, view from above, plans and verdicts (docs/extensions/films.md)."""
     from benchmark.cli.preflight_names import planners_shown
     from benchmark.cli.preflight_places import require_folder, require_place
     from benchmark.constants import FRAME_HZ
@@ -159,7 +159,7 @@ def write_drive_films(
     settings: "FilmSettings | None" = None,
     watch: "Watch | None" = None,
 ) -> Iterator[Path]:
-    """Film drives one after the other (docs/films.md).
+    """Film drives one after the other (docs/extensions/films.md).
 
     Args:
         split: The split.

@@ -42,7 +42,7 @@ _BRIEF_PLACES: Final = (0, 1, 2, 3, 4, 5, 8, 10)
 _MEASURES_NOTE: Final = (
     "SC: subject consistency (VBench, DINO ViT-B/16), mean over the appearances of each vehicle after its first; IQ: "
     "imaging quality (VBench, MUSIQ trained on SPAQ) of vehicles' regions, and of whole frames. Brackets: 95 % "
-    "bootstrap interval over recorded scenes. What is measured in detail: docs/quality.md."
+    "bootstrap interval over recorded scenes. What is measured in detail: docs/extensions/quality.md."
 )
 _GROUPS: Final = ("all", "adversary", "others")
 

@@ -208,7 +208,7 @@ def test_what_does_not_belong_together_is_not_packed(
         (replace(contents, root=source), "is not built from the frozen splits"),
         (replace(contents, drives=(other,)), "drives scenes that are not in the packed splits, such as scene-1"),
         (replace(contents, rules=tmp_path / "rules.toml"), "is not valid TOML"),
-        (replace(contents, rules=tmp_path / "more.toml"), "changed.wheels: .*; see docs/challenge.md"),
+        (replace(contents, rules=tmp_path / "more.toml"), "changed.wheels: .*; see docs/extensions/challenge.md"),
         (replace(contents, splits=(split, split)), "is there twice"),
         (replace(contents, splits=(NamedSplit("../up", split.frozen),)), "is no plain name"),
     ):

@@ -1,4 +1,4 @@
-"""The commands of docs/challenge.md, run as they stand there, on the small town."""
+"""The commands of docs/extensions/challenge.md, run as they stand there, on the small town."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from tests.benchmark.extensions.challenge.forgeries import FORGERIES
 from tests.benchmark.extensions.challenge.small_entries import Forged
 from tests.test_pages import ROOT, command_lines
 
-PAGE = (ROOT / "docs" / "challenge.md").read_text()
+PAGE = (ROOT / "docs" / "extensions" / "challenge.md").read_text()
 
 
 def test_every_command_of_the_page_runs(entry: Path, base: DataSet, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from tests.benchmark.closed_loop.staged import staged
 from tests.benchmark.extensions.http.made import Painted, observed
 from tests.hand_made import scene_on_straight_road
 
-PAGE = Path(__file__).resolve().parents[4] / "docs" / "model-servers.md"
+PAGE = Path(__file__).resolve().parents[4] / "docs" / "extensions" / "http.md"
 
 
 @pytest.fixture(scope="module")
