@@ -23,8 +23,10 @@ PACKAGES: Final = ("benchmark", "generation", "adapters", "leaderboard")
 _WIDTH = 100
 _SECONDS = ("timings/", "/timing/", "timing.json", "/work.json")
 """What of a path says that seconds are in the file; all else is compared."""
-_OF_THE_COMMIT = re.compile(r'"source": \{\s*"commit": [^}]*\}')
-"""The commit that made a record; the trees that are compared have two."""
+_OF_THE_COMMIT = re.compile(r'"source": \{\s*"commit": [^}]*\}|\| commit \| [0-9a-f]{40} \|')
+"""The commit that made a record or a model; the trees that are compared have two."""
+_DURATION = re.compile(r'"total_s": \{[^}]*\}|"error": [\d.e-]+,(?=[^}]*"quantity": "longest refusal \(s\)")')
+"""What took how long, inside a file of other things."""
 _HASH = re.compile(r"(?<=\")[0-9a-f]{64}(?=\")")
 _MODULE = re.compile(rf"\b(?:{'|'.join(PACKAGES)})(?:[./]\w+)*[./](\w+)(?:\.py)?\b(?![./])")
 """A module is compared by its last name, for modules move."""
@@ -166,7 +168,7 @@ class Tree:
     def _plain(self, text: str) -> str:
         """A text without what differs between two trees and folders that do the same."""
         text = text.replace(str(self.work), "WORK").replace(str(self.code), "CODE")
-        return _MODULE.sub(r"\1", _OF_THE_COMMIT.sub('"source": {}', text))
+        return _MODULE.sub(r"\1", _DURATION.sub("", _OF_THE_COMMIT.sub('"source": {}', text)))
 
     def _start(self, arguments: list[str]) -> subprocess.CompletedProcess[str]:
         # Not the tree itself: relative paths then lie in the work folder, and PYTHONPATH leads to the tree.
