@@ -22,8 +22,10 @@ from benchmark.records.run import RunRecord
 from benchmark.report.lettering import drawable
 from benchmark.report.plots import Theme, for_pages, new_figure
 from benchmark.report.words import split_of
-from leaderboard.figures.charts import MARKERS, NamedFigure, plain_text, planner_name
-from leaderboard.tables.rows import in_table_order, split_place
+from leaderboard.figures.charts import MARKERS, plain_text, planner_name
+from leaderboard.frame.rows import in_table_order, split_place
+from leaderboard.frame.runs import Frame
+from leaderboard.page.sections import NamedFigure
 
 NAME: Final = "attack-realism"
 TITLE: Final = "Attributable attack success against realism"
@@ -80,20 +82,15 @@ def generator_settings(records: Sequence[RunRecord]) -> list[Setting]:
     return settings
 
 
-def attack_figures(data_name: str, records: Sequence[RunRecord]) -> tuple[NamedFigure, ...]:
-    """The figure of a data set.
+def attack_figures(frame: Frame) -> tuple[NamedFigure, ...]:
+    """The figure of a data set, or none where none of its own settings can be drawn (`nothing_drawn`).
 
-    Args:
-        data_name: Its name; its own settings stand out.
-        records: Of all data sets: settings of a generator are compared with one another.
-
-    Returns:
-        One figure, or none where none of its own settings can be drawn (`nothing_drawn`).
+    Settings of a generator are compared with one another, those of other data sets too; its own stand out.
     """
-    settings = generator_settings(records)
-    if not any(setting.data_name == data_name for setting in settings):
+    settings = generator_settings(frame.against or frame.given)
+    if not any(setting.data_name == frame.data_name for setting in settings):
         return ()
-    return (NamedFigure(NAME, TITLE, *for_pages(partial(_figure, data_name, settings))),)
+    return (NamedFigure(NAME, TITLE, *for_pages(partial(_figure, frame.data_name, settings))),)
 
 
 def nothing_drawn(data_name: str, records: Sequence[RunRecord]) -> str | None:

@@ -10,8 +10,8 @@ from benchmark.published import DATA_SET_OF_SPLIT, TABLE_1_SOURCE
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import PERCENT, UNDEFINED, Origin, Shown, origin_of, record_name
 from benchmark.report.table import LatexForm, Table, table_of
+from leaderboard.frame.rows import SPLIT_ORDER, in_table_order, name_cell, run_notes, stale_notes, with_caveat_mark
 from leaderboard.tables.published import published_increase, published_rate, quoted
-from leaderboard.tables.rows import SPLIT_ORDER, in_table_order, name_cell, run_notes, stale_notes, with_caveat_mark
 
 _ORDER: Final = ("uniad", "vad", "sparsedrive", "diffusiondrive")
 """Of the paper, by the planners' own protocols: the first half stands on the left."""
@@ -117,8 +117,7 @@ def _half(block: _Block | None, split: str) -> tuple[str | Shown, ...]:
     """One planner's part of a line."""
     if block is None:
         return ("",) * len(_HEADS)
-    planner = block.first.run.planner
-    name = name_cell(block.planner, privileged=planner.privileged, miniature=planner.miniature)
+    name = name_cell(block.planner, block.first.run.planner)
     run = block.runs.get(split)
     if run is None:
         return (name, *(UNDEFINED,) * (len(_HEADS) - 1))

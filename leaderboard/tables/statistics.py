@@ -1,7 +1,7 @@
 """A data set in numbers, how close adversaries come, and what the search discarded and why: from scene sheets."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from benchmark.published import ADV_NUSC, DATA_SET_SOURCE
 from benchmark.records.review import review_words
@@ -10,8 +10,8 @@ from benchmark.records.statistics import Quantiles
 from benchmark.report.cells import PERCENT, UNDEFINED, Origin, Shown, named_record
 from benchmark.report.table import Table, table_of
 from benchmark.report.words import titled
+from leaderboard.frame.rows import split_place
 from leaderboard.tables.published import published_rows
-from leaderboard.tables.rows import split_place
 
 KEPT = "kept"
 QUANTILES = tuple(Quantiles.model_fields)
@@ -34,6 +34,13 @@ def by_data_set(
         splits.setdefault(sheet.data.name, []).append(sheet)
     found = {name: tuple(table for table in tables(name, own) if table is not None) for name, own in splits.items()}
     return {name: made for name, made in found.items() if made}
+
+
+def by_name(parts: Iterable[Mapping[str, Sequence[Table]]]) -> dict[str, tuple[Table, ...]]:
+    """Tables of several kinds by name of the data set, in the order of the names."""
+    found = list(parts)
+    names = sorted({name for part in found for name in part})
+    return {name: tuple(table for part in found for table in part.get(name, ())) for name in names}
 
 
 def origin_of(sheet: SplitSheet) -> Origin:

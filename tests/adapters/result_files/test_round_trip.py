@@ -32,6 +32,7 @@ from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import Plan, PlanFrame
 from benchmark.records.run import RunRecord, load_record
 from benchmark.runs.rescoring import rescore
+from leaderboard.frame.runs import Frame
 from leaderboard.site.model_index import model_index
 from leaderboard.tables.collision import collision_table
 from leaderboard.tables.transfer import transfer_matrices, transfer_table
@@ -223,7 +224,7 @@ def test_the_record_and_every_table_say_where_plans_come_from(town: tuple[FakeDa
     assert factory.facts.native_protocol == "sparsedrive"
     found = evaluate(data, "val", factory, tmp_path / "runs")
     says = "SD on val: plans from a file (sparsedrive), samples in an order that is assumed"
-    assert any(note.startswith(says) for note in collision_table("fake", "exact", [record, found]).notes)
+    assert any(note.startswith(says) for note in collision_table(Frame("fake", [record, found]), "exact").notes)
     for matrix in transfer_matrices([record, found], "val").values():
         assert any(note.startswith(says) for note in transfer_table("fake", matrix).notes)
     assert any("order assumed" in sentence for sentence in factory.sentences)

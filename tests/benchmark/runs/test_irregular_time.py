@@ -19,6 +19,7 @@ from benchmark.records.caveats import Caveat
 from benchmark.records.run import RunRecord, scene_failures
 from benchmark.runs.rescoring import rescore
 from benchmark.scene import Scene
+from leaderboard.frame.runs import Frame
 from leaderboard.tables.collision import collision_table
 from tests.benchmark.datasets.nuscenes_tables import TinyRoot
 from tests.benchmark.irregular_time import at_other_times, with_key_frames, without_key_frames
@@ -81,7 +82,7 @@ def test_the_record_says_so_and_its_row_is_marked(tmp_path: Path) -> None:
     (caveat,) = time_caveats_of(record)
     assert caveat.kind == "time" and caveat.sentence.startswith("6 samples of 1 scene have key frames ahead that are")
     assert "beyond a gap over 0.75 s (6 samples)" in caveat.sentence
-    table = collision_table("root", "exact", [record])
+    table = collision_table(Frame("root", [record]), "exact")
     assert table.rows[0][0] == "straight ¶" and any(caveat.sentence in note for note in table.notes)
     again = rescore(record.directory, NuScenesData.open(tmp_path / "root"), protocols=STANDARD)
     assert time_caveats_of(again) == [caveat] and again.rows == record.rows
@@ -142,7 +143,7 @@ def test_at_another_rate_exact_says_the_same_and_official_protocols_say_nothing(
             assert set(scene_failures(dense.rows, name).values()) == {None}
     (caveat,) = time_caveats_of(dense)
     assert caveat.kind == "time" and f"{every / 12:.3g} s apart, not 0.5 s" in caveat.sentence
-    assert "–" in collision_table("root", "vad", [dense]).markdown()
+    assert "–" in collision_table(Frame("root", [dense]), "vad").markdown()
 
 
 def test_key_frames_farther_apart_than_steps_may_be_say_nothing(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from benchmark.records.run_schema import SceneFacts
 from benchmark.report.cells import UNDEFINED, Cell, number
 from benchmark.report.table import Table
 from leaderboard.extensions.quality.tables import quality_tables
+from leaderboard.frame.runs import Frame
 from leaderboard.tables.ablation import ablation_tables
 from leaderboard.tables.contents import data_set_tables, generation_tables
 from leaderboard.tables.published import published_tables
@@ -83,7 +84,7 @@ def every_table(runs: Sequence[RunRecord], folder: Path) -> list[Table]:
     quality = quality_tables([made(folder, split) for split in ("val", "adv")])
     generated = generation_tables(workspace_sheets(), [study(), study("q")])
     others = [table for tables in generated.values() for table in tables]
-    return [*data_set_tables("d", runs).tables, *quality, *others, *published_tables(), *standing_tables(runs)]
+    return [*data_set_tables(Frame("d", runs)).tables, *quality, *others, *published_tables(), *standing_tables(runs)]
 
 
 @pytest.fixture(scope="module")
@@ -196,5 +197,5 @@ def test_whatever_the_verdicts(val: list[str | None], adv: list[str | None], oth
         for name, native, of_adv in (("vad-base", "vad", adv), ("another", None, other))
         for split, flags in (("val", val), ("adv", of_adv))
     ]
-    for table in data_set_tables("d", [explained(record) for record in runs]).tables:
+    for table in data_set_tables(Frame("d", [explained(record) for record in runs])).tables:
         check(table)

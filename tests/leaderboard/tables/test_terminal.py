@@ -13,6 +13,7 @@ from benchmark.records.planner_versions import labelled
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import MINIATURE_MARK, RANKS_NOTHING
 from benchmark.report.table import Table
+from leaderboard.frame.runs import Frame
 from leaderboard.tables.collision import run_tables
 from leaderboard.tables.contents import data_set_tables
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
@@ -49,7 +50,7 @@ def test_no_table_is_wider_than_the_terminal(planners: Sequence[str], width: int
 
 
 def test_the_terminal_is_asked_for_its_width_and_is_80_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    table = data_set_tables("d", runs((LONG, "b"))).tables[0]
+    table = data_set_tables(Frame("d", runs((LONG, "b")))).tables[0]
     monkeypatch.delenv("COLUMNS", raising=False)
     assert table.plain() == table.plain(width=80)
     monkeypatch.setenv("COLUMNS", "100")
@@ -88,9 +89,8 @@ def about_planners(table: Table) -> bool:
 
 
 def test_miniatures_are_marked_in_every_form_of_every_table() -> None:
-    tables = [
-        table for table in data_set_tables("d", runs(("small", "large"), "small")).tables if about_planners(table)
-    ]
+    every = data_set_tables(Frame("d", runs(("small", "large"), "small"))).tables
+    tables = [table for table in every if about_planners(table)]
     assert len(tables) > 12
     for table in tables:
         for text in (table.plain(width=4000), table.markdown(), table.latex()):
@@ -107,7 +107,7 @@ def test_miniatures_are_marked_in_every_form_of_every_table() -> None:
 
 
 def test_where_no_miniature_ran_there_is_no_mark() -> None:
-    for table in data_set_tables("d", runs(("small", "large"))).tables:
+    for table in data_set_tables(Frame("d", runs(("small", "large")))).tables:
         assert RANKS_NOTHING not in table.markdown() and "miniature" not in table.csv()
         assert json.loads(table.json())["miniatures"] == []
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 from benchmark.metrics.scores import registered_version, source_of_scenes
 from benchmark.records.file_plans import file_notes
@@ -48,15 +49,26 @@ def marked(planner: str, *, privileged: bool, miniature: bool) -> str:
     return " ".join((planner, *([PRIVILEGED_MARK] if privileged else []), *([MINIATURE_MARK] if miniature else [])))
 
 
-def name_cell(planner: str, *, privileged: bool, miniature: bool) -> Shown:
+class Marked(Protocol):
+    """Anything that says what a planner is."""
+
+    @property
+    def privileged(self) -> bool:
+        """Whether it saw what no car sees."""
+
+    @property
+    def miniature(self) -> bool:
+        """Whether it shows the pipeline and ranks nothing."""
+
+
+def name_cell(planner: str, facts: Marked) -> Shown:
     """`marked` as the cell of a row about the planner."""
-    return Shown(marked(planner, privileged=privileged, miniature=miniature), miniature=miniature)
+    return Shown(marked(planner, privileged=facts.privileged, miniature=facts.miniature), miniature=facts.miniature)
 
 
 def row_name(record: RunRecord, judge: str) -> Shown:
     """The planner's name with its marks, among them that of an earlier version of the protocol."""
-    planner = record.run.planner
-    cell = name_cell(record.planner, privileged=planner.privileged, miniature=planner.miniature)
+    cell = name_cell(record.planner, record.run.planner)
     if record.reproduced is not None:
         cell = replace(cell, text=f"{cell.text} {REPRODUCED_MARK}")
     cell = with_caveat_mark(cell, record.run)
@@ -105,16 +117,20 @@ def mark_notes(*, privileged: bool, miniature: bool) -> list[str]:
     return [*([PRIVILEGED_NOTE] if privileged else []), *([MINIATURE_NOTE] if miniature else [])]
 
 
+def marks_of(planners: Iterable[Marked]) -> list[str]:
+    """`mark_notes` of the planners of a table."""
+    facts = list(planners)
+    return mark_notes(
+        privileged=any(each.privileged for each in facts), miniature=any(each.miniature for each in facts)
+    )
+
+
 def notes_of_marks(records: Iterable[RunRecord]) -> list[str]:
     """`mark_notes` of the planners of some runs."""
     records = list(records)
-    planners = [record.run.planner for record in records]
     said = dict.fromkeys((record.planner, record.reproduced) for record in records if record.reproduced is not None)
     return [
-        *mark_notes(
-            privileged=any(planner.privileged for planner in planners),
-            miniature=any(planner.miniature for planner in planners),
-        ),
+        *marks_of(record.run.planner for record in records),
         *(
             f"{REPRODUCED_MARK} {planner}: reproduced: the same weights, code and options gave {whose}."
             for planner, whose in said

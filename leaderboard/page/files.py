@@ -31,43 +31,19 @@ def group_of(table: Table) -> str:
     return next((group for group, kinds in _GROUPS.items() if kind in kinds), _RATES)
 
 
-def page_text(heading: str, tables: Sequence[Table]) -> str:
-    """A page of tables.
-
-    Args:
-        heading: Markdown.
-        tables: In the order in which they are read.
-
-    Returns:
-        Markdown.
-    """
-    return "\n".join([f"# {heading}", "", *(table.markdown() for table in tables)])
+def page_text(heading: str, tables: Sequence[Table]) -> bytes:
+    """A page of tables, in Markdown, as its heading is."""
+    return "\n".join([f"# {heading}", "", *(table.markdown() for table in tables)]).encode()
 
 
-def page_path(folder: str, name: str) -> str:
-    """Where a page of a data set lies below the leaderboard's folder.
-
-    Args:
-        folder: Of the data set.
-        name: Of the page.
-
-    Returns:
-        The path.
-    """
-    return f"{TABLES_FOLDER}/{folder}/{file_name(name)}.md"
+def page_path(data_name: str, name: str) -> str:
+    """Where a page of a data set lies below the leaderboard's folder."""
+    return f"{TABLES_FOLDER}/{file_name(data_name)}/{file_name(name)}.md"
 
 
-def table_files(folder: str, tables: Sequence[Table]) -> dict[str, str]:
-    """LaTeX, CSV and JSON of tables.
-
-    Args:
-        folder: Where they lie.
-        tables: The tables.
-
-    Returns:
-        Texts by path.
-    """
+def table_files(folder: str, tables: Sequence[Table]) -> dict[str, bytes]:
+    """LaTeX, CSV and JSON of tables, by path."""
     named = {f"{folder}/{file_name(table.name)}": table for table in tables}
-    latex = {f"{name}.tex": table.latex() for name, table in named.items()}
-    facts = {f"{name}.json": table.json() for name, table in named.items()}
-    return latex | facts | {f"{name}.csv": table.csv() for name, table in named.items()}
+    latex = {f"{name}.tex": table.latex().encode() for name, table in named.items()}
+    facts = {f"{name}.json": table.json().encode() for name, table in named.items()}
+    return latex | facts | {f"{name}.csv": table.csv().encode() for name, table in named.items()}

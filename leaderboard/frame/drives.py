@@ -1,20 +1,74 @@
-"""What was measured in closed loop, and which records may stand beside each other: those of one world."""
+"""Drives: what was measured, which records may stand beside each other (those of one world), and each as a row."""
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 from benchmark.errors import InputError
-from benchmark.records.drives import DriveRecord
+from benchmark.metrics.loops import is_stale
+from benchmark.records.drives import DriveRecord, columns_of
 from benchmark.records.planner_versions import labels
-from leaderboard.tables.rows import part_of_split
+from benchmark.records.run_schema import RateRow
+from benchmark.report.cells import PERCENT, Cell, Origin, Shown, named_record
+from leaderboard.frame.rows import (
+    FEW_NOTE,
+    FEW_SCENES,
+    STALE_MARK,
+    caveat_notes,
+    marks_of,
+    name_cell,
+    part_of_split,
+    with_caveat_mark,
+)
 
 NO_SENSOR: Final = "none"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
+class Driven:
+    """A record of drives as a row of a table; its numbers are cells.
+
+    Attributes:
+        record: The record.
+        name: Its planner, with what tells its version from others of its world.
+    """
+
+    record: DriveRecord
+    name: str
+
+    @property
+    def planner(self) -> Shown:
+        """The planner's name with its marks, among them that of earlier scores."""
+        cell = with_caveat_mark(name_cell(self.name, self.record.facts.planner), self.record.facts)
+        return replace(cell, text=f"{cell.text} {STALE_MARK}") if is_stale(self.record) else cell
+
+    @property
+    def origin(self) -> Origin:
+        """Where its numbers come from."""
+        facts = self.record.facts
+        return Origin(facts.measured.world, named_record(self.record.content_id, self.name, facts.split))
+
+    @cached_property
+    def rates(self) -> Mapping[str, RateRow]:
+        """What the record says, by column, as it is defined now."""
+        return columns_of(self.record)
+
+    def cell(self, column: str, unit: str = PERCENT) -> Cell | None:
+        """A rate of the record in a unit; ``None`` where it says none."""
+        rate = self.rates.get(column)
+        if rate is None:
+            return None
+        return self.origin.percent(rate, "drives") if unit == PERCENT else self.origin.amount(rate, unit, "drives")
+
+    def drives(self) -> Cell:
+        """How many drives there are."""
+        return self.origin.count(self.record.summary.drives, "drives")
+
+
+@dataclass(frozen=True)
 class World:
     """One thing that was measured, and who drove in it.
 
@@ -30,11 +84,36 @@ class World:
     records: tuple[DriveRecord, ...]
     name: str = ""
 
-    @property
-    def planners(self) -> list[str]:
-        """Name of each record's planner, with what tells its version from others here."""
+    @cached_property
+    def rows(self) -> list[Driven]:
+        """Each record with the name of its planner, and what tells its version from others here."""
         ran = [(each.facts.planner, each.facts.data.name, each.facts.split) for each in self.records]
-        return [label or each.planner for label, each in zip(labels(ran), self.records, strict=True)]
+        named = zip(labels(ran), self.records, strict=True)
+        return [Driven(each, label or each.planner) for label, each in named]
+
+    @property
+    def notes(self) -> list[str]:
+        """What has to be said of the records: sensor, few scenes, marks, old scores."""
+        first = self.records[0].facts
+        # A scene of which nobody says where it comes from is its own recording.
+        known = first.scene_facts
+        few = len({known[name].source if name in known else name for name in first.scenes}) < FEW_SCENES
+        stale = [
+            f"{STALE_MARK} {row.name}: scored by version {row.record.facts.scoring} of closed loop's scores, not the "
+            "present one; run the same challenger-bench drive again."
+            for row in self.rows
+            if is_stale(row.record)
+        ]
+        marks = marks_of(record.facts.planner for record in self.records)
+        lacking = caveat_notes(record.facts for record in self.records)
+        return [*self._said_of_sensor(), *([FEW_NOTE] if few else []), *marks, *lacking, *stale]
+
+    def _said_of_sensor(self) -> list[str]:
+        """What pictures depended on besides the sensor's name."""
+        found = [each.facts.measured for each in self.records if each.facts.measured.sensor == self.sensor]
+        facts = found[0].sensor_facts if found else {}
+        said = ", ".join(f"{name} {value}" for name, value in sorted(facts.items()))
+        return [f"Sensor {self.sensor}: {said}."] if said else []
 
 
 def worlds(records: Sequence[DriveRecord]) -> list[World]:
@@ -115,11 +194,11 @@ def _named(found: Sequence[World]) -> list[World]:
 
 def _require_one_each(one: World) -> None:
     by_name: dict[str, DriveRecord] = {}
-    for record, name in zip(one.records, one.planners, strict=True):
-        first = by_name.setdefault(name, record)
-        if first is not record:
+    for row in one.rows:
+        first = by_name.setdefault(row.name, row.record)
+        if first is not row.record:
             raise InputError(
-                f"{first.directory} and {record.directory} both hold drives of {name} in the same world "
+                f"{first.directory} and {row.record.directory} both hold drives of {row.name} in the same world "
                 f"({one.title}); move one of them away or name the records' folder with --records"
             )
 
