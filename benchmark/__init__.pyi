@@ -58,6 +58,7 @@ from benchmark.datasets.statistics import statistics as data_statistics
 from benchmark.errors import InputError as InputError
 from benchmark.evaluation import EvalSettings as EvalSettings
 from benchmark.evaluation import evaluate as evaluate
+from benchmark.evaluation import plan_shard as plan_shard
 from benchmark.extensions.cards.data_card import write_data_card as write_data_card
 from benchmark.extensions.cards.records_card import write_records_card as write_records_card
 from benchmark.extensions.cards.writing import CardSettings as CardSettings
@@ -137,8 +138,6 @@ from benchmark.runs.rescoring import rescore as rescore
 from benchmark.runs.rescoring import rescore_all as rescore_all
 from benchmark.runs.rescoring_drives import rescore_all_drives as rescore_all_drives
 from benchmark.runs.rescoring_drives import rescore_drives as rescore_drives
-from benchmark.runs.sharded import merge_shards as merge_shards
-from benchmark.runs.sharded import plan_shard as plan_shard
 from benchmark.runs.shards import Shard as Shard
 from benchmark.scene import Scene as Scene
 from benchmark.scene_pages.writing import SheetSettings as SheetSettings

@@ -57,7 +57,6 @@ BASES: Final[dict[str, tuple[str, ...]]] = {
     "leaderboard card": ("--to", "{out}/card.json", "--records", "{valid}/records", "--out", "{out}"),
     "leaderboard slices": ("--records", "{valid}/records", "--out", "{out}"),
     "leaderboard submit-check": ("{valid}/records", "--data", "{valid}/root", "--out", "{out}"),
-    "merge": _ROOT,
     "models": (),
     "quality": (*_ROOT,),
     "reproduce": ("--model", "uniad", *_ROOT, "--dry-run"),

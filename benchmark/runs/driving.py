@@ -41,14 +41,13 @@ from benchmark.runs.caveats import drive_caveats
 from benchmark.runs.drive_jobs import KEPT, Job, Task, Unit
 from benchmark.runs.drive_rows import with_labels
 from benchmark.runs.drive_work import Planners, UnitResult, costs_of, kept_drive, work_here, work_in_worker
-from benchmark.runs.kept_shards import DRIVES, FinishedShard, note_done, require_shards
 from benchmark.runs.plan_rows import PlannerFactory, supervision_said
 from benchmark.runs.planner_facts import facts_of
 from benchmark.runs.reading import truths_of
 from benchmark.runs.redriving import can_of
 from benchmark.runs.run_directory import run_directory
 from benchmark.runs.scene_work import reopening
-from benchmark.runs.shards import Shard, forget_shards, shard_folder
+from benchmark.runs.shards import FinishedShard, Shard
 from benchmark.untrusted.plans_beside_recording import ComparedPlans
 
 if TYPE_CHECKING:
@@ -259,8 +258,6 @@ def drive_shard(
 ) -> list[FinishedShard]:
     """Drive the scenes of one shard and keep the drives; no record is written.
 
-    `drive_planners` with the same settings makes the records once all shards are there, and names one that is not.
-
     Args:
         data: The data set.
         split: Which of its splits.
@@ -274,7 +271,7 @@ def drive_shard(
         What was done, for each planner.
 
     Raises:
-        InputError: As in `drive_split`, and if another command drives the same shard.
+        InputError: As in `drive_split`.
     """
     jobs, settings, elsewhere = _ready(data, split, planners, out, settings, reopen)
     scenes = settings.chosen(data, split)
@@ -283,17 +280,12 @@ def drive_shard(
     tasks = [Task(job, unit) for unit in units for job in jobs]
     who = jobs[0].planner.name if len(jobs) == 1 else counted(len(jobs), "planner")
     label = f"{who} drive{'s' if len(jobs) == 1 else ''} {split}, shard {shard}"
-    with ExitStack() as writing:
-        for job in jobs:
-            writing.enter_context(only_writer(shard_folder(job.directory, shard)))
-        here = partial(work_here, data, Planners())
-        groups = settings.groups(tasks)
-        results = list(_results(groups, here, elsewhere, settings, label)) if tasks else []
-        for place, job in enumerate(jobs):
-            if job.costs is not None:
-                part = shard_cost_path(job.costs, shard.number, shard.of)
-                note_cost(part, job.planner, costs_of(job, results[place :: len(jobs)], settings.processes))
-            note_done(job.directory, DRIVES, shard, mine)
+    groups = settings.groups(tasks)
+    results = list(_results(groups, partial(work_here, data, Planners()), elsewhere, settings, label)) if tasks else []
+    for place, job in enumerate(jobs):
+        if job.costs is not None:
+            part = shard_cost_path(job.costs, shard.number, shard.of)
+            note_cost(part, job.planner, costs_of(job, results[place :: len(jobs)], settings.processes))
     return [FinishedShard(job.directory, len(mine), len(scenes)) for job in jobs]
 
 
@@ -337,9 +329,6 @@ def _records(
     with ExitStack() as writing:
         for job in jobs:
             writing.enter_context(only_writer(job.directory))
-            division = require_shards(job.directory, DRIVES)
-            if division is not None and job.costs is not None:
-                gather_costs(job.costs, job.planner, division.of)
         results = list(_results(settings.groups(tasks), partial(work_here, data, planners), elsewhere, settings, label))
         records = []
         truths = truths_of(data, scenes)
@@ -355,9 +344,9 @@ def _records(
             )
             records.append(write_drives(job.directory, described, rows, seed=settings.seed))
             if job.costs is not None:
+                gather_costs(job.costs, job.planner)
                 note_cost(job.costs, job.planner, costs_of(job, own, settings.processes))
             _tidy(job, units)
-            forget_shards(job.directory)
     return records
 
 

@@ -30,7 +30,6 @@ FUNCTION_OF = {
     "drive": "drive_split",
     "serve": "serve_planner",
     "models": "known_planners",
-    "merge": "merge_shards",
     "rescore": "rescore_all",
     "transfer": "transfer_matrices",
     "quality": "measure_quality",

@@ -23,15 +23,8 @@ from benchmark.machine.workers import default_workers, map_ordered, worker_numbe
 from benchmark.records.quality import QualityRecord, write_quality
 from benchmark.records.quality_schema import QUALITY_SCHEMA, SceneRows, WeightsFacts
 from benchmark.report.words import counted
-from benchmark.runs.kept_shards import (
-    SCORES,
-    FinishedShard,
-    note_done,
-    require_shards,
-    require_undivided,
-)
 from benchmark.runs.scene_work import reopening
-from benchmark.runs.shards import Shard, forget_shards, shard_folder
+from benchmark.runs.shards import FinishedShard, Shard
 from benchmark.weights.folders import content_hash, folder_of
 
 if TYPE_CHECKING:
@@ -76,7 +69,6 @@ class _Job:
         folders: Of weights by name.
         device: Where networks run, perhaps several names.
         keys: Content key of each scene's rows.
-        work: Content key of all that decides the rows of every scene.
     """
 
     directory: Path
@@ -84,7 +76,6 @@ class _Job:
     folders: Mapping[str, Path]
     device: str
     keys: Mapping[str, str]
-    work: str
 
 
 def measure_quality(
@@ -126,12 +117,10 @@ def measure_quality(
         "environment": environment_facts() | {"transformers": libraries["transformers"]},
     }
     with only_writer(job.directory):
-        require_shards(job.directory, SCORES, job.work)
         opener = reopen or reopening(data)
         rows = list(_scored(job, data, opener, _processes(settings)))
         record = write_quality(job.directory, described, rows)
         _tidy(job)
-        forget_shards(job.directory)
     return record
 
 
@@ -146,8 +135,6 @@ def measure_shard(
 ) -> FinishedShard:
     """Score the scenes of one shard and keep their rows; no record is written.
 
-    `measure_quality` with the same settings makes the record once all shards are there, and names one that is not.
-
     Args:
         data: The data set.
         split: Which of its splits.
@@ -160,19 +147,14 @@ def measure_shard(
         What was done.
 
     Raises:
-        InputError: As of `measure_quality`, and if another command scores the same shard, or other shards are of
-            another division.
+        InputError: As of `measure_quality`.
     """
     chosen = _chosen(settings, data, split)
     job, _, _ = _job_of(data, split, out, settings, chosen)
     mine = shard.part(chosen)
-    require_undivided(job.directory, SCORES, shard)
-    with only_writer(shard_folder(job.directory, shard)):
-        opener = reopen or reopening(data)
-        own = replace(job, keys={name: job.keys[name] for name in mine})
-        for _ in _scored(own, data, opener, _processes(settings)):
-            pass
-        note_done(job.directory, SCORES, shard, mine, job.work)
+    own = replace(job, keys={name: job.keys[name] for name in mine})
+    for _ in _scored(own, data, reopen or reopening(data), _processes(settings)):
+        pass
     return FinishedShard(job.directory, len(mine), len(chosen))
 
 
@@ -198,8 +180,7 @@ def _job_of(
     part = () if len(chosen) == len(data.scene_names(split)) else chosen
     directory = _quality_directory(out, data.name, split, definition, part)
     keys = {name: content_key(identity, name, _image_sizes(data, name, definition)) for name in chosen}
-    job = _Job(directory, definition, folders, settings.device, keys, content_key(identity, list(chosen)))
-    return job, used, libraries
+    return _Job(directory, definition, folders, settings.device, keys), used, libraries
 
 
 def _quality_directory(out: Path, data_name: str, split: str, definition: Definition, part: tuple[str, ...]) -> Path:
