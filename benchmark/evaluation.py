@@ -17,11 +17,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 from benchmark.datasets.annotation_counts import require_annotated
 from benchmark.datasets.categories import CategoryNames
-from benchmark.datasets.judged import stored_realism
-from benchmark.datasets.scene_facts import frozen_split_of, with_truth
+from benchmark.datasets.scene_facts import with_truth
 from benchmark.errors import InputError, did_you_mean
-from benchmark.fairness.kept_judgements import judged_facts
-from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.pages import keep_pages_of
 from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import only_writer
@@ -34,10 +31,10 @@ from benchmark.records.review import require_not_rejected
 from benchmark.records.rows import Rows
 from benchmark.records.run import RunRecord, write_record
 from benchmark.records.run_schema import TruthFacts
-from benchmark.records.seed_splits import generated_facts
 from benchmark.report.words import counted
 from benchmark.runs.caveats import run_caveats
 from benchmark.runs.failures import write_failures
+from benchmark.runs.judges import JudgedScenes, described
 from benchmark.runs.pairing import with_partner
 from benchmark.runs.plan_rows import PlannerFactory, plan_scene, rows_path, scene_key, supervision_said
 from benchmark.runs.planner_facts import facts_of
@@ -327,7 +324,7 @@ def _evaluated(
     if workers > 1 and all(each.portable for each in planned):
         opener = reopen or reopening(data)
         elsewhere = partial(work_in_worker, runs, opener, [each.factory for each in planned if each.factory])
-    shared = _of_the_data(data, split, scenes, out, workers)
+    shared = described(JudgedScenes(data, split, scenes, out, LocalProcesses(workers)))
     with ExitStack() as writing:
         for run in runs:
             writing.enter_context(only_writer(run.directory))
@@ -357,22 +354,6 @@ def _evaluated(
         ]
 
 
-def _of_the_data(data: "DataSet", split: str, scenes: tuple[str, ...], out: Path, workers: int) -> dict[str, Any]:
-    """What a record says of the data set and of the machine."""
-    return {
-        "data": {"name": data.name, "version": data.version, "fingerprint": data.fingerprint()},
-        "split": split,
-        "scenes": list(scenes),
-        "scenes_in_split": len(data.scene_names(split)),
-        "scene_facts": judged_facts(data, scenes, out, LocalProcesses(workers)),
-        "realism": stored_realism(data.root, data.version),
-        "frozen_split": frozen_split_of(data.provenance()),
-        "review": data.review(split).facts,
-        "generated": generated_facts(data.provenance()),
-        "environment": environment_facts(),
-    }
-
-
 def _written(
     planned: _Planned,
     shared: Mapping[str, Any],
@@ -383,7 +364,7 @@ def _written(
 ) -> RunRecord:
     """Write the record of one run."""
     facts, settings, directory = planned.run.planner, planned.settings, planned.run.directory
-    described = {
+    said = {
         **shared,
         "caveats": run_caveats(facts, shared["scene_facts"], rows, getattr(planned.factory, "caveats", ())),
         "planner": facts,
@@ -396,7 +377,7 @@ def _written(
         },
     }
     versions = {name: protocol(name).version for name in settings.protocols}
-    record = write_record(directory, described, rows, versions, seed=settings.seed)
+    record = write_record(directory, said, rows, versions, seed=settings.seed)
     record = with_partner(record, out, settings.unchanged)
     write_failures(directory, record.rows)
     tidy(directory, {rows_path(directory, scene) for scene in costs})

@@ -15,7 +15,6 @@ from benchmark.extensions.quality.definition import Definition, needed_for
 from benchmark.extensions.quality.pretrained import transformers_version
 from benchmark.extensions.quality.scoring import Networks, image_file, load_networks, score_scene
 from benchmark.machine.devices import device_of, device_of_worker
-from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.progress import Count
 from benchmark.machine.several_devices import device_in_turn, device_names, workers_for
 from benchmark.machine.storage import content_key, file_name, only_writer, read_kept_json, write_json, writing_to
@@ -23,6 +22,7 @@ from benchmark.machine.workers import default_workers, map_ordered, worker_numbe
 from benchmark.records.quality import QualityRecord, write_quality
 from benchmark.records.quality_schema import QUALITY_SCHEMA, SceneRows, WeightsFacts
 from benchmark.report.words import counted
+from benchmark.runs.judges import JudgedScenes, described
 from benchmark.runs.scene_work import reopening
 from benchmark.runs.shards import FinishedShard, Shard
 from benchmark.weights.folders import content_hash, folder_of
@@ -102,24 +102,18 @@ def measure_quality(
         InputError: If the split or a scene is unknown, weights or transformers are missing, images are missing or
             broken, or another command is writing the same record.
     """
-    chosen, every = _chosen(settings, data, split), data.scene_names(split)
+    chosen = _chosen(settings, data, split)
     job, used, libraries = _job_of(data, split, out, settings, chosen)
-    described = {
-        "data": {"name": data.name, "version": data.version, "fingerprint": data.fingerprint()},
-        "split": split,
-        "scenes": list(chosen),
-        "scenes_in_split": len(every),
-        "scene_facts": data.scene_facts(chosen),
+    said = described(JudgedScenes(data, split, chosen), "scene_facts", "review") | {
         "definition": settings.definition.as_json(),
         "weights": used,
         "device": _first(job).type,
-        "review": data.review(split).facts,
-        "environment": environment_facts() | {"transformers": libraries["transformers"]},
     }
+    said["environment"] |= {"transformers": libraries["transformers"]}
     with only_writer(job.directory):
         opener = reopen or reopening(data)
         rows = list(_scored(job, data, opener, _processes(settings)))
-        record = write_quality(job.directory, described, rows)
+        record = write_quality(job.directory, said, rows)
         _tidy(job)
     return record
 
