@@ -12,11 +12,11 @@ from random import Random
 from typing import Final, Protocol
 
 from bench.attacking.children import Ended, run_command
-from bench.attacking.mutations import FORMS
 from bench.attacking.targets import TARGETS, Target
 from bench.attacking.valid import make_valid
 from bench.attacking.verdicts import FINE, Verdict, verdict
 from benchmark.errors import InputError
+from tests.benchmark.untrusted.mutations import FORMS
 
 RESULTS: Final = "results-{seed}.jsonl"
 _SHOWN: Final = 400
@@ -88,6 +88,13 @@ class Result:
     peak_mb: int
     said: str
 
+    @classmethod
+    def of(cls, number: int, kind: str, command: str, name: str, found: Verdict, ended: Ended) -> "Result":
+        """That of a command that ended."""
+        measured = round(ended.cpu_s, 2), round(ended.wall_s, 2), ended.peak_bytes >> 20
+        said = "\n".join(ended.err.strip().splitlines()[-3:])[-_SHOWN:]
+        return cls(number, kind, command, name, found.value, ended.code, *measured, said)
+
 
 class Campaign:
     """Attacks with their valid inputs, and what the commands find in those."""
@@ -147,10 +154,7 @@ class Campaign:
             if found in FINE and listing(given) != kept and not (attack.target.rewrites and ended.code == 0):
                 found = Verdict.WROTE
         shutil.rmtree(case)
-        said = "\n".join(ended.err.strip().splitlines()[-3:])[-_SHOWN:]
-        measured = round(ended.cpu_s, 2), round(ended.wall_s, 2), ended.peak_bytes >> 20
-        kind, command = attack.target.kind, attack.target.command
-        return Result(number, kind, command, attack.name, found.value, ended.code, *measured, said)
+        return Result.of(number, attack.target.kind, attack.target.command, attack.name, found, ended)
 
     def _copied(self, attack: Attack, case: Path) -> tuple[Path, Path]:
         shutil.rmtree(case, ignore_errors=True)

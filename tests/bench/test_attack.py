@@ -19,9 +19,9 @@ import bench.attacking.children
 import bench.attacking.verdicts
 from bench.attacking.campaign import Campaign, known_results, run_campaign
 from bench.attacking.children import Ended, run_command
-from bench.attacking.mutations import FORMS
 from bench.attacking.targets import TARGETS
 from bench.attacking.verdicts import FALLEN, Verdict, is_one_sentence, verdict
+from tests.benchmark.untrusted.mutations import FORMS
 
 ROOT = Path(__file__).resolve().parents[2]
 PLANS = tuple(target for target in TARGETS if target.command == "eval --plans, CSV")
