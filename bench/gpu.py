@@ -17,8 +17,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import torch
 
+from bench.gpu_day.magicdrive import magicdrive_pieces
 from bench.gpu_day.networks import network_pieces
-from bench.gpu_day.photorealistic import photorealistic_pieces
 from bench.gpu_day.pieces import (
     PIECE_LIMIT_S,
     Piece,
@@ -33,7 +33,7 @@ from bench.gpu_day.training import training_pieces
 from benchmark.errors import InputError
 from benchmark.machine.devices import device_of
 
-PIECES = (*network_pieces(), *photorealistic_pieces(), *training_pieces())
+PIECES = (*network_pieces(), *magicdrive_pieces(), *training_pieces())
 
 
 def main(arguments: Sequence[str] | None = None, pieces: tuple[Piece, ...] = PIECES) -> int:

@@ -3,6 +3,7 @@
 import json
 import multiprocessing
 import os
+import resource
 import shutil
 import subprocess
 import threading
@@ -51,6 +52,15 @@ class Setting:
         """Folder of the figures: those of a trial are never taken for those of a GPU."""
         return self.folder / f"{'cuda' if self.on_gpu else self.device}{'-tiny' if self.tiny else ''}"
 
+    def now(self) -> float:
+        """Seconds: on the wall, once a GPU is done with everything; of the processor, where networks run on that."""
+        if not self.on_gpu:
+            return time.process_time()
+        import torch
+
+        torch.cuda.synchronize()
+        return time.perf_counter()
+
 
 @dataclass(frozen=True, slots=True)
 class Piece:
@@ -74,6 +84,24 @@ class Piece:
 def with_random_weights(peak_gib: float | None, frames: int, **figures: Any) -> dict[str, Any]:
     """Figures of a network that nothing was learned by: those of the piece, and what all such pieces say."""
     return {**figures, "peak_gib": peak_gib, "frames": frames, "weights": "random"}
+
+
+def mean_seconds(
+    setting: Setting, work: Callable[[], object], count: int, before: Callable[[int], object] = int
+) -> tuple[float, float]:
+    """Mean time of some work, and the most memory meanwhile, GiB; what is done before each does not count."""
+    import torch
+
+    if setting.on_gpu:
+        torch.cuda.reset_peak_memory_stats()
+    spent = 0.0
+    for number in range(count):
+        before(number)
+        began = setting.now()
+        work()
+        spent += setting.now() - began
+    resident = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return spent / count, (torch.cuda.max_memory_allocated() if setting.on_gpu else resident) / 2**30
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,6 @@
 """Pieces about training: the trajectory prior at its published size, timed and to the end, and one miniature, timed."""
 
 import json
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -111,21 +110,14 @@ def _seconds_a_step(setting: Setting, train: Callable[[int], None], few: int, ma
     spent = []
     # The first run warms up; the second and third are compared.
     for steps in (few, few, many):
-        begun = _clock(setting)
+        begun = setting.now()
         train(steps)
-        spent.append(_clock(setting) - begun)
+        spent.append(setting.now() - begun)
     if spent[2] > spent[1]:
         return (spent[2] - spent[1]) / (many - few)
     if setting.tiny:
         return None
     raise ValueError("the steps cannot be told from reading and writing; run the piece again")
-
-
-def _clock(setting: Setting) -> float:
-    if setting.on_gpu:
-        torch.cuda.synchronize()
-        return time.perf_counter()
-    return time.process_time()
 
 
 def _prior(setting: Setting) -> Path:

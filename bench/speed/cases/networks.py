@@ -92,7 +92,7 @@ def planning_steps(calls: int | None, _quick: bool) -> Any:
 def planner_network(name: str, quick: bool, _folder: Path) -> Any:
     import torch
 
-    from bench.gpu_day.network_speed import ready
+    from bench.gpu_day.networks import ready
 
     return ready(name, torch.device("cpu"), "float32", tiny=quick)[1]
 
@@ -100,10 +100,10 @@ def planner_network(name: str, quick: bool, _folder: Path) -> Any:
 def magicdrive(mode: str, quick: bool) -> Any:
     import torch
 
-    from bench.gpu_day.magicdrive_speed import Job, ready
+    from bench.gpu_day.magicdrive import Job, ready
 
     frames, height, width = (9, 32, 64) if quick else (9, 96, 160)
-    jobs = [Job("cpu", each, frames, height, width, 60, 31, 1, quick) for each in (mode, "plain")]
+    jobs = [Job("cpu", each, frames, height, width, quick) for each in (mode, "plain")]
     with torch.no_grad():
         return [torch.no_grad()(ready(job)()) for job in jobs]
 

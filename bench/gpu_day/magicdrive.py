@@ -1,17 +1,17 @@
-"""Seconds and memory of MagicDriveDiT's transformer and video decoder, with random weights.
+"""Pieces about MagicDriveDiT: what a scene of the paper's size and length costs, with random weights.
 
-Times are of whole evaluations after warming up, synchronised; on a processor they are processor time. A scene is 30
-steps with two evaluations each and, once, the encoders of both branches; the text encoder (0.01 % of the operations) is
-left out.
+A scene is 30 steps with two evaluations each and, once, the encoders of both branches; the text encoder (0.01 % of the
+operations) is left out.
 """
 
-import resource
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Final
 
 import torch
 
+from bench.gpu_day.pieces import Piece, Setting, mean_seconds, with_random_weights
 from generation.extensions.magicdrive.autoencoder import DIFFUSERS, VideoDecoder
 from generation.extensions.magicdrive.conditions import TEXT_TOKENS, Conditions, TextStates
 from generation.extensions.magicdrive.config import MagicDriveConfig
@@ -19,28 +19,28 @@ from generation.extensions.magicdrive.guidance import GuidedModel
 from generation.extensions.magicdrive.latents import LatentSize
 from generation.extensions.magicdrive.model import MagicDriveDiT
 
-STEPS = 30
-PUBLISHED_SECONDS = 395.0
+STEPS: Final = 30
+PUBLISHED_SECONDS: Final = 395.0
 """The paper's rendering time of a scene, decoder included, on four L20."""
-REDUCED = replace(MagicDriveConfig.full(), hidden=576, heads=8, depth=2, control_depth=1)
-TINY = replace(REDUCED, hidden=144, heads=2)
+SIZES: Final = {"224x400": (224, 400), "424x800": (424, 800)}
+"""The paper's size, and the larger one that the network draws."""
+FRAMES, VIEWS, BOXES, WORDS = 241, 6, 60, 31
+REDUCED: Final = replace(MagicDriveConfig.full(), hidden=576, heads=8, depth=2, control_depth=1)
+TINY: Final = replace(REDUCED, hidden=144, heads=2)
 """For a trial of a GPU day: the same classes in a second."""
-SMALL_DECODER = (32, 32, 32, 32)
+SMALL_DECODER: Final = (32, 32, 32, 32)
 """Channels on a processor; the published ones are the default of the class."""
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What one line measures."""
+    """What is evaluated: where, how (``plain``, ``kept``, ``together``, ``compiled``, ``decoder``), and how large."""
 
     device: str
     mode: str
     frames: int
     height: int
     width: int
-    boxes: int
-    words: int
-    evaluations: int
     tiny: bool = False
 
     @property
@@ -55,44 +55,25 @@ class Job:
             return TINY
         return MagicDriveConfig.full() if self.on_gpu else REDUCED
 
-    @property
-    def map_cells(self) -> int:
-        """Cells along a side of the map, which is finer for larger images."""
-        return 200 if self.height <= 224 else 400
-
-
-@dataclass(frozen=True, slots=True)
-class Line:
-    """Seconds of evaluating both branches and of encoding them, peak GiB."""
-
-    seconds: float
-    encoding: float
-    peak_gib: float
-
 
 def random_conditions(job: Job) -> Conditions:
     """Random numbers of the right sizes: time does not depend on them."""
     config, views, frames = job.config, job.config.views, job.frames
+    # The map is finer for larger images.
+    cells = 200 if job.height <= 224 else 400
     return Conditions(
-        bboxes=20 * torch.randn(1, frames, job.boxes, 8, 3),
-        classes=torch.randint(0, 10, (1, frames, job.boxes)),
-        masks=torch.randint(0, 2, (views, frames, job.boxes)),
-        box_latent=torch.randn(job.boxes, config.hidden),
+        bboxes=20 * torch.randn(1, frames, BOXES, 8, 3),
+        classes=torch.randint(0, 10, (1, frames, BOXES)),
+        masks=torch.randint(0, 2, (views, frames, BOXES)),
+        box_latent=torch.randn(BOXES, config.hidden),
         cams=torch.randn(views, frames, 1, 3, 7),
         rel_pos=torch.eye(4).repeat(frames, 1, 1),
-        maps=torch.rand(frames, config.map_layers, job.map_cells, job.map_cells) > 0.8,
-        text=TextStates(torch.randn(TEXT_TOKENS, config.caption_channels), torch.arange(TEXT_TOKENS) < job.words),
+        maps=torch.rand(frames, config.map_layers, cells, cells) > 0.8,
+        text=TextStates(torch.randn(TEXT_TOKENS, config.caption_channels), torch.arange(TEXT_TOKENS) < WORDS),
         fps=12.0,
         height=job.height,
         width=job.width,
     ).to(job.device)
-
-
-def clock(job: Job) -> float:
-    if job.on_gpu:
-        torch.cuda.synchronize()
-        return time.perf_counter()
-    return time.process_time()
 
 
 def ready(job: Job) -> Callable[[], Callable[[], object]]:
@@ -123,21 +104,36 @@ def ready(job: Job) -> Callable[[], Callable[[], object]]:
     return encoded
 
 
-def measured(job: Job) -> Line:
-    """One line, in this process."""
-    encoded = ready(job)
+def cost(setting: Setting, *, mode: str, size: str) -> dict[str, Any]:
+    """Seconds and memory of a scene of 241 frames and six cameras: its share of the network, or of the decoder."""
+    height, width = (32, 64) if setting.tiny else SIZES[size]
+    frames = 9 if setting.tiny else FRAMES
+    encoded = ready(Job(setting.device, mode, frames, height, width, setting.tiny))
     with torch.no_grad():
         evaluate = encoded()
-        started = clock(job)
-        evaluate = encoded()
-        encoding = clock(job) - started
-        for _ in range(2 if job.on_gpu else 1):
+        encoders_s, _ = mean_seconds(setting, encoded, 1)
+        for _ in range(2 if setting.on_gpu else 1):
             evaluate()
-        if job.on_gpu:
-            torch.cuda.reset_peak_memory_stats()
-        started = clock(job)
-        for _ in range(job.evaluations):
-            evaluate()
-        seconds = (clock(job) - started) / job.evaluations
-    resident = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return Line(seconds, encoding, (torch.cuda.max_memory_allocated() if job.on_gpu else resident) / 2**30)
+        step_s, peak_gib = mean_seconds(setting, evaluate, 1 if setting.tiny else 3)
+    figures = {"step_s": step_s, "encoders_s": encoders_s, "size": f"{height}x{width}"}
+    scene_s = VIEWS * step_s if mode == "decoder" else STEPS * step_s + encoders_s
+    return with_random_weights(peak_gib, frames, scene_s=scene_s, **figures)
+
+
+def cost_said(figures: dict[str, Any]) -> str:
+    """For people."""
+    return (
+        f"{figures['scene_s']:.1f} s a scene of {figures['frames']} frames at {figures['size']}, "
+        f"{figures['peak_gib']:.1f} GiB peak, {figures['weights']} weights (published: {PUBLISHED_SECONDS:.0f} s on "
+        "four L20, decoder included)"
+    )
+
+
+def magicdrive_pieces() -> tuple[Piece, ...]:
+    """All of them."""
+    wanted = [(mode, "224x400") for mode in ("plain", "kept", "compiled-kept", "decoder")] + [("kept", "424x800")]
+    what = f"a scene of {FRAMES} frames"
+    return tuple(
+        Piece(f"magicdrive-{mode}-{size}", what, partial(cost, mode=mode, size=size), cost_said)
+        for mode, size in wanted
+    )
