@@ -19,28 +19,34 @@ def descendants(process: int) -> list[int]:
     return [*below, *(each for child in below for each in descendants(child))]
 
 
-def title(process: int) -> str:
-    """The first word of its command line, which it may have set itself; empty where it is gone."""
-    with contextlib.suppress(OSError):
-        return Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")[0].decode(errors="replace")
-    return ""
-
-
-def stat(process: int) -> list[str]:
-    """What stands behind its name in ``stat``, from its state on; empty where it is gone."""
-    with contextlib.suppress(OSError):
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    return []
+def command_line(process: int) -> str:
+    """Its words, or the title that it gave itself."""
+    return _read(process, "cmdline").replace("\0", " ")
 
 
 def alive(process: int) -> bool:
     """Whether it runs; a child that was not waited for does not."""
-    return stat(process)[:1] not in ([], ["Z"])
+    return _stat(process)[:1] not in ([], ["Z"])
+
+
+def processor_ticks(process: int) -> int:
+    """Processor time of it and of children that it waited for, in ticks of the system's clock."""
+    return sum(map(int, _stat(process)[11:15]))
 
 
 def resident_mb(process: int) -> float:
     """Memory that it holds now; 0 where it is gone."""
-    with contextlib.suppress(OSError, IndexError):
-        status = Path(f"/proc/{process}/status").read_text()
-        return float(status.partition("VmRSS:")[2].split()[0]) / 1024
-    return 0.0
+    said = _read(process, "status").partition("VmRSS:")[2].split()
+    return float(said[0]) / 1024 if said else 0.0
+
+
+def _stat(process: int) -> list[str]:
+    """What stands behind its name, from its state on."""
+    return _read(process, "stat").rpartition(")")[2].split()
+
+
+def _read(process: int, name: str) -> str:
+    """What the system tells; nothing where the process is gone."""
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{process}/{name}").read_text(errors="replace")
+    return ""

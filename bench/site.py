@@ -7,7 +7,6 @@ thread, and of all that Chromium does.
 """
 
 import argparse
-import contextlib
 import os
 import statistics
 import sys
@@ -19,6 +18,7 @@ from typing import Any, TypeVar
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from bench.processes import descendants, processor_ticks
 from benchmark.machine.workers import single_threaded
 from benchmark.records.run import find_records
 from benchmark.records.scenes import find_sheets
@@ -70,20 +70,10 @@ def thread_seconds(browser: Browser) -> float:
 
 def chromium_seconds(browser: Browser) -> float:
     """Processor time of the driver and all that it started, where the system tells it in ``/proc``; else NaN."""
-    if not Path("/proc/self/stat").exists():
-        return float("nan")
-    parent_of, ticks = {}, {}
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):
-            state = path.read_text().rpartition(")")[2].split()
-            parent_of[int(path.parent.name)] = int(state[1])
-            ticks[int(path.parent.name)] = sum(map(int, state[11:15]))
     process = browser.driver.service.process
-    ours, grown = set(), {process.pid if process else -1}
-    while grown:
-        ours |= grown
-        grown = {child for child, parent in parent_of.items() if parent in ours} - ours
-    return sum(ticks.get(each, 0) for each in ours) / os.sysconf("SC_CLK_TCK")
+    if process is None or not Path("/proc/self/stat").exists():
+        return float("nan")
+    return sum(map(processor_ticks, [process.pid, *descendants(process.pid)])) / os.sysconf("SC_CLK_TCK")
 
 
 def paint(browser: Browser, route: str, repeats: int) -> None:

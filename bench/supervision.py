@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from adapters.registry import planner_factory
+from bench.processes import children, command_line
 from benchmark import api
 from benchmark.machine.workers import single_threaded
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
@@ -120,12 +121,7 @@ def planners_process() -> int | None:
     """The planner's process: the child of this process' child."""
     own = os.getpid()
     for _ in range(2):
-        found = [
-            int(child)
-            for task in Path(f"/proc/{own}/task").glob("*/children")
-            for child in task.read_text().split()
-            if "guardian" in Path(f"/proc/{child}/cmdline").read_text()
-        ]
+        found = [child for child in children(own) if "guardian" in command_line(child)]
         if not found:
             return None
         own = found[-1]

@@ -18,7 +18,7 @@ from typing import Final
 from bench.attacking.children import Ended, begin_command, end_command, run_command
 from bench.attacking.requests import OwnServer
 from bench.killing.commands import Killed, words, write_needed, write_recorded
-from bench.processes import alive, descendants, title
+from bench.processes import alive, command_line, descendants
 from benchmark.errors import InputError
 from benchmark.machine.workspace import TIMINGS_FOLDER
 
@@ -187,7 +187,7 @@ class Bench:
         """Workers of Ray as soon as some have a unit of work, which their titles name; none if the command ends."""
         until = time.monotonic() + _PATIENCE_S
         while alive(child) and time.monotonic() < until:
-            if busy := [each for each in descendants(self.cluster.head) if title(each).startswith(_RAY_WORKER)]:
+            if busy := [each for each in descendants(self.cluster.head) if command_line(each).startswith(_RAY_WORKER)]:
                 return busy
             time.sleep(_LOOK_S)
         return []
