@@ -33,7 +33,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("challenger-out") / "kills")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--moments", type=int, default=10, help="cases of each command and way")
-    parser.add_argument("--command", action="append", choices=[each.name for each in COMMANDS])
+    parser.add_argument("--command", action="append", choices=list(COMMANDS))
     parser.add_argument("--how", action="append", choices=list(WAYS))
     parser.add_argument("--workers", type=int, action="append", help="1 and 2 by default")
     parser.add_argument("--kept", action="store_true", help="print what has been found, run nothing")
@@ -62,7 +62,7 @@ def main() -> None:
 def cases(options: argparse.Namespace) -> Iterator[tuple[Killed, str, int, int]]:
     """Command, way, workers and number of each case."""
     for number in range(options.moments):
-        for command in COMMANDS:
+        for command in COMMANDS.values():
             if options.command and command.name not in options.command:
                 continue
             for how in options.how or WAYS:

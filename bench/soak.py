@@ -75,32 +75,6 @@ class Held:
         return [*said, *([f"children are left: {more}"] if more else [])]
 
 
-@dataclass(frozen=True, slots=True)
-class Soaked:
-    """What became of one kind of work.
-
-    Attributes:
-        what: Done.
-        scenes: So many times.
-        early: Held after `FIRST` of them.
-        end: Held when everything was written.
-        faults: What is wrong; empty where nothing piles up.
-    """
-
-    what: str
-    scenes: int
-    early: Held
-    end: Held
-    faults: tuple[str, ...]
-
-    def row(self) -> str:
-        """Of the table."""
-        figures = (f"{each.memory_mb:.0f}" for each in (self.early, self.end))
-        times = self.end.memory_mb / self.early.memory_mb
-        held = f"{len(self.end.descriptors)} | {self.end.threads[0]} | {len(self.end.children)}"
-        return f"| {self.what} | {self.scenes} | {' | '.join(figures)} | {times:.2f} | {held} |"
-
-
 Work = Callable[[DataSet, Planner, Path], int]
 """Give a planner some scenes; how many they were."""
 
@@ -119,7 +93,7 @@ def driven(data: DataSet, planner: Planner, out: Path) -> int:
     return len(drive_split(data, "val", planner, out, settings).rows)
 
 
-def soak(what: str, work: Work, data: DataSet, scenes: int, folder: Path) -> Soaked:
+def soak(what: str, work: Work, data: DataSet, scenes: int, folder: Path) -> tuple[str, list[str]]:
     """Do one kind of work until so many scenes are done.
 
     Args:
@@ -130,7 +104,7 @@ def soak(what: str, work: Work, data: DataSet, scenes: int, folder: Path) -> Soa
         folder: To write to.
 
     Returns:
-        What piled up.
+        A row of the table, and what piled up.
     """
     planner, before = api.load_planner("constant-velocity")(), Held.now()
     done, rounds, early = 0, 0, None
@@ -141,10 +115,12 @@ def soak(what: str, work: Work, data: DataSet, scenes: int, folder: Path) -> Soa
             early = Held.now()
     end = Held.now()
     early = early or end
-    faults = end.left(before)
-    if end.memory_mb > MOST_TIMES * early.memory_mb:
+    faults, times = end.left(before), end.memory_mb / early.memory_mb
+    if times > MOST_TIMES:
         faults.append(f"{end.memory_mb:.0f} MB at the end, {early.memory_mb:.0f} MB after {FIRST} scenes")
-    return Soaked(what, done, early, end, tuple(faults))
+    held = f"{len(end.descriptors)} | {end.threads[0]} | {len(end.children)}"
+    row = f"| {what} | {done} | {early.memory_mb:.0f} | {end.memory_mb:.0f} | {times:.2f} | {held} |"
+    return row, [f"{what}: {fault}" for fault in faults]
 
 
 def made_data(folder: Path, scenes: int) -> DataSet:
@@ -173,9 +149,9 @@ def main() -> None:
         print("|---|--:|--:|--:|--:|--:|--:|--:|")
         faults = []
         for what, work in (("evaluated", evaluated), ("driven without images", driven)):
-            soaked = soak(what, work, data, options.scenes, folder / work.__name__)
-            print(soaked.row(), flush=True)
-            faults += [f"{what}: {fault}" for fault in soaked.faults]
+            row, found = soak(what, work, data, options.scenes, folder / work.__name__)
+            print(row, flush=True)
+            faults += found
     print(*faults, sep="\n", file=sys.stderr)
     sys.exit(bool(faults))
 

@@ -1,6 +1,8 @@
-"""The commands that are killed, each on what the ones before it made of one small data set."""
+"""The commands that are killed (``commands.toml``), each on what the ones before it made of one small data set."""
 
 import shutil
+import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -9,6 +11,7 @@ import numpy as np
 
 from adapters.extensions.training.ego_status import HELD_OUT_SOURCES, TRAINING_SOURCES
 from bench.attacking.children import run_command
+from bench.attacking.table import arguments
 from benchmark.errors import InputError
 from generation.render.schematic import SchematicRenderer
 from tests.generation.extensions.denoiser_training.test_tracks import drive, write_tracks
@@ -16,10 +19,7 @@ from tests.generation.nuscenes_writer.written_roots import write_root
 from tests.hand_made import Car, scene_on_straight_road
 
 _SCENES: Final = ((Car(62.0, 194.75, 9.0), Car(95.0, 198.25, 8.0)), (Car(45.0, 201.75, 8.0), Car(90.0, 198.25, 7.0)))
-_OF_DATA: Final = "--data {data} --out {out}"
-_SMALL: Final = "--candidates 16 --rounds 1 --vehicles 2 --seed 3 --preset near"
-_DRAWN: Final = "--size 64x40 --frames keyframes"
-_FILMED: Final = "--width 320 --fps 2 --until 4 --model constant-velocity"
+_TABLE: Final = tomllib.loads((Path(__file__).parent / "commands.toml").read_text())
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,59 +28,29 @@ class Killed:
 
     Attributes:
         name: As the table shows it.
-        line: The command line; ``{data}`` is the recorded data set, ``{tracks}`` a folder of track files beside it,
-            ``{out}`` the folder to write to, ``{url}`` the address of a model server.
+        arguments: Of the command line; ``{data}`` is the recorded data set, ``{tracks}`` a folder of track files beside
+            it, ``{out}`` the folder to write to, ``{url}`` the address of a model server.
         after: Commands whose results it needs, by name.
         parallel: Whether it has ``--workers``.
         on_ray: Whether it has ``--executor``.
     """
 
     name: str
-    line: str
-    after: tuple[str, ...] = ()
+    arguments: tuple[str, ...]
+    after: Sequence[str] = ()
     parallel: bool = True
     on_ray: bool = False
 
     @property
     def served(self) -> bool:
         """Whether it asks a model server; the server is killed, not the command."""
-        return "{url}" in self.line
+        return any("{url}" in each for each in self.arguments)
 
 
-_MADE: Final = ("generate", "eval", "sheets")
-COMMANDS: Final = (
-    Killed("generate", f"generate {_OF_DATA} {_SMALL} {_DRAWN} --keep-rounds", on_ray=True),
-    Killed(
-        "generate --surrogate",
-        f"generate {_OF_DATA} {_SMALL} --renderer none --surrogate bench.killing.weaving:Weaving",
-    ),
-    Killed("generate --split val-r", f"generate {_OF_DATA} {_DRAWN} --split val-r"),
-    Killed("eval", f"eval {_OF_DATA} --split adv --model constant-velocity --model idm", ("generate",)),
-    Killed("drive", f"drive {_OF_DATA} --split val --model stop --agents idm", on_ray=True),
-    Killed(
-        "drive over HTTP", f"drive {_OF_DATA} --split val --model served={{url}} --sensor schematic --image-format png"
-    ),
-    Killed("sheets", f"sheets {_OF_DATA} --split adv --rounds --cell-width 64", ("generate",)),
-    Killed("film", f"film {_OF_DATA} --to {{out}}/films --format webp {_FILMED}", _MADE, parallel=False),
-    Killed("film --format png", f"film {_OF_DATA} --to {{out}}/films --format png {_FILMED}", _MADE, parallel=False),
-    Killed("leaderboard", "leaderboard --out {out}", (*_MADE, "drive"), parallel=False),
-    Killed(
-        "train denoiser",
-        "train denoiser --tracks {data} --out {out}/denoiser.safetensors --steps 6",
-        parallel=False,
-    ),
-    Killed("train ego-status", "train ego-status --tracks {tracks} --out {out}/ego-status.safetensors", parallel=False),
-    Killed(
-        "train planner",
-        "train planner --model image-encoder --data {data} --split val --steps 4 --device cpu "
-        "--out {out}/encoder.safetensors",
-    ),
-)
-
-
-def command_named(name: str) -> Killed:
-    """The command of a name."""
-    return next(each for each in COMMANDS if each.name == name)
+COMMANDS: Final = {
+    name: Killed(name, arguments(said.pop("line"), _TABLE["words"]), **said) for name, said in _TABLE["command"].items()
+}
+"""By name, in the order in which they begin."""
 
 
 def write_recorded(root: Path) -> Path:
@@ -121,7 +91,7 @@ def write_needed(command: Killed, data: Path, folder: Path, case: Path) -> Path:
     out = case / "out"
     out.mkdir(parents=True)
     for name in command.after:
-        ended = run_command(words(command_named(name), data, out, 1), case, case / "cache")
+        ended = run_command(words(COMMANDS[name], data, out, 1), case, case / "cache")
         if ended.code:
             raise InputError(f"{name} failed undisturbed: {ended.err.strip()[-400:]}; mend it first")
     shutil.copytree(out, needed)
@@ -131,7 +101,7 @@ def write_needed(command: Killed, data: Path, folder: Path, case: Path) -> Path:
 def words(command: Killed, data: Path, out: Path, workers: int, *, ray: str = "", url: str = "") -> list[str]:
     """The command line of a command; ``ray`` is the address of a cluster, ``url`` that of a model server."""
     places = {"data": data, "tracks": data.parent / "tracks", "out": out, "url": url}
-    given = [each.format(**places) for each in command.line.split()]
+    given = [each.format(**places) for each in command.arguments]
     if ray:
         return [*given, "--executor", "ray", "--address", ray]
     return [*given, "--workers", str(workers)] if command.parallel else given

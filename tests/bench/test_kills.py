@@ -7,7 +7,7 @@ import pytest
 
 from bench.attacking import children
 from bench.attacking.campaign import preload
-from bench.killing.commands import command_named
+from bench.killing.commands import COMMANDS
 from bench.killing.series import Bench, differences, listing
 from bench.kills import table
 
@@ -20,7 +20,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 
 @pytest.mark.parametrize("name", ["generate", "drive"])
 def test_a_command_that_is_killed_twice_leaves_what_an_undisturbed_one_leaves(bench: Bench, name: str) -> None:
-    found = bench.disturbed(command_named(name), "kill", 1, 0)
+    found = bench.disturbed(COMMANDS[name], "kill", 1, 0)
     assert found.same and found.files > 10, found
     assert table([found]).splitlines()[2].endswith("| 1 |")
     assert (bench.case / "out" / "timings").is_dir()
@@ -28,14 +28,14 @@ def test_a_command_that_is_killed_twice_leaves_what_an_undisturbed_one_leaves(be
 
 
 def test_a_command_that_leaves_a_trace_of_a_kill_is_found(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    honest = bench.disturbed(command_named("drive"), "kill", 1, 1)
+    honest = bench.disturbed(COMMANDS["drive"], "kill", 1, 1)
 
     def untidy() -> int:
         (bench.case / "out" / f".left.{os.getpid()}").write_bytes(b"")
         return 0
 
     monkeypatch.setattr(children, "_run", untidy)
-    found = bench.disturbed(command_named("drive"), "kill", 1, 1)
+    found = bench.disturbed(COMMANDS["drive"], "kill", 1, 1)
     assert honest.same and not found.same
     assert any("left over" in each for each in found.differences) and any(
         "missing" in each for each in found.differences

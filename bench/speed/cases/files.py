@@ -111,12 +111,13 @@ def recording(_quick: bool, folder: Path) -> Path:
 
 
 def in_a_process(words: list[str], cache: Path, wanted: int = 0) -> float:
-    """Seconds on the clock of a Python process; what it computes is counted as ours."""
+    """Seconds on the clock of a command in a process of its own; what it computes is counted as ours."""
     started = time.perf_counter()
     environment = {**os.environ, "CHALLENGER_BENCH_CACHE": str(cache)}
-    done = subprocess.run([sys.executable, *words], env=environment, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", "benchmark", *words]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if done.returncode != wanted:
-        raise RuntimeError(f"{' '.join(words[:4])} ended with {done.returncode}: {done.stderr[-500:]}")
+        raise RuntimeError(f"{' '.join(words[:2])} ended with {done.returncode}: {done.stderr[-500:]}")
     return time.perf_counter() - started
 
 
@@ -201,12 +202,12 @@ def leaderboard(state: Any, *, kept: bool) -> tuple[float, Any]:
     words = [
         "leaderboard",
         "--records",
-        str(folder / "runs"),
+        f"{folder / 'runs'}",
         "--out",
-        str(folder / "table"),
+        f"{folder / 'table'}",
         *["--no-site"] * (not site),
     ]
-    return 1, in_a_process(["-m", "benchmark", *words], cache_of(folder, kept=kept)) and None
+    return 1, in_a_process(words, cache_of(folder, kept=kept)) and None
 
 
 def leaderboard_case(planners: int, samples: int, *, site: bool = False, on_request: bool = False) -> Case:
@@ -238,10 +239,7 @@ def refuse(state: Any) -> tuple[float, Any]:
     """Seconds of the slowest, and which it is."""
     commands, folder = state
     places = {name: str(folder / name) for name in ("new", "file", "empty")} | {"csv": str(folder / "plans.csv")}
-    spent = [
-        (in_a_process(["-m", "benchmark", *words.format(**places).split()], folder / "cache", 2), words)
-        for words in commands
-    ]
+    spent = [(in_a_process(words.format(**places).split(), folder / "cache", 2), words) for words in commands]
     return len(commands), max(spent)
 
 

@@ -15,7 +15,7 @@ from bench.speed.case import Case
 
 BATCH = 256
 PREVIOUS = np.array([-4.0, 0.0, 0.0])
-SMALL_TRANSFORMER = {
+SIZES = {
     "feature_dim": 64,
     "heads": 4,
     "layers": 3,
@@ -23,7 +23,7 @@ SMALL_TRANSFORMER = {
     "history_tokens": 0,
     "preconditioned": True,
 }
-"""What the packaged denoiser is an alternative to."""
+"""Of the small transformer that the packaged denoiser is an alternative to."""
 PLANNERS = ("uniad", "vad-base", "vad-tiny", "sparsedrive", "diffusiondrive")
 SOURCES = ("fresh", "reference", "stored")
 FRAME, SUBJECT = (450, 800), (90, 140)
@@ -150,7 +150,7 @@ CASES = (
         )
         for name, sizes, what in (
             ("denoiser/call", {}, "reference's size"),
-            ("denoiser/call-small-transformer", SMALL_TRANSFORMER, "small transformer"),
+            ("denoiser/call-small-transformer", SIZES, "small transformer"),
         )
     ),
     *(
