@@ -1,7 +1,6 @@
 """One command killed at two moments of chance and run to its end, and every byte that it leaves compared."""
 
 import contextlib
-import hashlib
 import os
 import shutil
 import signal
@@ -20,6 +19,7 @@ from bench.attacking.requests import OwnServer
 from bench.killing.commands import Killed, words, write_needed, write_recorded
 from bench.processes import alive, command_line, descendants
 from benchmark.errors import InputError
+from benchmark.machine.storage import file_sha256
 from benchmark.machine.workspace import TIMINGS_FOLDER
 
 TRIES_AT_LAST: Final = 2
@@ -292,12 +292,14 @@ def listing(folder: Path) -> Listing:
         elif path.is_dir():
             found[f"{name}/"] = ""
         else:
-            found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+            found[name] = file_sha256(path)
     return found
 
 
 def differences(wanted: Listing, found: Listing) -> list[str]:
     """What is missing, too many, or other bytes."""
-    named = {name: ("missing" if name not in found else "left over" if name not in wanted else "other bytes")
-             for name in sorted(wanted.keys() | found.keys())}  # fmt: skip
-    return [f"{name}: {what}" for name, what in named.items() if wanted.get(name) != found.get(name)]
+    names = sorted(name for name in wanted.keys() | found.keys() if wanted.get(name) != found.get(name))
+    missing, more = wanted.keys() - found.keys(), found.keys() - wanted.keys()
+    return [
+        f"{name}: {'missing' if name in missing else 'left over' if name in more else 'other bytes'}" for name in names
+    ]
