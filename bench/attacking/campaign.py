@@ -168,7 +168,7 @@ class Campaign:
 
     def _ended(self, target: Target, case: Path) -> Ended:
         places = {"in": case / target.copied, "valid": self.valid, "out": case / "out"}
-        return run_command([each.format(**places) for each in target.arguments], case, case / "cache")
+        return run_command([each.format(**places) for each in target.arguments], case)
 
     def _valid_numbers(self, target: Target) -> str:
         """What a command finds in the valid input; empty where it refuses it, as weights of a made-up model."""

@@ -121,7 +121,7 @@ class Doors:
             server = "" if tried.server is None else stack.enter_context(OddServer(*tried.server)).url
             # Values hold braces of their own.
             given = [_put(each, {**places, "server": server}) for each in tried.arguments]
-            ended = run_command(given, case, case / "cache", until=_SERVES if tried.command == "serve" else "")
+            ended = run_command(given, case, until=_SERVES if tried.command == "serve" else "")
         found = door_verdict(ended, case / "out", keeps_work=tried.keeps_work)
         if listing(self.valid) != before:
             found = Verdict.WROTE

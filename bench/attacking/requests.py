@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import Final
 
-from bench.attacking.children import HANG_S, Ended, begin_command, end_command
+from bench.attacking.children import HANG_S, Ended, begin_command
 from bench.attacking.verdicts import Verdict, fall
 from bench.processes import alive, resident_mb
 from benchmark.errors import InputError
@@ -32,7 +32,6 @@ class OwnServer:
 
     Attributes:
         url: Its address, the same however often it begins.
-        process: That it runs in.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -44,10 +43,15 @@ class OwnServer:
         self._bodies = [request_of(observed(index), ImageFormat.PNG).encoded() for index in range(3)]
         self._plans, self._said, self._asked, self._settled_mb = self._planned(), 0, 0, float("inf")
 
+    @property
+    def process(self) -> int:
+        """That it runs in now."""
+        return self._begun.process
+
     def begin(self) -> None:
         """Begin it, and wait until it answers."""
         line = ["serve", "--model", SERVED, "--port", str(self._port)]
-        self.process, self._printed = begin_command(line, self._folder, self._folder / "cache")
+        self._begun = begin_command(line, self._folder)
         atexit.register(self.end)
         one, until = http_planner(f"served={self.url}"), time.monotonic() + _BEGINS_S
         while True:
@@ -61,13 +65,13 @@ class OwnServer:
     def end(self) -> Ended:
         """End it at once."""
         atexit.unregister(self.end)
-        return end_command(self.process, self._printed, 0.0)
+        return self._begun.end(0.0)
 
     def asked(self, request: Request) -> tuple[Verdict, Ended]:
         """Send it a request, and say what became of it: of the server, and at times of good requests that follow."""
         began = time.monotonic()
         reply = self._answer(request.sent, request.whole)
-        said = self._printed[1].read_text(errors="replace")
+        said = self._begun.printed[1].read_text(errors="replace")
         memory_mb = resident_mb(self.process)
         code = 0 if alive(self.process) else -signal.SIGKILL
         spent = time.monotonic() - began

@@ -146,7 +146,7 @@ def _by_command(valid: Path, command: str, *more: str) -> None:
 
 def _commanded(valid: Path, *words: str) -> str:
     """Run a command in the folder of valid files, and say what it printed."""
-    ended = run_command(list(words), valid, valid / "cache")
+    ended = run_command(words, valid)
     if ended.code:
         raise InputError(f"{words[0]} failed on what is valid: {ended.err.strip()}; mend it first")
     return ended.out

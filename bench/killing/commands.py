@@ -91,7 +91,7 @@ def write_needed(command: Killed, data: Path, folder: Path, case: Path) -> Path:
     out = case / "out"
     out.mkdir(parents=True)
     for name in command.after:
-        ended = run_command(words(COMMANDS[name], data, out, 1), case, case / "cache")
+        ended = run_command(words(COMMANDS[name], data, out, 1), case)
         if ended.code:
             raise InputError(f"{name} failed undisturbed: {ended.err.strip()[-400:]}; mend it first")
     shutil.copytree(out, needed)

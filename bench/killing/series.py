@@ -14,7 +14,7 @@ from pathlib import Path
 from random import Random
 from typing import Final
 
-from bench.attacking.children import Ended, begin_command, end_command, run_command
+from bench.attacking.children import Begun, Ended, begin_command, run_command
 from bench.attacking.requests import OwnServer
 from bench.killing.commands import Killed, words, write_needed, write_recorded
 from bench.processes import alive, command_line, descendants
@@ -153,35 +153,31 @@ class Bench:
         kills, said, dies = 0, "", how in ("kill", "ray-driver")
         ray = self.cluster.address if how.startswith("ray") else ""
         for _ in range(1 + dies):
-            with self._begun(command, workers, ray) as (child, printed):
+            with begin_command(self._words(command, workers, ray), self.case) as begun:
                 if ray:
-                    self._busy_on_ray(child)
+                    self._busy_on_ray(begun.process)
                 time.sleep(chance.random() * lasts_s)
-                met = self._strike(how, child, chance)
-                ended = end_command(child, printed, _PATIENCE_S)
+                met = self._strike(how, begun, chance)
+                ended = begun.end(_PATIENCE_S)
             kills += ended.code == -signal.SIGKILL if dies else met
             said = "" if dies or ended.code == 0 else ended.err.strip()[-400:]
         return kills, said
 
-    def _strike(self, how: str, child: int, chance: Random) -> bool:
-        """Kill what is to be killed; whether it was there."""
-        with contextlib.suppress(ProcessLookupError):
-            if how == "server":
-                met = alive(child)
-                self.server.end()
-                self.server.begin()
-                return met
-            if how == "ray-worker":
-                if not (working := self._busy_on_ray(child)):
-                    return False
-                os.kill(chance.choice(working), signal.SIGKILL)
-            elif how == "kill" and chance.random() >= 0.3:
-                os.killpg(child, signal.SIGKILL)
-            else:
-                # The first worker of a command notices that it is gone; so does Ray.
-                os.kill(child, signal.SIGKILL)
-            return True
-        return False
+    def _strike(self, how: str, begun: Begun, chance: Random) -> bool:
+        """Kill what is to be killed; whether a command was there that it works for."""
+        met = alive(begun.process)
+        if how == "server":
+            self.server.end()
+            self.server.begin()
+        elif how == "kill" and chance.random() >= 0.3:
+            begun.kill()
+        else:
+            # The first worker of a command notices that it is gone; so does Ray.
+            victims = self._busy_on_ray(begun.process) if how == "ray-worker" else [begun.process]
+            met &= bool(victims)
+            with contextlib.suppress(ProcessLookupError, IndexError):
+                os.kill(victims[0] if len(victims) == 1 else chance.choice(victims), signal.SIGKILL)
+        return met
 
     def _busy_on_ray(self, child: int) -> list[int]:
         """Workers of Ray as soon as some have a unit of work, which their titles name; none if the command ends."""
@@ -220,16 +216,7 @@ class Bench:
         return words(command, self.data, self.case / "out", workers, ray=ray, url=url)
 
     def _run(self, command: Killed, workers: int) -> Ended:
-        return run_command(self._words(command, workers), self.case, self.case / "cache", patience=_PATIENCE_S)
-
-    @contextlib.contextmanager
-    def _begun(self, command: Killed, workers: int, ray: str = "") -> Iterator[tuple[int, tuple[Path, Path]]]:
-        child, printed = begin_command(self._words(command, workers, ray), self.case, self.case / "cache")
-        try:
-            yield child, printed
-        finally:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(child, signal.SIGKILL)
+        return run_command(self._words(command, workers), self.case, patience=_PATIENCE_S)
 
 
 def pages_below(folder: Path) -> int:

@@ -207,6 +207,6 @@ def test_other_numbers_are_a_fall_unless_the_variant_may_be_valid(tmp_path: Path
 
 
 def test_a_command_runs_in_a_process_of_its_own(tmp_path: Path) -> None:
-    ended = run_command(["--version"], tmp_path, tmp_path / "cache")
+    ended = run_command(["--version"], tmp_path)
     assert ended.code == 0 and ended.out.strip() and ended.err == "" and 0 < ended.cpu_s < 20
-    assert run_command(["no-such-command"], tmp_path, tmp_path / "cache").code == 2
+    assert run_command(["no-such-command"], tmp_path).code == 2
