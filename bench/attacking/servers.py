@@ -96,8 +96,6 @@ ANSWERS: Final[dict[str, bytes]] = {
     "text": reply(json.dumps(GOOD_PLAN.decode()).encode()),
 }
 """Bytes by what they are; then the connection is closed."""
-SLOW: Final = ("never", "a byte each half second", "without an end", "resets the connection")
-"""What is done instead of sending bytes at once."""
 PATHS: Final = ("/alive", "/reset", "/infer")
 
 
@@ -155,7 +153,7 @@ class _Asked(StreamRequestHandler):
             if path != self.server.path:
                 self.connection.sendall(reply(GOOD_PLAN if path == "/infer" else b"true"))
             elif name in SLOW:
-                _SLOWLY[name](self.connection, self.server.ended)
+                SLOW[name](self.connection, self.server.ended)
             else:
                 odd = ANSWERS[name] if name in ANSWERS else changed_plan(int(name.split()[1]))
                 self.connection.sendall(odd)
@@ -191,6 +189,10 @@ def _resets(connection: socket.socket, _: threading.Event) -> None:
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
 
 
-_SLOWLY: Final[dict[str, Callable[[socket.socket, threading.Event], None]]] = dict(
-    zip(SLOW, (_never, _drips, _endlessly, _resets), strict=True)
-)
+SLOW: Final[dict[str, Callable[[socket.socket, threading.Event], None]]] = {
+    "never": _never,
+    "a byte each half second": _drips,
+    "without an end": _endlessly,
+    "resets the connection": _resets,
+}
+"""What is done instead of sending bytes at once."""

@@ -5,7 +5,7 @@ operations) is left out.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, Final
 
@@ -32,35 +32,17 @@ SMALL_DECODER: Final = (32, 32, 32, 32)
 """Channels on a processor; the published ones are the default of the class."""
 
 
-@dataclass(frozen=True, slots=True)
-class Job:
-    """What is evaluated: where, how (``plain``, ``kept``, ``together``, ``compiled``, ``decoder``), and how large."""
-
-    device: str
-    mode: str
-    frames: int
-    height: int
-    width: int
-    tiny: bool = False
-
-    @property
-    def on_gpu(self) -> bool:
-        """Whether it runs on a GPU."""
-        return self.device.startswith("cuda")
-
-    @property
-    def config(self) -> MagicDriveConfig:
-        """Sizes of the network."""
-        if self.tiny:
-            return TINY
-        return MagicDriveConfig.full() if self.on_gpu else REDUCED
+def config_of(setting: Setting) -> MagicDriveConfig:
+    """Sizes of the network: the published ones on a GPU alone."""
+    if setting.tiny:
+        return TINY
+    return MagicDriveConfig.full() if setting.on_gpu else REDUCED
 
 
-def random_conditions(job: Job) -> Conditions:
+def random_conditions(config: MagicDriveConfig, frames: int, height: int, width: int) -> Conditions:
     """Random numbers of the right sizes: time does not depend on them."""
-    config, views, frames = job.config, job.config.views, job.frames
     # The map is finer for larger images.
-    cells = 200 if job.height <= 224 else 400
+    views, cells = config.views, 200 if height <= 224 else 400
     return Conditions(
         bboxes=20 * torch.randn(1, frames, BOXES, 8, 3),
         classes=torch.randint(0, 10, (1, frames, BOXES)),
@@ -71,33 +53,44 @@ def random_conditions(job: Job) -> Conditions:
         maps=torch.rand(frames, config.map_layers, cells, cells) > 0.8,
         text=TextStates(torch.randn(TEXT_TOKENS, config.caption_channels), torch.arange(TEXT_TOKENS) < WORDS),
         fps=12.0,
-        height=job.height,
-        width=job.width,
-    ).to(job.device)
+        height=height,
+        width=width,
+    )
 
 
-def ready(job: Job) -> Callable[[], Callable[[], object]]:
-    """What encodes conditions and gives what evaluates once; of the decoder, what decodes one view."""
+def ready(setting: Setting, mode: str, frames: int, height: int, width: int) -> Callable[[], Callable[[], object]]:
+    """What encodes conditions and gives what evaluates once; of the decoder, what decodes one view.
+
+    Args:
+        setting: Where, and whether in the sizes of a trial.
+        mode: ``decoder``, or words of ``plain``, ``kept``, ``together``, ``compiled``.
+        frames: Of the scene.
+        height: Of a picture.
+        width: Of a picture.
+
+    Returns:
+        The function.
+    """
     torch.manual_seed(0)
-    if job.mode == "decoder":
+    device, precision = torch.device(setting.device), torch.bfloat16 if setting.on_gpu else torch.float32
+    if mode == "decoder":
         made = DIFFUSERS.imported().AutoencoderKLCogVideoX
-        coder = made(block_out_channels=SMALL_DECODER) if job.tiny or not job.on_gpu else made()
-        decoder = VideoDecoder(coder.to(torch.bfloat16 if job.on_gpu else torch.float32), torch.device(job.device))
-        size = LatentSize.of(job.frames, job.height, job.width)
+        coder = made(block_out_channels=SMALL_DECODER) if setting.tiny or not setting.on_gpu else made()
+        decoder, size = VideoDecoder(coder.to(precision), device), LatentSize.of(frames, height, width)
         view = torch.randn(16, size.frames, size.rows, size.columns)
         return lambda: lambda: decoder.frames(view)
-    with torch.device(job.device):
-        network = MagicDriveDiT(job.config).eval().requires_grad_(False)
-    network = network.to(torch.bfloat16) if job.on_gpu else network
-    conditions = random_conditions(job)
-    if "compiled" in job.mode:
-        network.compile_blocks("eager" if job.tiny else "inductor")
+    with device:
+        network = MagicDriveDiT(config_of(setting)).eval().requires_grad_(False)
+    network = network.to(precision)
+    conditions = random_conditions(config_of(setting), frames, height, width).to(device)
+    if "compiled" in mode:
+        network.compile_blocks("eager" if setting.tiny else "inductor")
     size = network.size_of(conditions)
-    latent = torch.randn(1, 96, size.frames, size.rows, size.columns, device=job.device)
-    timestep = torch.tensor([500.0], device=job.device)
+    latent = torch.randn(1, 96, size.frames, size.rows, size.columns, device=device)
+    timestep = torch.tensor([500.0], device=device)
 
     def encoded() -> Callable[[], object]:
-        together, kept = "together" in job.mode, "kept" in job.mode
+        together, kept = "together" in mode, "kept" in mode
         guided = GuidedModel.of(network, conditions, together=together, keep_keys_values=kept)
         return lambda: guided.velocity(latent, timestep)
 
@@ -108,7 +101,7 @@ def cost(setting: Setting, *, mode: str, size: str) -> dict[str, Any]:
     """Seconds and memory of a scene of 241 frames and six cameras: its share of the network, or of the decoder."""
     height, width = (32, 64) if setting.tiny else SIZES[size]
     frames = 9 if setting.tiny else FRAMES
-    encoded = ready(Job(setting.device, mode, frames, height, width, setting.tiny))
+    encoded = ready(setting, mode, frames, height, width)
     with torch.no_grad():
         evaluate = encoded()
         encoders_s, _ = mean_seconds(setting, encoded, 1)

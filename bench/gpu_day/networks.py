@@ -21,14 +21,14 @@ from benchmark.machine.devices import single_precision
 
 NETWORKS: Final = ("uniad", "vad-base", "vad-tiny", "sparsedrive", "diffusiondrive")
 MODES: Final = ("float32", "bfloat16", "compiled")
-WARM_UP_FRAMES: Final = {"cpu": 0, "cuda": 10}
-MEASURED_FRAMES: Final = {"cpu": 2, "cuda": 50}
+WARM_UP_FRAMES, MEASURED_FRAMES = 10, 50
+"""On a GPU."""
 FRAMES_A_SCENE: Final = 10
 COMPARED_FRAMES: Final = 3
 TRACKED_SHARE, BORN_SCORE = 0.01, 0.4
 
 
-def on_device(inputs: Any, device: torch.device) -> Any:
+def on_device(inputs: Any, device: str) -> Any:
     """The images of a frame on the device; the rest stays where a planner leaves it."""
     images = next(each.name for each in fields(inputs) if each.name == "images")
     return replace(inputs, **{images: getattr(inputs, images).to(device)})
@@ -45,7 +45,7 @@ def few_tracks(network: Any, inputs: Any) -> None:
         network.reset()
 
 
-def built(name: str, device: torch.device, *, tiny: bool) -> tuple[Any, Any]:
+def built(name: str, device: str, *, tiny: bool) -> tuple[Any, Any]:
     """A network with random weights, and a frame: the published one, or the small one of the same classes."""
     torch.manual_seed(0)
     small = (each for each in miniatures().values() if name in each.small.stands_for)
@@ -57,15 +57,15 @@ def built(name: str, device: torch.device, *, tiny: bool) -> tuple[Any, Any]:
     return network, inputs
 
 
-def ready(name: str, device: torch.device, mode: str, *, tiny: bool) -> tuple[Any, Callable[[], Any]]:
+def ready(setting: Setting, name: str, mode: str) -> tuple[Any, Callable[[], Any]]:
     """A network with random weights, and what plans one frame."""
-    network, inputs = built(name, device, tiny=tiny)
+    network, inputs = built(name, setting.device, tiny=setting.tiny)
     # A trial traces the network and spares itself the minutes of a compiler.
-    backend = "eager" if tiny else "inductor"
+    backend = "eager" if setting.tiny else "inductor"
     step = torch.compile(network, backend=backend) if mode.endswith("compiled") else network
 
     def frame() -> Any:
-        half = torch.autocast(device.type, torch.bfloat16, enabled=mode.startswith("bfloat16"))
+        half = torch.autocast(torch.device(setting.device).type, torch.bfloat16, enabled=mode.startswith("bfloat16"))
         with torch.inference_mode(), single_precision(), half:
             return step(inputs)
 
@@ -77,16 +77,15 @@ def ready(name: str, device: torch.device, mode: str, *, tiny: bool) -> tuple[An
 
 def speed(setting: Setting, *, name: str, mode: str) -> dict[str, Any]:
     """Frames per second and peak memory of one network."""
-    device = torch.device(setting.device)
-    network, frame = ready(name, device, mode, tiny=setting.tiny)
-    frames = 2 if setting.tiny else MEASURED_FRAMES[device.type]
+    network, frame = ready(setting, name, mode)
+    frames = 2 if setting.tiny or not setting.on_gpu else MEASURED_FRAMES
 
     def begin_a_scene(number: int) -> None:
         if number and number % FRAMES_A_SCENE == 0:
             network.reset()
             frame()
 
-    for _ in range(WARM_UP_FRAMES[device.type]):
+    for _ in range(WARM_UP_FRAMES if setting.on_gpu else 0):
         frame()
     seconds, peak_gib = mean_seconds(setting, frame, frames, before=begin_a_scene)
     return with_random_weights(peak_gib, frames, frames_per_s=1 / seconds, ms=1e3 * seconds)
@@ -118,9 +117,9 @@ def agreement(setting: Setting, *, name: str) -> dict[str, Any]:
             "error": worst.error,
             "tolerance": worst.tolerance,
         }
-    network, inputs = built(name, torch.device("cpu"), tiny=True)
+    network, inputs = built(name, "cpu", tiny=True)
     plans = []
-    for place in map(torch.device, ("cpu", setting.device)):
+    for place in ("cpu", setting.device):
         twin = copy.deepcopy(network).to(place)
         with torch.inference_mode(), single_precision():
             plans.append([twin(on_device(inputs, place)).plan.float().cpu() for _ in range(COMPARED_FRAMES)])

@@ -89,23 +89,22 @@ def planning_steps(calls: int | None, _quick: bool) -> Any:
     return partial(step, fast), partial(step, slow)
 
 
-def planner_network(name: str, quick: bool, _folder: Path) -> Any:
-    import torch
-
+def planner_network(name: str, quick: bool, folder: Path) -> Any:
     from bench.gpu_day.networks import ready
+    from bench.gpu_day.pieces import Setting
 
-    return ready(name, torch.device("cpu"), "float32", tiny=quick)[1]
+    return ready(Setting(folder, "cpu", tiny=quick), name, "float32")[1]
 
 
 def magicdrive(mode: str, quick: bool) -> Any:
     import torch
 
-    from bench.gpu_day.magicdrive import Job, ready
+    from bench.gpu_day.magicdrive import ready
+    from bench.gpu_day.pieces import Setting
 
-    frames, height, width = (9, 32, 64) if quick else (9, 96, 160)
-    jobs = [Job("cpu", each, frames, height, width, quick) for each in (mode, "plain")]
+    setting, size = Setting(Path(), "cpu", tiny=quick), (32, 64) if quick else (96, 160)
     with torch.no_grad():
-        return [torch.no_grad()(ready(job)()) for job in jobs]
+        return [torch.no_grad()(ready(setting, each, 9, *size)()) for each in (mode, "plain")]
 
 
 def quality(part: str, device_name: str, quick: bool, folder: Path) -> Any:
