@@ -268,26 +268,26 @@ CASES = (
     *(
         Case(
             f"opening/{name}",
-            f"Opening {what} of nuScenes trainval's rows again, beside the first time.",
+            f"Opening {what} of nuScenes trainval's rows {when}.",
             partial(made_up_root, part),
-            partial(opening, kept=True),
+            partial(opening, kept=name != "first"),
             "opening",
-            other=("the first time", partial(opening, kept=False)),
+            other=(beside, partial(opening, kept=False, fingerprint=name == "first")),
             more=of_a_scene,
             needs=("nuscenes",),
-            on_request=on_request,
+            on_request=name == "whole",
         )
-        for name, part, what, on_request in (("part", 0.02, "a fiftieth", False), ("whole", 1.0, "all (3 GB)", True))
-    ),
-    Case(
-        "opening/first",
-        "Opening a fiftieth of nuScenes trainval's rows the first time, beside doing so and taking the fingerprint.",
-        partial(made_up_root, 0.02),
-        partial(opening, kept=False),
-        "opening",
-        other=("with the fingerprint", partial(opening, kept=False, fingerprint=True)),
-        more=of_a_scene,
-        needs=("nuscenes",),
+        for name, part, what, when, beside in (
+            ("part", 0.02, "a fiftieth", "again, beside the first time", "the first time"),
+            ("whole", 1.0, "all (3 GB)", "again, beside the first time", "the first time"),
+            (
+                "first",
+                0.02,
+                "a fiftieth",
+                "the first time, beside doing so and taking the fingerprint",
+                "with the fingerprint",
+            ),
+        )
     ),
     leaderboard_case(10, 400),
     leaderboard_case(10, 2000),

@@ -25,7 +25,6 @@ SIZES = {
 }
 """Of the small transformer that the packaged denoiser is an alternative to."""
 PLANNERS = ("uniad", "vad-base", "vad-tiny", "sparsedrive", "diffusiondrive")
-SOURCES = ("fresh", "reference", "stored")
 FRAME, SUBJECT = (450, 800), (90, 140)
 A_SCENE = {"dino": 1200, "musiq-subjects": 1200, "musiq-frames": 240}
 """Keyframes of six cameras over 20 s, and appearances of at least 1,024 pixels in them, about."""
@@ -141,15 +140,15 @@ def score_pictures(state: Any) -> tuple[float, Any]:
 CASES = (
     *(
         sides(
-            name,
+            f"denoiser/call{suffix}",
             f"A call of the packaged denoiser, 256 trajectories, beside: {what}.",
             partial(denoise_calls, sizes),
             "call",
             what,
         )
-        for name, sizes, what in (
-            ("denoiser/call", {}, "reference's size"),
-            ("denoiser/call-small-transformer", SIZES, "small transformer"),
+        for suffix, sizes, what in (
+            ("", {}, "reference's size"),
+            ("-small-transformer", SIZES, "small transformer"),
         )
     ),
     *(
@@ -160,7 +159,7 @@ CASES = (
             "batch",
             "full process",
         )
-        for source in SOURCES
+        for source in ("fresh", "reference", "stored")
     ),
     *(
         sides(
