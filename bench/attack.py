@@ -18,7 +18,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from bench.attacking.campaign import RESULTS, Campaign, Result, known_results, run_campaign
+from bench.attacking.campaign import RESULTS, Attempts, Campaign, Result, known_results, run_campaign
 from bench.attacking.doors import DOORS, Doors
 from bench.attacking.targets import TARGETS
 from bench.attacking.verdicts import FALLEN, FINE
@@ -41,10 +41,13 @@ def main() -> None:
     if not options.files and not options.doors:
         results = in_two_processes(options)
     else:
-        campaign: Campaign | Doors = (Doors if options.doors else Campaign)(options.folder, options.seed)
+        made = Doors if options.doors else Campaign
+        campaign: Attempts = made(options.folder, options.seed)
         # A child that collects garbage would copy every page that it shares with this process.
         gc.freeze()
-        results = list(run_campaign(campaign, chosen(campaign, options), again=bool(options.only)))
+        wanted, kinds = options.kind or [""], enumerate(campaign.kinds(options.count))
+        numbers = [number for number, kind in kinds if any(each in kind for each in wanted)][: options.count]
+        results = list(run_campaign(campaign, options.only or numbers, again=bool(options.only)))
     print(table(results))
     for result in results:
         if result.verdict in FALLEN or options.only:
@@ -54,18 +57,6 @@ def main() -> None:
             what = "--doors" if is_door(result) else "--files"
             print(f"  again: python bench/attack.py {what} --seed {options.seed} --only {result.number}")
     sys.exit(any(result.verdict in FALLEN for result in results))
-
-
-def chosen(campaign: Campaign | Doors, options: argparse.Namespace) -> list[int]:
-    """Numbers of the variants that are wanted; those of a kind are looked for as far as there are any."""
-    if options.only:
-        return list(options.only)
-    if isinstance(campaign, Doors):
-        kinds = [tried.kind for tried in campaign.tries]
-    else:
-        kinds = [TARGETS[number % len(TARGETS)].kind for number in range(options.count * len(TARGETS))]
-    wanted = options.kind or [""]
-    return [number for number, kind in enumerate(kinds) if any(each in kind for each in wanted)][: options.count]
 
 
 def in_two_processes(options: argparse.Namespace) -> list[Result]:

@@ -13,13 +13,12 @@ from typing import Any, Final
 import typer
 
 import benchmark.extensions.http.model
-from bench.attacking.campaign import Result, listing, preload
+from bench.attacking.campaign import Attempts, Result, listing
 from bench.attacking.children import run_command
 from bench.attacking.planners import ODD_PLANNERS
 from bench.attacking.requests import SERVED, OwnServer
 from bench.attacking.servers import SLOW, OddServer, odd_answers
 from bench.attacking.table import TABLE, arguments
-from bench.attacking.valid import make_valid
 from bench.attacking.verdicts import FALLEN, Verdict, door_verdict
 from benchmark.cli.app import app
 from tests.benchmark.extensions.http.malformed import Request, malformed
@@ -87,14 +86,11 @@ class Try:
     request: Request | None = None
 
 
-class Doors:
-    """Attempts on all of these doors, in an order of the seed, requests last; run by `run_campaign`."""
+class Doors(Attempts):
+    """Attempts on all of these doors, in an order of the seed, requests last."""
 
     def __init__(self, folder: Path, seed: int) -> None:
-        self.folder, self.seed = folder.resolve(), seed
-        preload()
-        self.valid = make_valid(self.folder)
-        self.results = DOORS.format(seed=seed)
+        super().__init__(folder, seed, DOORS)
         # So long does a command wait for a server that went away; in a campaign nobody restarts any.
         benchmark.extensions.http.model.RETURN_S = 1.0  # type: ignore[misc]
         # And so long for its first answer, which is more than the time that a variant has.
@@ -102,6 +98,10 @@ class Doors:
         tries = [*option_tries(), *planner_tries(), *server_tries()]
         self.tries = [*Random(seed).sample(tries, len(tries)), *request_tries(seed)]
         self.server: OwnServer | None = None
+
+    def kinds(self, count: int) -> list[str]:
+        """All that there are."""
+        return [tried.kind for tried in self.tries]
 
     def run(self, number: int) -> Result:
         """Give a command its line, or our server its request, and say what became of it; leaves nothing behind."""

@@ -75,14 +75,15 @@ class Target:
         return f"{self.kind}: {self.command}"
 
 
-def _replaced(file: Path, content: bytes) -> None:
+def replaced(file: Path, content: bytes) -> None:
+    """Write a file anew."""
     file.unlink()
     file.write_bytes(content)
 
 
 def _of_bytes(*found: variants.Variant) -> tuple[Named, ...]:
     def made(variant: variants.Variant) -> Change:
-        return lambda _, file: _replaced(file, variant.change(file.read_bytes()))
+        return lambda _, file: replaced(file, variant.change(file.read_bytes()))
 
     return tuple(Named(each.name, made(each), each.harmless) for each in found)
 
@@ -92,7 +93,7 @@ def _made_elsewhere(broken: Broken) -> Named:
 
     def change(_: Path, file: Path) -> None:
         with tempfile.TemporaryDirectory() as folder:
-            _replaced(file, broken.make(Path(folder)).read_bytes())
+            replaced(file, broken.make(Path(folder)).read_bytes())
 
     return Named(broken.name, change)
 

@@ -92,11 +92,12 @@ class Bench:
         self._left: dict[str, Listing] = {}
         self._lasting: dict[tuple[str, int], float] = {}
         self._pages: dict[str, int] = {}
+        self._beside = contextlib.ExitStack()
 
     @cached_property
-    def cluster(self) -> "RayHere":
-        """A cluster of Ray of its own, begun where it is first wanted."""
-        return RayHere()
+    def cluster(self) -> tuple[str, int]:
+        """Address and process of a cluster of Ray of its own, begun where it is first wanted."""
+        return self._beside.enter_context(ray_here())
 
     @cached_property
     def server(self) -> OwnServer:
@@ -105,8 +106,7 @@ class Bench:
 
     def end(self) -> None:
         """Stop what runs beside the commands."""
-        if "cluster" in vars(self):
-            self.cluster.end()
+        self._beside.close()
 
     def undisturbed(self, command: Killed, workers: int) -> tuple[Listing, float]:
         """What a command leaves, and how long it takes with so many workers, seconds."""
@@ -151,7 +151,7 @@ class Bench:
             How often it met a command at work; what is wrong of one that should have gone on by itself.
         """
         kills, said, dies = 0, "", how in ("kill", "ray-driver")
-        ray = self.cluster.address if how.startswith("ray") else ""
+        ray = self.cluster[0] if how.startswith("ray") else ""
         for _ in range(1 + dies):
             with begin_command(self._words(command, workers, ray), self.case) as begun:
                 if ray:
@@ -183,7 +183,7 @@ class Bench:
         """Workers of Ray as soon as some have a unit of work, which their titles name; none if the command ends."""
         until = time.monotonic() + _PATIENCE_S
         while alive(child) and time.monotonic() < until:
-            if busy := [each for each in descendants(self.cluster.head) if command_line(each).startswith(_RAY_WORKER)]:
+            if busy := [each for each in descendants(self.cluster[1]) if command_line(each).startswith(_RAY_WORKER)]:
                 return busy
             time.sleep(_LOOK_S)
         return []
@@ -224,26 +224,15 @@ def pages_below(folder: Path) -> int:
     return sum(-(-path.lstat().st_size // 4096) for path in folder.rglob("*") if path.is_file())
 
 
-class RayHere:
-    """A cluster of two processors on this machine, which ends with this process.
-
-    Attributes:
-        address: HOST:PORT.
-        head: The process below which all of it runs.
-    """
-
-    def __init__(self) -> None:
-        process = subprocess.Popen(
-            [sys.executable, "-c", _CLUSTER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+@contextlib.contextmanager
+def ray_here() -> Iterator[tuple[str, int]]:
+    """A cluster of two processors on this machine: its address, and the process below which all of it runs."""
+    command, pipe = [sys.executable, "-c", _CLUSTER], subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as process:
         assert process.stdin is not None and process.stdout is not None
         said = (line.strip() for line in process.stdout)
-        self.address = next(line.removeprefix(_AT) for line in said if line.startswith(_AT))
-        self.head, self._process = process.pid, process
-
-    def end(self) -> None:
-        """Stop it."""
-        self._process.communicate(timeout=_PATIENCE_S)
+        yield next(line.removeprefix(_AT) for line in said if line.startswith(_AT)), process.pid
+        process.communicate(timeout=_PATIENCE_S)
 
 
 @contextlib.contextmanager

@@ -138,7 +138,7 @@ def test_every_way_to_fall_is_seen(
 
 def test_the_same_seed_makes_the_same_variants(tmp_path: Path, campaign: Campaign) -> None:
     def variant(of: Campaign, number: int) -> tuple[str, bytes]:
-        attack = of.attack(number)
+        _, _, attack = of.attack(number)
         file = tmp_path / "plans.csv"
         file.write_bytes((campaign.valid / "plans.csv").read_bytes())
         attack.change(file, file)
