@@ -54,7 +54,7 @@ def main() -> None:
             print(f"\n{result.verdict}: {result.kind}, {result.command}: {result.name}")
             print(f"  exit code {result.code}, {result.cpu_s} s of processor time, {result.peak_mb} MB")
             print(f"  {result.said or 'said nothing'}")
-            what = "--doors" if is_door(result) else "--files"
+            what = "--files" if result.kind in {target.kind for target in TARGETS} else "--doors"
             print(f"  again: python bench/attack.py {what} --seed {options.seed} --only {result.number}")
     sys.exit(any(result.verdict in FALLEN for result in results))
 
@@ -78,11 +78,6 @@ def in_two_processes(options: argparse.Namespace) -> list[Result]:
         for name, folder in zip((RESULTS.format(seed=options.seed), DOORS.format(seed=options.seed)), folders)
         for result in known_results(folder / name).values()
     ]
-
-
-def is_door(result: Result) -> bool:
-    """Whether a result is of a door that is no file."""
-    return result.kind not in {target.kind for target in TARGETS}
 
 
 def table(results: Sequence[Result]) -> str:

@@ -22,10 +22,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from bench.processes import children, resident_mb
 from benchmark import api
+from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import Planner
+from benchmark.runs.driving import DriveSettings, drive_split
 from benchmark.scene import Scene
+from tests.generation.nuscenes_writer.written_roots import write_root
+from tests.hand_made import Car, scene_on_straight_road
 
 FIRST: Final = 20
 """Scenes after which everything has been opened and cached that will be."""
@@ -86,9 +90,6 @@ def evaluated(data: DataSet, planner: Planner, out: Path) -> int:
 
 def driven(data: DataSet, planner: Planner, out: Path) -> int:
     """Drive every scene of a data set anew, without images."""
-    from benchmark.closed_loop.default_engine import DefaultRides
-    from benchmark.runs.driving import DriveSettings, drive_split
-
     settings = DriveSettings("default", DefaultRides("idm"), "idm", fresh=True)
     return len(drive_split(data, "val", planner, out, settings).rows)
 
@@ -125,8 +126,6 @@ def soak(what: str, work: Work, data: DataSet, scenes: int, folder: Path) -> tup
 
 def made_data(folder: Path, scenes: int) -> DataSet:
     """A data set of so many short scenes without images."""
-    from tests.generation.nuscenes_writer.written_roots import write_root
-    from tests.hand_made import Car, scene_on_straight_road
 
     def scene(number: int) -> Scene:
         cars = (Car(60.0 + number % 7, 194.75, 9.0), Car(100.0, 201.75, 8.0, 3.14), Car(90.0, 198.25, 8.0))

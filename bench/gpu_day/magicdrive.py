@@ -61,15 +61,7 @@ def random_conditions(config: MagicDriveConfig, frames: int, height: int, width:
 def ready(setting: Setting, mode: str, frames: int, height: int, width: int) -> Callable[[], Callable[[], object]]:
     """What encodes conditions and gives what evaluates once; of the decoder, what decodes one view.
 
-    Args:
-        setting: Where, and whether in the sizes of a trial.
-        mode: ``decoder``, or words of ``plain``, ``kept``, ``together``, ``compiled``.
-        frames: Of the scene.
-        height: Of a picture.
-        width: Of a picture.
-
-    Returns:
-        The function.
+    The mode is ``decoder``, or has words of ``plain``, ``kept``, ``together``, ``compiled``.
     """
     torch.manual_seed(0)
     device, precision = torch.device(setting.device), torch.bfloat16 if setting.on_gpu else torch.float32

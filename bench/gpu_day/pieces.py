@@ -1,5 +1,6 @@
 """One piece of a day with a GPU: what it measures, how it is run in a process of its own, and what it leaves."""
 
+import contextlib
 import json
 import multiprocessing
 import os
@@ -187,27 +188,22 @@ def run_piece(setting: Setting, piece: Piece, limit_s: float = PIECE_LIMIT_S) ->
     process = context.Process(target=_work, args=(piece.work, setting, sending))
     process.start()
     sending.close()
-    answered = receiving.poll(limit_s)
-    figures, failure = _answer(receiving) if answered else (None, f"ended after {limit_s:.0f} s")
-    if not answered:
+    answered, unfinished = receiving.poll(limit_s), False
+    figures, failure = None, f"ended after {limit_s:.0f} s"
+    if answered:
+        failure = "its process ended abruptly, as happens where memory runs out"
+        with contextlib.suppress(EOFError):
+            figures, failure = receiving.recv()
+    else:
         process.terminate()
     process.join()
-    unfinished = not answered and piece.so_far is not None
-    if unfinished and piece.so_far is not None:
-        figures, failure = piece.so_far(setting), None
+    if not answered and piece.so_far is not None:
+        figures, failure, unfinished = piece.so_far(setting), None, True
     outcome = Outcome(figures, failure, unfinished, round(time.monotonic() - begun, 1))
     if answered or unfinished or limit_s >= PIECE_LIMIT_S:
         value = {"schema": SCHEMA, "piece": piece.name, "outcome": asdict(outcome), "machine": machine_facts(setting)}
         write_json(kept_path(setting, piece), value)
     return outcome
-
-
-def _answer(receiving: Connection) -> tuple[dict[str, Any] | None, str | None]:
-    try:
-        figures, failure = receiving.recv()
-    except EOFError:
-        return None, "its process ended abruptly, as happens where memory runs out"
-    return figures, failure
 
 
 def _work(work: Callable[[Setting], dict[str, Any]], setting: Setting, sending: Connection) -> None:

@@ -25,6 +25,7 @@ from benchmark.records.run import RunRecord, write_record
 
 GROWING = ("sample", "ego_pose", "sample_data", "instance", "sample_annotation", "calibrated_sensor", "scene")
 """Tables whose rows belong to one scene."""
+_OF_THE_RECORD = ("schema_version", "status", "protocols", "seed", "files")
 _OF_THE_SAMPLE = ("scene", "sample_token", "index", "timestamp_us", "complete", "recorded_future", "lidar_ahead_m")
 
 
@@ -71,12 +72,7 @@ def make_records(pattern: RunRecord, folder: Path, planners: int, samples: int) 
                 rows.append(SampleRow.model_validate({**verdict, **own}))
         rows = rows[:samples]
         scenes = list(dict.fromkeys(row.scene for row in rows))
-        described = {
-            key: value
-            for key, value in dict(pattern.run).items()
-            if key not in {"schema_version", "status", "protocols", "seed", "files"}
-        }
-        described |= {
+        described = {key: value for key, value in dict(pattern.run).items() if key not in _OF_THE_RECORD} | {
             "planner": pattern.run.planner.model_copy(update={"name": name}),
             "scenes": scenes,
             "scenes_in_split": len(scenes),
