@@ -23,6 +23,8 @@ from bench.attacking.doors import DOORS, Doors
 from bench.attacking.targets import TARGETS
 from bench.attacking.verdicts import FALLEN, FINE
 
+_KEPT = {"files": RESULTS, "doors": DOORS}
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -41,8 +43,8 @@ def main() -> None:
     if not options.files and not options.doors:
         results = in_two_processes(options)
     else:
-        made = Doors if options.doors else Campaign
-        campaign: Attempts = made(options.folder, options.seed)
+        given = options.folder, options.seed
+        campaign: Attempts = Doors(*given) if options.doors else Campaign(*given)
         # A child that collects garbage would copy every page that it shares with this process.
         gc.freeze()
         wanted, kinds = options.kind or [""], enumerate(campaign.kinds(options.count))
@@ -61,23 +63,17 @@ def main() -> None:
 
 def in_two_processes(options: argparse.Namespace) -> list[Result]:
     """Half of the variants are of files, half of doors, each in a process and a folder of its own, side by side."""
-    count, folders = -(-options.count // 2), [options.folder / what for what in ("files", "doors")]
-    again = ["--seed", str(options.seed), "--count", str(count)]
+    kept = {what: options.folder / what / name.format(seed=options.seed) for what, name in _KEPT.items()}
+    again = ["--seed", str(options.seed), "--count", str(-(-options.count // 2))]
     again += [word for kind in options.kind or () for word in ("--kind", kind)]
-    children = [
-        subprocess.Popen(
-            [sys.executable, __file__, f"--{folder.name}", "--folder", str(folder), *again], stdout=subprocess.DEVNULL
-        )
-        for folder in folders
+    commands = [
+        [sys.executable, __file__, f"--{what}", "--folder", f"{path.parent}", *again] for what, path in kept.items()
     ]
+    children = [subprocess.Popen(command, stdout=subprocess.DEVNULL) for command in commands]
     broken = [child.wait() not in (0, 1) for child in children]
     if any(broken):
         sys.exit(f"a campaign did not end well; see above, and what is in {options.folder}")
-    return [
-        result
-        for name, folder in zip((RESULTS.format(seed=options.seed), DOORS.format(seed=options.seed)), folders)
-        for result in known_results(folder / name).values()
-    ]
+    return [result for path in kept.values() for result in known_results(path).values()]
 
 
 def table(results: Sequence[Result]) -> str:

@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import adapters.extensions.training.ego_status
 import benchmark.evaluation
 from adapters.extensions.training.ego_status import TrainingSettings
-from bench.attacking.campaign import preload
+from bench.attacking.campaign import RESULTS, preload
 from bench.killing.commands import COMMANDS, Killed
 from bench.killing.series import EXEMPT, WAYS, Bench, Series
 from benchmark.errors import InputError
@@ -39,7 +39,7 @@ def main() -> None:
     parser.add_argument("--kept", action="store_true", help="print what has been found, run nothing")
     options = parser.parse_args()
     if options.kept:
-        print(table(list(known_series(results_path(options.folder, options.seed)).values())))
+        print(table(list(known_series(options.folder / RESULTS.format(seed=options.seed)).values())))
         return
     preload()
     # Scenes this small would all be planned in one process, and none could be killed.
@@ -73,7 +73,7 @@ def cases(options: argparse.Namespace) -> Iterator[tuple[Killed, str, int, int]]
 
 
 def _series(bench: Bench, options: argparse.Namespace) -> Iterator[Series]:
-    path = results_path(bench.folder, options.seed)
+    path = bench.folder / RESULTS.format(seed=options.seed)
     known = known_series(path)
     for command, how, workers, number in cases(options):
         key = f"{command.name}/{how}/{workers}/{number}"
@@ -84,11 +84,6 @@ def _series(bench: Bench, options: argparse.Namespace) -> Iterator[Series]:
                 stream.write(json.dumps({"key": key, "series": asdict(known[key])}) + "\n")
             print(f"{key}: {'same' if known[key].same else 'DIFFERS'}", file=sys.stderr, flush=True)
         yield known[key]
-
-
-def results_path(folder: Path, seed: int) -> Path:
-    """The list of a seed's cases."""
-    return folder / f"results-{seed}.jsonl"
 
 
 def known_series(path: Path) -> dict[str, Series]:

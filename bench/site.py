@@ -14,7 +14,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -30,8 +30,6 @@ from tests.leaderboard.site.reading import key_of, model_query
 FIRST_PAINT_AIM_S, SCRUBBING_AIM_HZ = 1.0, 12.0
 CELL_WIDTH_PX = 320
 ROUTES = {"tables": "#/", "planners": "#/models", "scenes": "#/scenes", "attempts": "#/attempts"}
-
-_Made = TypeVar("_Made")
 
 _SCRUB = """
 const done = arguments[arguments.length - 1];
@@ -49,9 +47,10 @@ const step = () => {
 requestAnimationFrame(step);
 """
 """Asks for the next frame as soon as the one before is painted; gives their number and the seconds."""
+_PAINTED = "performance.getEntriesByName('first-contentful-paint')[0]?.startTime"
 
 
-def timed(what: str, work: Callable[[], _Made]) -> _Made:
+def timed(what: str, work: Callable[[], Any]) -> Any:
     began = time.process_time()
     made = work()
     print(f"{what:<52}{time.process_time() - began:8.1f} s")
@@ -82,9 +81,7 @@ def paint(browser: Browser, route: str, repeats: int) -> None:
     before = chromium_seconds(browser)
     for _ in range(repeats):
         browser.open(route)
-        painted.append(
-            browser.until("performance.getEntriesByName('first-contentful-paint')[0]?.startTime", patience_s=60) / 1000
-        )
+        painted.append(browser.until(_PAINTED, patience_s=60) / 1000)
         ready.append(browser.js("return (window.challengerReadyAt ?? NaN) / 1000;"))
     used = (chromium_seconds(browser) - before) / repeats
     print(
