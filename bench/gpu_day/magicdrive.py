@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import torch
 
-from bench.gpu_day.pieces import Piece, Setting, mean_seconds, with_random_weights
+from bench.gpu_day.pieces import Piece, Setting, mean_seconds
 from generation.extensions.magicdrive.autoencoder import DIFFUSERS, VideoDecoder
 from generation.extensions.magicdrive.conditions import TEXT_TOKENS, Conditions, TextStates
 from generation.extensions.magicdrive.config import MagicDriveConfig
@@ -99,10 +99,10 @@ def cost(setting: Setting, *, mode: str, size: str) -> dict[str, Any]:
         encoders_s, _ = mean_seconds(setting, encoded, 1)
         for _ in range(2 if setting.on_gpu else 1):
             evaluate()
-        step_s, peak_gib = mean_seconds(setting, evaluate, 1 if setting.tiny else 3)
-    figures = {"step_s": step_s, "encoders_s": encoders_s, "size": f"{height}x{width}"}
+        step_s, peak = mean_seconds(setting, evaluate, 1 if setting.tiny else 3)
     scene_s = VIEWS * step_s if mode == "decoder" else STEPS * step_s + encoders_s
-    return with_random_weights(peak_gib, frames, scene_s=scene_s, **figures)
+    spent = {"scene_s": scene_s, "step_s": step_s, "encoders_s": encoders_s}
+    return {**spent, "size": f"{height}x{width}", "frames": frames, **peak}
 
 
 def cost_said(figures: dict[str, Any]) -> str:

@@ -16,7 +16,7 @@ import torch
 
 from adapters.extensions.golden_sets.models import verify_model
 from adapters.models import miniatures, published_model, resolve
-from bench.gpu_day.pieces import Piece, Setting, mean_seconds, with_random_weights
+from bench.gpu_day.pieces import Piece, Setting, mean_seconds
 from benchmark.machine.devices import single_precision
 
 NETWORKS: Final = ("uniad", "vad-base", "vad-tiny", "sparsedrive", "diffusiondrive")
@@ -87,8 +87,8 @@ def speed(setting: Setting, *, name: str, mode: str) -> dict[str, Any]:
 
     for _ in range(WARM_UP_FRAMES if setting.on_gpu else 0):
         frame()
-    seconds, peak_gib = mean_seconds(setting, frame, frames, before=begin_a_scene)
-    return with_random_weights(peak_gib, frames, frames_per_s=1 / seconds, ms=1e3 * seconds)
+    seconds, peak = mean_seconds(setting, frame, frames, before=begin_a_scene)
+    return {"frames_per_s": 1 / seconds, "ms": 1e3 * seconds, "frames": frames, **peak}
 
 
 def speed_said(figures: dict[str, Any]) -> str:

@@ -82,15 +82,13 @@ class Piece:
     so_far: Callable[[Setting], dict[str, Any]] | None = None
 
 
-def with_random_weights(peak_gib: float | None, frames: int, **figures: Any) -> dict[str, Any]:
-    """Figures of a network that nothing was learned by: those of the piece, and what all such pieces say."""
-    return {**figures, "peak_gib": peak_gib, "frames": frames, "weights": "random"}
-
-
 def mean_seconds(
     setting: Setting, work: Callable[[], object], count: int, before: Callable[[int], object] = int
-) -> tuple[float, float]:
-    """Mean time of some work, and the most memory meanwhile, GiB; what is done before each does not count."""
+) -> tuple[float, dict[str, Any]]:
+    """Mean time of what a network with random weights does, and that with the most memory meanwhile, GiB, as figures.
+
+    What is done before each, given its number, does not count.
+    """
     import torch
 
     if setting.on_gpu:
@@ -102,7 +100,8 @@ def mean_seconds(
         work()
         spent += setting.now() - began
     resident = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return spent / count, (torch.cuda.max_memory_allocated() if setting.on_gpu else resident) / 2**30
+    peak = torch.cuda.max_memory_allocated() if setting.on_gpu else resident
+    return spent / count, {"peak_gib": peak / 2**30, "weights": "random"}
 
 
 @dataclass(frozen=True, slots=True)

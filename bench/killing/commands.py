@@ -70,20 +70,7 @@ def write_recorded(root: Path) -> Path:
 
 
 def write_needed(command: Killed, data: Path, folder: Path, case: Path) -> Path:
-    """What a command finds in ``--out``: the undisturbed results of the ones before it; made once.
-
-    Args:
-        command: The command.
-        data: The recorded data set.
-        folder: Holds what is made.
-        case: Where commands run: records and sheets are made at one place, whichever command needs them.
-
-    Returns:
-        A folder to copy.
-
-    Raises:
-        InputError: If a command fails.
-    """
+    """What a command finds in ``--out``: what the ones before it leave undisturbed, all at one place; made once."""
     needed = folder / ("-".join(command.after) or "nothing")
     if needed.is_dir():
         return needed
