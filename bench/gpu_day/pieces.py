@@ -188,7 +188,8 @@ def run_piece(setting: Setting, piece: Piece, limit_s: float = PIECE_LIMIT_S) ->
     process.start()
     sending.close()
     answered, unfinished = receiving.poll(limit_s), False
-    figures, failure = None, f"ended after {limit_s:.0f} s"
+    figures: dict[str, Any] | None = None
+    failure: str | None = f"ended after {limit_s:.0f} s"
     if answered:
         failure = "its process ended abruptly, as happens where memory runs out"
         with contextlib.suppress(EOFError):

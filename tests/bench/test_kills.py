@@ -18,9 +18,9 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     return Bench(tmp_path_factory.mktemp("kills"), seed=1)
 
 
-@pytest.mark.parametrize("name", ["generate", "drive"])
-def test_a_command_that_is_killed_twice_leaves_what_an_undisturbed_one_leaves(bench: Bench, name: str) -> None:
-    found = bench.disturbed(COMMANDS[name], "kill", 1, 0)
+@pytest.mark.parametrize(("name", "how"), [("generate", "kill"), ("drive", "kill"), ("drive over HTTP", "server")])
+def test_a_command_that_is_disturbed_leaves_what_an_undisturbed_one_leaves(bench: Bench, name: str, how: str) -> None:
+    found = bench.disturbed(COMMANDS[name], how, 1, 0)
     assert found.same and found.files > 10, found
     assert table([found]).splitlines()[2].endswith("| 1 |")
     assert (bench.case / "out" / "timings").is_dir()
