@@ -104,10 +104,8 @@ def _require_commit(folder: Path) -> None:
 def table(found: list[Series]) -> str:
     """A row for each command and way: how often it was disturbed, and how often nothing shows it."""
     rows = sorted({(each.command, each.how) for each in found})
-    lines = [
-        "| command | disturbed by | cases | of them hit | files compared | same bytes |",
-        "|---|---|--:|--:|--:|--:|",
-    ]
+    head = "| command | disturbed by | cases | of them hit | files compared | same bytes |"
+    lines = [head, "|---|---|--:|--:|--:|--:|"]
     for row in rows:
         own = [each for each in found if (each.command, each.how) == row]
         hit, same = sum(each.killed > 0 for each in own), sum(each.same for each in own)

@@ -21,22 +21,11 @@ from tests.benchmark.untrusted.mutations import FORMS
 RESULTS: Final = "results-{seed}.jsonl"
 _SHOWN: Final = 400
 _IMPORTED: Final = (
-    "adapters.plan_file",
-    "adapters.registry",
-    "adapters.result_files.planner",
-    "benchmark.cli.app",
-    "benchmark.datasets.schema",
-    "benchmark.runs.rescoring",
-    "generation.pipeline.split",
-    "generation.diffusion.checkpoint",
-    "generation.render.pictures",
-    "generation.sources.importing",
-    "leaderboard.build",
-    "nuscenes.map_expansion.map_api",
-    "nuscenes.nuscenes",
-    "pandas",
-    "torch._dynamo",
-)
+    "adapters.plan_file", "adapters.registry", "adapters.result_files.planner", "benchmark.cli.app",
+    "benchmark.datasets.schema", "benchmark.runs.rescoring", "generation.pipeline.split",
+    "generation.diffusion.checkpoint", "generation.render.pictures", "generation.sources.importing",
+    "leaderboard.build", "nuscenes.map_expansion.map_api", "nuscenes.nuscenes", "pandas", "torch._dynamo",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
