@@ -1,4 +1,7 @@
-"""Seeded changes of a valid file: of its bytes, and of what is written in them where the form is known."""
+"""Seeded changes of a valid file: of its bytes, and of what is written in them where the form is known.
+
+For tests (a sample) and for ``bench/attack.py`` (as many as one likes), beside what somebody thought of (`variants`).
+"""
 
 import hashlib
 import io
@@ -11,7 +14,8 @@ from dataclasses import dataclass
 from random import Random
 from typing import Any, Final
 
-DEEP: Final = "[" * 100_000 + "]" * 100_000
+from tests.benchmark.untrusted.variants import DEEP
+
 _HERE: Final = "put the other value here"
 
 
@@ -130,11 +134,13 @@ def _in_json(act: Callable[[Any, Any, Random], None]) -> Callable[[bytes, Random
     return change
 
 
-def _become(other: Any) -> Callable[[Any, Any, Random], None]:
+def become(name: str, other: Any) -> Mutation:
+    """A value somewhere in JSON becomes another."""
+
     def act(container: Any, key: Any, _: Random) -> None:
         container[key] = other
 
-    return act
+    return Mutation(f"a value is {name}", _in_json(act), may_be_valid=False)
 
 
 def _leave(container: Any, key: Any, _: Random) -> None:
@@ -178,7 +184,7 @@ def _same_key_twice(data: bytes, chance: Random) -> bytes:
 
 
 JSON: Final = (
-    *(Mutation(f"a value is {name}", _in_json(_become(other)), may_be_valid=False) for name, other in _OTHER_VALUES),
+    *(become(name, other) for name, other in _OTHER_VALUES),
     Mutation("a value is missing", _in_json(_leave), may_be_valid=False),
     Mutation("a value twice", _in_json(_twice), may_be_valid=False),
     Mutation("a key twice", _same_key_twice, may_be_valid=False),
