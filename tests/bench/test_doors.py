@@ -3,6 +3,7 @@
 import os
 import signal
 import socket
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -22,14 +23,22 @@ from bench.attacking.planners import ODD_PLANNERS
 from bench.attacking.servers import GOOD_PLAN, SLOW, OddServer, odd_answers
 from bench.attacking.verdicts import FINE, Verdict, door_verdict, is_sentence
 from benchmark.cli.app import app
+from benchmark.extensions.http import model
 
 ENDED = Ended(2, "", "error: --limit must be at least 1, got 0\n", 1.0, 1.0, 20.0, 1 << 28)
 LEFT_OUT = {"demo"}
 
 
 @pytest.fixture(scope="module")
-def doors(tmp_path_factory: pytest.TempPathFactory) -> Doors:
-    return Doors(tmp_path_factory.mktemp("doors"), 0)
+def doors(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Doors]:
+    with pytest.MonkeyPatch.context() as patch:
+        # What it sets for its children shall not hold for the tests that follow.
+        for name in ("RETURN_S", "ALIVE_S"):
+            patch.setattr(model, name, getattr(model, name))
+        made = Doors(tmp_path_factory.mktemp("doors"), 0)
+        yield made
+        if made.server is not None:
+            made.server.end()
 
 
 def test_a_good_planner_of_others_runs_and_a_failing_one_is_a_partial_run(doors: Doors) -> None:
