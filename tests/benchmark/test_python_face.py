@@ -19,9 +19,12 @@ import benchmark
 from benchmark.cli.app import app
 from generation.sources.mini import TownSettings
 from generation.splits.packaged import NamedSplit, newest_split
+from tests.whole_product import command_is_installed, is_installed
 
 PLACES: dict[str, str] = vars(benchmark)["_PLACES"]
 SHOWN: list[str] = vars(benchmark)["__all__"]
+HERE = {name: place for name, place in PLACES.items() if is_installed(place)}
+"""Names of what is installed."""
 ROOT = Path(__file__).resolve().parents[2]
 FUNCTION_OF = {
     "generate": "generate",
@@ -80,14 +83,16 @@ def commands(command: Any, name: str = "") -> Iterator[str]:
 
 
 def test_every_command_has_its_function() -> None:
-    assert set(commands(typer.main.get_command(app))) == set(FUNCTION_OF)
+    here = {command: function for command, function in FUNCTION_OF.items() if command_is_installed(command)}
+    found = filter(command_is_installed, commands(typer.main.get_command(app)))
+    assert set(found) == set(here)
     page = (ROOT / "docs" / "python.md").read_text()
-    for function in FUNCTION_OF.values():
+    for function in here.values():
         assert callable(getattr(benchmark, function)) and f"`{function}`" in page
 
 
 def test_every_name_is_there_and_documented() -> None:
-    for name in PLACES:
+    for name in HERE:
         assert getattr(benchmark, name).__doc__, name
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = getattr(benchmark, "nothing")  # noqa: B009 - for type checkers there is no such name
@@ -105,7 +110,7 @@ def test_no_name_is_that_of_a_submodule() -> None:
 
 
 def test_a_name_is_what_its_place_defines() -> None:
-    for name, place in PLACES.items():
+    for name, place in HERE.items():
         module, _, original = place.partition(":")
         assert getattr(benchmark, name) is getattr(importlib.import_module(module), original)
 

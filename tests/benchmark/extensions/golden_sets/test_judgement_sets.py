@@ -18,7 +18,7 @@ from benchmark.extensions.golden_sets.severity import BUILT_IN as SEVERITY
 from benchmark.extensions.golden_sets.severity import verify_severity
 from benchmark.verification.checks import Check
 from tests.benchmark.cli.cli_runs import challenger_bench
-from tests.benchmark.golden_judgement import SHARED, made_driver_scenes, made_realism
+from tests.benchmark.extensions.golden_sets.golden_judgement import SHARED, made_driver_scenes, made_realism
 
 Verify = Callable[[Path | None], list[Check]]
 SETS: dict[str, tuple[Verify, Path]] = {

@@ -11,10 +11,10 @@ from benchmark.extensions.golden_sets.protocols import BUILT_IN, verify_protocol
 from benchmark.geometry import Bools, Floats
 from benchmark.protocols import bev_planner, fine_grid, omnidrive, safemvdrive, stp3
 from benchmark.protocols.stacked import StackedTruths
-from tests.benchmark import golden_further
-from tests.benchmark.protocols.test_verification import change, failures, load
+from tests.benchmark.extensions.golden_sets import golden_further
+from tests.benchmark.extensions.golden_sets.protocols.test_verification import change, failures, load
 
-GOLDEN = Path(__file__).resolve().parents[4] / "shared" / "golden" / "protocols_more"
+GOLDEN = Path(__file__).resolve().parents[6] / "shared" / "golden" / "protocols_more"
 
 
 @pytest.mark.skipif(not GOLDEN.is_dir(), reason="the golden sets are not beside this checkout")

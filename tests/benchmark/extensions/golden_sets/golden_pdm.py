@@ -1,7 +1,8 @@
 """The built-in golden set of the PDM sub-scores: a made-up crossing, judged by the slow version.
 
-``python -m tests.benchmark.golden_pdm`` writes it again; a test compares. It has the form of the official sets, so that
-`challenger-bench verify pdm` reads both alike. The first plan of each sample stands for the recorded future.
+``python -m tests.benchmark.extensions.golden_sets.golden_pdm`` writes it again; a test compares. It has the form of the
+official sets, so that `challenger-bench verify pdm` reads both alike. The first plan of each sample stands for the
+recorded future.
 """
 
 from dataclasses import replace

@@ -8,9 +8,9 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.extensions.golden_sets.pdm import BUILT_IN, verify_pdm
-from tests.benchmark.golden_pdm import golden_arrays
+from tests.benchmark.extensions.golden_sets.golden_pdm import golden_arrays
 
-OFFICIAL = Path(__file__).resolve().parents[4] / "shared" / "golden" / "pdm"
+OFFICIAL = Path(__file__).resolve().parents[6] / "shared" / "golden" / "pdm"
 
 
 def stored() -> dict[str, Any]:

@@ -10,13 +10,15 @@ import pytest
 import torch
 
 from adapters.extensions.golden_sets import sparse_order
+from adapters.extensions.golden_sets.models import verify_model
 from adapters.extensions.golden_sets.sparse import MODULES, MOVED, OTHER_ROWS, verify_sparse
 from adapters.extensions.golden_sets.sparse_order import Order
 from adapters.models import MODELS
 from benchmark.errors import InputError
 from benchmark.verification.checks import Check
 from benchmark.verification.golden import GoldenArrays
-from tests.adapters.networks.sparse.miniature import MINIATURE, change, filled, frame, noise, write_set
+from tests.adapters.extensions.golden_sets.sparse_sets import change, write_set
+from tests.adapters.networks.sparse.miniature import MINIATURE, filled, frame, noise
 
 
 @pytest.fixture(scope="module", params=["sparsedrive", "diffusiondrive"])
@@ -228,3 +230,11 @@ def test_diffusion_needs_its_noise(tmp_path: Path) -> None:
     change(folder / "inputs.npz", "frame1_diffusion_noise", None)
     with pytest.raises(InputError, match="frame1_diffusion_noise"):
         verify(folder)
+
+
+def test_one_command_verifies_these_networks_too(tmp_path: Path) -> None:
+    for name in ("sparsedrive", "diffusiondrive"):
+        with pytest.raises(InputError, match=str(tmp_path)):
+            verify_model(name, tmp_path)
+    with pytest.raises(InputError, match="choose one of vad-tiny, vad-base, uniad, sparsedrive, diffusiondrive"):
+        verify_model("nonsense", tmp_path)

@@ -1,6 +1,7 @@
 """The built-in set of `challenger-bench verify protocols`: made-up scenes, judged by `slow_protocols.py`.
 
-``python -m tests.benchmark.golden_protocols`` writes the set; a test compares what is stored with what this makes.
+``python -m tests.benchmark.extensions.golden_sets.golden_protocols`` writes the set; a test compares what is stored
+with what this makes.
 """
 
 import math
@@ -323,7 +324,10 @@ def write(folder: Path) -> None:
             np.savez_compressed(folder / file, **arrays)
             names.append(file)
     facts = {file: {"sha256": file_sha256(folder / file)} for file in sorted(names)}
-    write_json(folder / "manifest.json", {"source": "made up; tests/benchmark/golden_protocols.py", "files": facts})
+    write_json(
+        folder / "manifest.json",
+        {"source": "made up; tests/benchmark/extensions/golden_sets/golden_protocols.py", "files": facts},
+    )
 
 
 if __name__ == "__main__":

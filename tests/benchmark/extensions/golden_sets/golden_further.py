@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from benchmark.extensions.golden_sets.protocols.golden_set import GoldenScene, read_golden_scene
 from benchmark.geometry import Floats, to_local
-from tests.benchmark import golden_protocols
+from tests.benchmark.extensions.golden_sets import golden_protocols
 from tests.benchmark.protocols import slow_further_protocols as further
 from tests.benchmark.protocols import slow_protocols as slow
 from tests.benchmark.protocols.protocol_cases import roads_of

@@ -7,12 +7,18 @@ from pathlib import Path
 import pytest
 
 from adapters.extensions.golden_sets.result_files import verify_results
+from adapters.result_files.writing.formats import WRITERS
 from adapters.result_files.writing.tensors import write_pickle
 from benchmark.errors import InputError
 from tests.benchmark.cli.cli_runs import refusal
 
-GOLDEN = Path(__file__).resolve().parents[4] / "shared" / "golden" / "result_files"
+GOLDEN = Path(__file__).resolve().parents[5] / "shared" / "golden" / "result_files"
 needs_golden = pytest.mark.skipif(not GOLDEN.is_dir(), reason="the golden set is not here")
+
+
+def test_the_built_in_set_agrees() -> None:
+    checks = verify_results()
+    assert len(checks) == 2 + len(WRITERS) and all(check.ok for check in checks), checks
 
 
 @needs_golden

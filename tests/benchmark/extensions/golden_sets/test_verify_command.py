@@ -42,6 +42,11 @@ def test_what_is_no_golden_set_is_one_sentence_and_exit_code_2(tmp_path: Path) -
         ("protocols", "--golden", tmp_path),
         ("pdm", "--golden", tmp_path),
         ("chemistry",),
+        ("model",),
+        ("model", "--model", "vad-tiny"),
+        ("model", "--model", "no-such-model", "--golden", tmp_path),
+        ("model", "--model", "vad-tiny", "--golden", tmp_path),
+        ("physics", "--model", "vad-tiny"),
     ):
         run = challenger_bench("verify", *arguments)
         assert run.code == 2, run

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmark.errors import InputError
 from benchmark.extensions.golden_sets.protocols import BUILT_IN, verify_protocols
-from tests.benchmark.protocols.test_verification import change, copied, load
+from tests.benchmark.extensions.golden_sets.protocols.test_verification import change, copied, load
 
 __all__ = ["copied"]
 

@@ -17,7 +17,7 @@ from benchmark.protocols import PROTOCOLS, Outcomes, raster, sparsedrive, uniad,
 from benchmark.protocols.stacked import StackedTruths
 from benchmark.verification.checks import Check
 
-GOLDEN = Path(__file__).resolve().parents[4] / "shared" / "golden" / "protocols"
+GOLDEN = Path(__file__).resolve().parents[6] / "shared" / "golden" / "protocols"
 Arrays = dict[str, NDArray[Any]]
 
 

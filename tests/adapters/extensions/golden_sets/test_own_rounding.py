@@ -13,7 +13,8 @@ from adapters.extensions.golden_sets.own_rounding import Run, other_threads, wit
 from adapters.extensions.golden_sets.sparse import verify_sparse
 from adapters.models import MODELS
 from benchmark.verification.checks import AS_FAR, ROUNDING, Check, Comparison, report
-from tests.adapters.networks.sparse.miniature import MINIATURE, change, filled, write_set
+from tests.adapters.extensions.golden_sets.sparse_sets import change, write_set
+from tests.adapters.networks.sparse.miniature import MINIATURE, filled
 
 
 @pytest.fixture

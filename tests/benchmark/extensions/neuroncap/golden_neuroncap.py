@@ -1,8 +1,8 @@
 """The built-in golden set of NeuroNCAP.
 
-``python -m tests.benchmark.golden_neuroncap`` writes it again. What the published code said of made-up cases is thinned
-out of the set beside this repository; recorded paths and sizes do not go into it. The whole runs are made up here, and
-what is said of them holds this implementation to what it said before.
+``python -m tests.benchmark.extensions.neuroncap.golden_neuroncap`` writes it again. What the published code said of
+made-up cases is thinned out of the set beside this repository; recorded paths and sizes do not go into it. The whole
+runs are made up here, and what is said of them holds this implementation to what it said before.
 """
 
 import json
@@ -34,7 +34,7 @@ from benchmark.extensions.neuroncap.verification.checked_moments import CheckRow
 from benchmark.geometry import Floats, quaternion_from_yaw, transform_matrix
 from benchmark.records.neuroncap_switches import CODE
 
-SHARED = Path(__file__).resolve().parents[3] / "shared" / "golden" / "neuroncap"
+SHARED = Path(__file__).resolve().parents[5] / "shared" / "golden" / "neuroncap"
 START_US = 1_700_000_000_000_000
 FRAMES = 30
 SPEED, RADIUS = 8.0, 70.0

@@ -1,8 +1,9 @@
 """The built-in golden sets of drivers, severity and realism.
 
-``python -m tests.benchmark.golden_judgement`` writes them again. What is official, or of made-up tracks and from the
-other implementation of the definitions, is thinned out of the sets beside this repository. Recorded tracks do not go
-into it: the scenes are made up here, and what is said of them holds this implementation to what it said before.
+``python -m tests.benchmark.extensions.golden_sets.golden_judgement`` writes them again. What is official, or of made-up
+tracks and from the other implementation of the definitions, is thinned out of the sets beside this repository. Recorded
+tracks do not go into it: the scenes are made up here, and what is said of them holds this implementation to what it
+said before.
 """
 
 import json
@@ -26,11 +27,10 @@ from benchmark.interactions.outcomes import Outcome, Surroundings
 from benchmark.interactions.reaction import Driver
 from benchmark.interactions.sight import first_visible
 from benchmark.interactions.tracks import Tracks
-from tests.benchmark.interactions.made import boxes
+from tests.benchmark.interactions.made import along_bend, made_scene
 
-SHARED = Path(__file__).resolve().parents[3] / "shared" / "golden"
+SHARED = Path(__file__).resolve().parents[5] / "shared" / "golden"
 ENCOUNTERS = ("cut_in", "arc_leader_brakes", "from_behind", "crossing_other_first")
-FRAMES = 181
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -65,39 +65,6 @@ def thinned_severity() -> tuple[dict[str, Arrays], dict[str, Any]]:
     return arrays, {"contacts": contacts, "encounters": facts}
 
 
-def made_scene(number: int) -> tuple[Tracks, NDArray[np.int64]]:
-    """A made-up drive along a bend with traffic, 12 Hz, and its keyframes."""
-    rng = np.random.default_rng(number)
-    seconds = np.round(np.arange(FRAMES) / 12.0, 6)
-    speed, radius = 7.0 + number, 60.0 + 20.0 * number
-    own = _bend(seconds, 0.0, 0.0, speed, radius, (4.084, 1.73))
-    cars = [
-        _bend(seconds, start, lane, speed + change, radius, size, wobble)
-        for start, lane, change, size, wobble in (
-            (14.0, 0.0, 0.5, (4.6, 1.9), 0.05),
-            (30.0, 3.5, -1.0, (4.4, 1.8), 0.2),
-            (-18.0, 3.5, 1.5, (4.5, 1.9), 0.1),
-            (45.0, 0.0, -0.5, (8.0, 2.5), 0.0),
-            (25.0, -7.0, 0.0, (4.6, 1.9), 0.0),
-        )
-    ]
-    cars[4][:] = cars[4][0]
-    walker = boxes(20.0 + 0.0 * seconds, -9.0 + 1.2 * seconds, (0.7, 0.7), 1.5)
-    agents = np.array([*cars, walker])
-    # Annotated at 2 Hz and linear between, as recordings are.
-    keyframes = np.arange(0, FRAMES, 6)
-    agents[:4, :, :2] += np.array(
-        [
-            np.column_stack([np.interp(seconds, seconds[keyframes], axis) for axis in rng.normal(0, 0.05, (2, 31))])
-            for _ in range(4)
-        ]
-    )
-    valid = np.ones((len(agents), FRAMES), np.bool_)
-    valid[2, :24] = valid[1, 150:] = False
-    names = ("vehicle.car", "vehicle.car", "vehicle.car", "vehicle.truck", "vehicle.car", "human.pedestrian.adult")
-    return Tracks(seconds, np.round(own, 6), np.round(agents, 6), valid, names), keyframes
-
-
 def made_driver_scenes() -> tuple[Arrays, list[dict[str, Any]]]:
     """``scenes.npz`` and ``scenes.json``: two scenes with an adversary each, and what the drivers make of them."""
     arrays: Arrays = {}
@@ -107,7 +74,7 @@ def made_driver_scenes() -> tuple[Arrays, list[dict[str, Any]]]:
         speed, radius = 7.0 + number, 60.0 + 20.0 * number
         sideways = np.clip(3.5 - 1.2 * np.maximum(tracks.seconds - 1.0, 0.0), 0.0, 3.5) if kind == "cut_in" else 0.0
         slower = 3.0 if kind == "cut_in" else np.minimum(tracks.seconds, speed / 4.0) * 2.0
-        added = np.round(_bend(tracks.seconds, 10.0, sideways, speed - slower, radius, (4.6, 1.9)), 6)
+        added = np.round(along_bend(tracks.seconds, 10.0, sideways, speed - slower, radius, (4.6, 1.9)), 6)
         fields = {"seconds": tracks.seconds, "ego": tracks.ego, "agents": tracks.agents, "valid": tracks.valid}
         arrays |= {f"{name}/{field}": array for field, array in fields.items()}
         arrays |= {f"{name}/categories": np.array(tracks.categories), f"{name}/{kind}": added}
@@ -166,17 +133,6 @@ def write() -> None:
     golden = json.loads((SHARED / "realism" / "plain_divergences.json").read_text())["arrays"]
     texts["plain_divergences"]["arrays"] = golden
     _write(REALISM, {**arrays, "plain_arrays": samples}, texts)
-
-
-def _bend(
-    seconds: Floats, start: float, lane: Any, speed: Any, radius: float, size: tuple[float, float], wobble: float = 0.0
-) -> Floats:
-    """Along a left bend: metres from its start, to the left of it, m/s."""
-    step = np.broadcast_to(speed, seconds.shape) * np.gradient(seconds)
-    angle = (start + np.cumsum(step) - step[0]) / radius
-    across = radius - lane - wobble * np.sin(seconds)
-    x, y = across * np.sin(angle), radius - across * np.cos(angle)
-    return np.column_stack([x, y, np.broadcast_to(size, (len(seconds), 2)), angle])
 
 
 def _first(tracks: Tracks, frames: int) -> Tracks:

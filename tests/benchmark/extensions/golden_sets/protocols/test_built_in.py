@@ -7,9 +7,9 @@ import pytest
 
 from benchmark.extensions.golden_sets.protocols import BUILT_IN, verify_protocols
 from benchmark.machine.storage import read_json
-from tests.benchmark import golden_protocols
-from tests.benchmark.golden_protocols import CASES, files_of, write
-from tests.benchmark.protocols.test_verification import failures, load
+from tests.benchmark.extensions.golden_sets import golden_protocols
+from tests.benchmark.extensions.golden_sets.golden_protocols import CASES, files_of, write
+from tests.benchmark.extensions.golden_sets.protocols.test_verification import failures, load
 
 
 def test_the_built_in_set_agrees() -> None:

@@ -2,7 +2,8 @@
 
 The paper's and the reference code's.
 
-``python -m tests.generation.golden_scoring`` writes the set; a test compares what is stored with what this makes.
+``python -m tests.generation.extensions.golden_sets.golden_scoring`` writes the set; a test compares what is stored with
+what this makes.
 """
 
 import math

@@ -4,15 +4,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from benchmark.extensions.quality.definition import Definition
 from benchmark.records.quality import QualityRecord, write_quality
 from benchmark.records.quality_schema import SceneRows, SubjectRow, Sum, VideoRow
 from benchmark.records.run_schema import SceneFacts
 from leaderboard.build import leaderboard_files, stale_files, write_leaderboard
 from leaderboard.extensions.quality.tables import quality_tables
-from leaderboard.tables.published import published_quality_table
 
 
 def rows(scene: str, *, adversary: bool, level: float, size: tuple[int, int]) -> SceneRows:
@@ -124,12 +121,3 @@ def test_the_leaderboard_has_the_table_with_and_without_runs(tmp_path: Path) -> 
     write_leaderboard([], tmp_path / "board", found)
     assert stale_files([], tmp_path / "board", found) == []
     assert stale_files([], tmp_path / "board", [made(tmp_path / "records", "val", size=(1, 1))])
-
-
-def test_published_values_are_those_of_the_paper(tmp_path: Path) -> None:
-    source = Path(__file__).parents[4] / "shared" / "paper" / "challenger.tex"
-    if not source.is_file():
-        pytest.skip("the paper is not here")
-    text = source.read_text()
-    for name, consistency, imaging in published_quality_table().rows:
-        assert any(line.split()[:1] == [name] and consistency in line and imaging in line for line in text.splitlines())
