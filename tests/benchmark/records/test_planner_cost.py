@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.evaluation import EvalSettings, evaluate, plan_shard
 from benchmark.machine.metering import Meter, peak_memory_mb
 from benchmark.records.planner_cost import (
     PlannerCost,
@@ -25,7 +25,6 @@ from benchmark.records.planner_cost import (
 from benchmark.records.record_costs import with_cost
 from benchmark.records.run import RunRecord, load_record
 from benchmark.runs.planner_facts import facts_of
-from benchmark.runs.sharded import merge_shards, plan_shard
 from benchmark.runs.shards import Shard
 from leaderboard.frame.runs import Frame
 from leaderboard.tables.contents import data_set_tables
@@ -169,7 +168,7 @@ def test_what_shards_took_is_put_together(tmp_path: Path) -> None:
     planners = [(Factory(), EvalSettings(protocols=("exact",), timings=timings))]
     for number in (1, 2):
         plan_shard(town_of_two(), "val", planners, runs, Shard(number, 2))
-    (record,) = merge_shards(runs, lambda split: town_of_two(), "fake", timings=timings)
+    record = evaluate(town_of_two(), "val", *planners[0][:1], runs, planners[0][1])
     known = with_cost(load_record(record.directory), [runs], lambda _: timings)
     assert known.cost is not None and set(known.cost.scenes) == set(town_of_two().scene_names("val"))
     assert summary_of(known.cost).median_s is not None

@@ -7,7 +7,6 @@ import pytest
 
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.schema.check import check_tables
-from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.metrics.confusion import comparisons
 from benchmark.metrics.frames import samples_frame
@@ -170,11 +169,3 @@ def test_gaps_are_named_by_the_check(tmp_path: Path) -> None:
     )
     assert [one.split(" are ")[1].split(":")[0] for one in said["short"]] == ["0.7 s apart", "0.3 s apart"]
     assert len(said["dense"]) == 1 and "are 0.0833 s apart (median)" in said["dense"][0]
-
-
-def test_what_counts_frames_refuses_other_rates(tmp_path: Path) -> None:
-    from benchmark.extensions.exchange.exporting import exchanged_of
-
-    root = TinyRoot.of(tmp_path, [with_key_frames(town(), np.arange(91))], cameras=()).write()
-    with pytest.raises(InputError, match=r"key frames of scene-9901 are 0\.0833 s apart .* only eval and rescore"):
-        exchanged_of(NuScenesData.open(root), "scene-9901")

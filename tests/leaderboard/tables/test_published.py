@@ -1,6 +1,7 @@
 """The paper's numbers beside ours: only beside the same model under the same protocol."""
 
 import dataclasses
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +11,7 @@ from benchmark.report.cells import UNDEFINED
 from benchmark.report.table import Table
 from leaderboard.frame.runs import Frame
 from leaderboard.tables.collision import collision_table
+from leaderboard.tables.published import published_quality_table
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 
 SCENES = {"s0": [HIT, CLEAN], "s1": [CLEAN, CLEAN]}
@@ -71,3 +73,12 @@ def test_every_published_row_finds_its_place(row: PublishedRate) -> None:
     model, protocol = row.model, row.protocol
     record = hand_made(model.lower(), SCENES, split=split, protocols=(protocol,), native=protocol)
     assert paper_of(collision_table(Frame("d", [record]), "native"), model.lower())[:4] == row.percent
+
+
+def test_published_values_of_quality_are_those_of_the_paper() -> None:
+    source = Path(__file__).parents[4] / "shared" / "paper" / "challenger.tex"
+    if not source.is_file():
+        pytest.skip("the paper is not here")
+    text = source.read_text()
+    for name, consistency, imaging in published_quality_table().rows:
+        assert any(line.split()[:1] == [name] and consistency in line and imaging in line for line in text.splitlines())
