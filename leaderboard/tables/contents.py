@@ -1,7 +1,7 @@
 """Which tables there are, and in which order they are read."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from benchmark.metrics.attacks import has_adversaries, says_severity
@@ -72,13 +72,13 @@ class DataSetTables:
     """Tables of one data set, in the order in which they are read.
 
     Attributes:
-        frame: What they are made from.
+        frame: What they are made from; no part of what makes them equal.
         front: Under ``exact`` and under the planners' own protocols, then diagnosis, disagreement and driving scores.
         slices: By place, light, manoeuvre, speed and command: the same judges as ``front``.
         others: Under each other protocol; the collision table comes first.
     """
 
-    frame: Frame
+    frame: Frame = field(compare=False, repr=False)
     front: tuple[Table, ...]
     slices: tuple[Table, ...]
     others: dict[str, tuple[Table, ...]]
