@@ -20,7 +20,7 @@ from benchmark.records.run_schema import ProtocolSummary, RateRow
 from benchmark.report.lettering import drawable
 from benchmark.report.plots import Sketch, Theme, for_pages, new_figure
 from benchmark.report.words import titled
-from leaderboard.frame.rows import judges, marked, splits_of
+from leaderboard.frame.rows import judges, name_cell, splits_of
 from leaderboard.frame.runs import Frame, Row
 from leaderboard.page.sections import NamedFigure
 
@@ -109,10 +109,7 @@ def _horizon_figure(data_name: str, protocol: str, rows: Sequence[Row[ProtocolSu
     lines = [mpl.lines.Line2D([], [], **style[name]) for name in planners]
     names = [names_of[name] for name in planners]
     figure.tight_layout(rect=(0, below / figure.get_figheight(), 1, 0.93))
-    legend = figure.legend(
-        lines, names, loc="lower center", ncols=_LEGEND_COLUMNS, frameon=False, fontsize="small", columnspacing=1.2
-    )
-    plain_text(legend.get_texts())
+    name_below(figure, lines, names, _LEGEND_COLUMNS, columnspacing=1.2)
     _heading(figure, f"{drawable(data_name)}: collision rate over the horizon, {judges(protocol)}")
     return figure
 
@@ -163,8 +160,7 @@ def _disagreement(
     figure.tight_layout(rect=(0, (0.1 + 0.22 * -(-len(found) // 2)) / figure.get_figheight(), 1, 0.92))
     patches = [Patch(color=theme.planner(place)) for place in range(len(found))]
     names = [planner_name(run) for run, _ in found]
-    legend = figure.legend(patches, names, loc="lower center", ncols=2, frameon=False, fontsize="small")
-    plain_text(legend.get_texts())
+    name_below(figure, patches, names, 2)
     _heading(figure, f"{drawable(titled(data_name, split))}: protocols against exact (a tick: undefined)")
     return figure
 
@@ -223,13 +219,13 @@ def _heading(figure: Figure, text: str) -> None:
     figure.text(0.5, 0.98, text, ha="center", va="top", fontsize=10.5, parse_math=False)
 
 
-def plain_text(texts: Sequence[Any]) -> None:
-    """Names of strangers are text, not formulas."""
-    for text in texts:
+def name_below(figure: Figure, drawn: Sequence[Any], names: Sequence[str], columns: int, **place: Any) -> None:
+    """Say below the panels what is whose; names of strangers are text, not formulas."""
+    look = {"loc": "lower center", "ncols": columns, "frameon": False, "fontsize": "small", **place}
+    for text in figure.legend(drawn, names, **look).get_texts():
         text.set_parse_math(False)
 
 
 def planner_name(run: RunRecord) -> str:
     """The planner's name with its marks, as pictures can show it."""
-    planner = run.run.planner
-    return drawable(marked(run.planner, privileged=planner.privileged, miniature=planner.miniature))
+    return drawable(name_cell(run.planner, run.run.planner).text)

@@ -16,8 +16,8 @@ from benchmark.records.drives import DriveRecord
 from benchmark.records.run_schema import RateRow
 from benchmark.report.lettering import drawable
 from benchmark.report.plots import Theme, for_pages, new_figure
-from leaderboard.figures.charts import plain_text, planner_style
-from leaderboard.frame.rows import marked
+from leaderboard.figures.charts import name_below, planner_style
+from leaderboard.frame.rows import name_cell
 from leaderboard.page.sections import NamedFigure
 from leaderboard.tables.pressure import Pressure, pressure_name, pressures
 
@@ -83,19 +83,10 @@ def pressure_figure(title: str, rows: Sequence[Pressure], theme: Theme) -> Figur
     height = figure.get_figheight()
     figure.tight_layout(rect=(0, below / height, 1, 1 - above / height))
     figure.text(0.02, 1 - 0.06 / height, "\n".join(words), va="top", fontsize=9.0, parse_math=False)
-    legend = figure.legend(
-        [mpl.lines.Line2D([], [], **look) for look in style.values()],
-        [
-            drawable(marked(name, privileged=facts.privileged, miniature=facts.miniature))
-            for name, facts in planners.items()
-        ],
-        loc="lower center",
-        bbox_to_anchor=(0.5, 0.02 / height),
-        ncols=min(_LEGEND_COLUMNS, len(planners)),
-        frameon=False,
-        fontsize="small",
-    )
-    plain_text(legend.get_texts())
+    lines = [mpl.lines.Line2D([], [], **look) for look in style.values()]
+    names = [drawable(name_cell(name, facts).text) for name, facts in planners.items()]
+    columns = min(_LEGEND_COLUMNS, len(planners))
+    name_below(figure, lines, names, columns, bbox_to_anchor=(0.5, 0.02 / height))
     return figure
 
 

@@ -81,14 +81,10 @@ def with_caveat_mark(cell: Shown, facts: RecordFacts) -> Shown:
 
 
 def caveat_notes(records: Iterable[RecordFacts]) -> list[str]:
-    """What the numbers of some records needed and did not get.
+    """What the numbers of some runs or drives needed and did not get.
 
-    Args:
-        records: Facts of run records or of records of drives.
-
-    Returns:
-        One sentence for each caveat and split, with the planners that it concerns, and one for older records, of which
-        it is not known whether their scenes are annotated.
+    One sentence for each caveat and split, with the planners that it concerns, and one for older records, of which it
+    is not known whether their scenes are annotated.
     """
     planners: dict[tuple[str, str], list[str]] = {}
     older: list[str] = []
@@ -105,15 +101,7 @@ def caveat_notes(records: Iterable[RecordFacts]) -> list[str]:
 
 
 def mark_notes(*, privileged: bool, miniature: bool) -> list[str]:
-    """What the marks of the planners' names mean.
-
-    Args:
-        privileged: Whether any planner of the table saw what no car sees.
-        miniature: Whether any is a miniature.
-
-    Returns:
-        One sentence for each mark.
-    """
+    """What the marks of the planners' names mean, where any planner of a table has them."""
     return [*([PRIVILEGED_NOTE] if privileged else []), *([MINIATURE_NOTE] if miniature else [])]
 
 
@@ -188,15 +176,7 @@ def _has_adversaries(record: RunRecord) -> bool:
 
 
 def completeness_notes(records: Sequence[RunRecord]) -> list[str]:
-    """What has to be said of runs that are not whole, or whose plans were made elsewhere.
-
-    Args:
-        records: Runs.
-
-    Returns:
-        One sentence for each run whose plans come from a file, each with failed samples and each of a part of its
-        split.
-    """
+    """One sentence for each run whose plans come from a file, with failed samples, or of a part of its split."""
     notes = file_notes(records)
     for record in records:
         who = f"{record.planner} on {record.run.split}"

@@ -85,6 +85,11 @@ def estimates(*heads: str, digits: int = 1, ends: int = 1, beside: str = "95 % o
     ]
 
 
+def places(heads: Iterable[str], digits: int = 0) -> Columns:
+    """A column for each head, whatever it is called: the values have the names ``#0``, ``#1`` ..."""
+    return [Column(head, f"#{place}", digits=digits) for place, head in enumerate(heads)]
+
+
 def under(group: str, *columns: Columns) -> Columns:
     """Columns with one label above their heads."""
     return [replace(column, group=group) for column in itertools.chain(*columns)]

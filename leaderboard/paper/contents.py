@@ -6,9 +6,9 @@ from benchmark.records.ablation import AblationReport
 from benchmark.records.run import RunRecord
 from benchmark.records.scenes import Sheets
 from benchmark.report.table import Table
+from leaderboard.frame.sheets import by_data_set, by_name
 from leaderboard.paper.appendix import hyper_parameter_tables, paper_data_set_tables, paper_runtime_tables
 from leaderboard.paper.table_1 import paper_table_1
-from leaderboard.tables.statistics import by_name
 
 
 def paper_tables(
@@ -29,7 +29,7 @@ def paper_tables(
         [
             {name: (table,) for name, table in first.items() if table is not None},
             hyper_parameter_tables(sheets, ablations),
-            paper_runtime_tables(sheets),
-            paper_data_set_tables(sheets),
+            by_data_set(sheets, paper_runtime_tables),
+            by_data_set(sheets, paper_data_set_tables),
         ]
     )

@@ -6,7 +6,7 @@ from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
 from benchmark.report.cells import MINIATURE_WORDS, Shown
 from benchmark.report.table import Table
-from leaderboard.frame.rows import PRIVILEGED_NOTE, marked, splits_of
+from leaderboard.frame.rows import PRIVILEGED_NOTE, name_cell, splits_of
 from leaderboard.frame.runs import Frame
 from leaderboard.frame.specification import Column, Value, numbers, tabulate, texts, under
 from leaderboard.tables.collision import collision_table
@@ -37,7 +37,7 @@ def key_table(frame: Frame) -> Table | None:
     of_adversary = EFFECT if effect is not None and caused else {}
     rows: list[dict[str, Value]] = []
     for name, facts in planners.items():
-        rows.append({"planner": marked(name, privileged=facts.privileged, miniature=facts.miniature)})
+        rows.append({"planner": name_cell(name, facts).text})
         for split in splits:
             taken = {head: _taken(whole, found.get((name, split)), column) for head, column in RATES.items()}
             rows[-1] |= {f"{head} on {split}": value for head, value in taken.items()}

@@ -13,6 +13,7 @@ from benchmark.records.run import RunRecord
 from benchmark.records.scenes import Sheets
 from benchmark.report.table import Table
 from leaderboard.frame.runs import Frame
+from leaderboard.frame.sheets import OfSplits, by_data_set, by_name
 from leaderboard.tables.ablation import ablation_tables
 from leaderboard.tables.attacks import attack_tables
 from leaderboard.tables.collision import collision_table
@@ -34,7 +35,7 @@ from leaderboard.tables.pressure import pressure_tables
 from leaderboard.tables.runtime import runtime_tables
 from leaderboard.tables.seeds import seed_spread_table
 from leaderboard.tables.slices import DIAGNOSIS, slices_of
-from leaderboard.tables.statistics import by_name, statistics_tables
+from leaderboard.tables.statistics import statistics_tables
 from leaderboard.tables.transfer import transfer_tables
 
 Made = Table | None | Iterable[Table]
@@ -59,12 +60,12 @@ LAST: Final[tuple[Callable[[Frame], Made], ...]] = (
     driving_tables,
     cost_table,
 )
-OF_GENERATION: Final[tuple[Callable[[Sheets], dict[str, tuple[Table, ...]]], ...]] = (
+OF_GENERATION: Final[tuple[OfSplits, ...]] = (
     statistics_tables,
     manoeuvre_tables,
     runtime_tables,
 )
-"""Made from scene sheets, by name of the data set."""
+"""Made from scene sheets."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +153,7 @@ def generation_tables(sheets: Sheets, ablations: Sequence[AblationReport]) -> di
     Raises:
         InputError: If a sheet is damaged.
     """
-    return by_name([*(make(sheets) for make in OF_GENERATION), ablation_tables(ablations)])
+    return by_name([*(by_data_set(sheets, make) for make in OF_GENERATION), ablation_tables(ablations)])
 
 
 def missing_notes(frame: Frame) -> list[str]:

@@ -16,7 +16,7 @@ from benchmark.records.drives import ATTRIBUTABLE, BYSTANDER, DriveRecord
 from benchmark.report.cells import Cell, Origin
 from benchmark.report.table import Table
 from leaderboard.frame.drives import Driven, worlds
-from leaderboard.frame.specification import Column, Value, Values, numbers, tabulate, texts
+from leaderboard.frame.specification import Column, Value, Values, numbers, places, tabulate, texts
 
 BUDGET: Final = ("every_s", "rounds", "candidates")
 """What a budget is, by the names of a record's `agents_facts`."""
@@ -163,8 +163,7 @@ def _transfer_table(number: int, pairs: Sequence[tuple[DriveRecord, DriveRecord]
             rows[-1][f"#{place}"] = None if pair is None else _transferred(*pair, column)
     name = "drives-transfer" if not number else f"drives-transfer-{number + 1}"
     title = f"{first.data.name} {first.split}: transfer in closed loop, {first.measured.world}"
-    victims = [Column(column, f"#{place}", digits=1) for place, column in enumerate(columns_of)]
-    columns = [*texts("planned against"), *numbers("fails"), *victims]
+    columns = [*texts("planned against"), *numbers("fails"), *places(columns_of, 1)]
     return tabulate(name, title, columns, rows, (_TRANSFER_NOTE,))
 
 

@@ -26,7 +26,7 @@ from leaderboard.frame.rows import (
     part_of_split,
 )
 from leaderboard.frame.runs import Frame
-from leaderboard.frame.specification import Column, Columns, Value, Values, estimates, numbers, tabulate, texts, under
+from leaderboard.frame.specification import Value, Values, estimates, numbers, places, tabulate, texts, under
 
 
 def transfer_matrices(
@@ -144,7 +144,7 @@ def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
     columns = [
         *texts("surrogate"),
         *under(f"surrogate, {_who(matrix)}", numbers("its failed scenes")),
-        *under(f"failed by the victim in %, {_who(matrix)}", _of_planners(names)),
+        *under(f"failed by the victim in %, {_who(matrix)}", places(names)),
     ]
     return tabulate(
         *name_of_transfer(data_name, matrix),
@@ -222,7 +222,7 @@ def lift_table(data_name: str, matrix: TransferMatrix) -> Table:
     columns = [
         *texts("planner"),
         *under(f"scenes in %, {_who(matrix)}", numbers("fails %")),
-        *under(f"lift and φ, {_who(matrix)}", _of_planners(names)),
+        *under(f"lift and φ, {_who(matrix)}", places(names)),
     ]
     return tabulate(
         *name_of_lift(data_name, matrix),
@@ -297,11 +297,6 @@ def _origin(matrix: TransferMatrix, *planners: int) -> Origin:
     judged = " and ".join(dict.fromkeys(matrix.judges[place] for place in planners))
     records = (named_record(matrix.records[place], matrix.planners[place], matrix.split) for place in planners)
     return Origin(judged, "; ".join(records))
-
-
-def _of_planners(names: Sequence[str]) -> Columns:
-    """A column for each planner, whatever it is called."""
-    return [Column(name, f"#{place}") for place, name in enumerate(names)]
 
 
 def _share(rate: Rate, origin: Origin) -> Shown:
