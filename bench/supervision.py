@@ -27,7 +27,7 @@ from benchmark import api
 from benchmark.machine.workers import single_threaded
 from benchmark.planning import Observation, Plan
 from benchmark.protocols import STANDARD
-from benchmark.runs.plan_rows import plan_scene, rows_path
+from benchmark.runs.plan_rows import plan_scene
 from benchmark.runs.reading import SceneReading
 from benchmark.runs.scene_work import Run, judged_scene
 
@@ -94,8 +94,7 @@ class Scene:
         reading = SceneReading(self.data, self.name)
         self._process = planners_process() if where == "there" else None
         self._asked = [clocks(self._process)]
-        path = rows_path(self.run.directory, self.name)
-        planned = plan_scene(planner, reading, self.name, path, self.name, fresh=True)
+        planned = plan_scene(planner, reading, self.name, self.run.directory, self.name, fresh=True)
         self._asked.append(clocks(self._process))
         judged_scene(self.run, reading, planned)
         self._asked.append(clocks(self._process))

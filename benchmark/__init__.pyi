@@ -138,7 +138,7 @@ from benchmark.runs.rescoring import rescore as rescore
 from benchmark.runs.rescoring import rescore_all as rescore_all
 from benchmark.runs.rescoring_drives import rescore_all_drives as rescore_all_drives
 from benchmark.runs.rescoring_drives import rescore_drives as rescore_drives
-from benchmark.runs.shards import Shard as Shard
+from benchmark.runs.units import Shard as Shard
 from benchmark.scene import Scene as Scene
 from benchmark.scene_pages.writing import SheetSettings as SheetSettings
 from generation.diffusion.bank import write_bank as write_bank

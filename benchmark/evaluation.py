@@ -36,11 +36,11 @@ from benchmark.runs.caveats import run_caveats
 from benchmark.runs.failures import write_failures
 from benchmark.runs.judges import JudgedScenes, described
 from benchmark.runs.pairing import with_partner
-from benchmark.runs.plan_rows import PlannerFactory, plan_scene, rows_path, scene_key, supervision_said
+from benchmark.runs.plan_rows import PlannerFactory, plan_scene, plan_store, scene_key, supervision_said
 from benchmark.runs.planner_facts import facts_of
-from benchmark.runs.run_directory import run_directory, tidy
+from benchmark.runs.run_directory import run_directory
 from benchmark.runs.scene_work import Run, SceneResult, reopening, work_here, work_in_worker
-from benchmark.runs.shards import FinishedShard, Shard
+from benchmark.runs.units import FinishedShard, Shard
 from benchmark.runs.vocabulary import require_vocabulary, unjudged
 from benchmark.runs.whole_split import work_through
 
@@ -238,9 +238,7 @@ def plan_shard(
         label = f"{run.planner.name} on {split}, shard {shard}"
         for scene in progress(mine, total=len(mine), label=label, count=Count()):
             key = scene_key(run.fingerprint, split, scene, run.planner)
-            costs[scene] = plan_scene(
-                ready, data, scene, rows_path(run.directory, scene), key, fresh=settings.fresh
-            ).cost
+            costs[scene] = plan_scene(ready, data, scene, run.directory, key, fresh=settings.fresh).cost
         if (noted := _cost_path(planned, out)) is not None:
             note_cost(shard_cost_path(noted, shard.number, shard.of), run.planner, costs)
         found.append(FinishedShard(run.directory, len(mine), len(planned.scenes)))
@@ -380,7 +378,7 @@ def _written(
     record = write_record(directory, said, rows, versions, seed=settings.seed)
     record = with_partner(record, out, settings.unchanged)
     write_failures(directory, record.rows)
-    tidy(directory, {rows_path(directory, scene) for scene in costs})
+    plan_store(directory).tidy(costs)
     if (noted := _cost_path(planned, out)) is not None:
         beside = {
             scene: cost and cost.model_copy(update={"workers": settings.workers}) for scene, cost in costs.items()

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from benchmark.datasets.roots import DataSet
     from benchmark.machine.workers import Executor
-    from benchmark.runs.shards import Shard
+    from benchmark.runs.units import Shard
     from generation.pipeline.settings import BuildSettings
     from generation.splits.packaged import NamedSplit
 

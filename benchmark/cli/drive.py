@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
     from benchmark.records.drives import DriveRecord
     from benchmark.runs.driving import DriveSettings
-    from benchmark.runs.shards import Shard
+    from benchmark.runs.units import Shard
 
 BASELINES: Final = ("stop", "constant-velocity", "constant-velocity-on-path", "log-replay", "idm")
 """Planners that every table has: without them no number of closed loop says much."""
@@ -189,7 +189,7 @@ def drive_command(
     from benchmark.cli.preflight_over_http import require_frame, require_servers
     from benchmark.cli.preflight_places import require_place
     from benchmark.machine.several_devices import require_one_device, workers_for
-    from benchmark.runs.shards import Shard
+    from benchmark.runs.units import Shard
 
     _require_engine(engine, agents, latency, scenarios, until)
     budget = (adversary_every, adversary_rounds, adversary_candidates)

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from benchmark.metrics.transfer import TransferMatrix
     from benchmark.records.run import RunRecord
     from benchmark.runs.plan_rows import PlannerFactory
-    from benchmark.runs.shards import Shard
+    from benchmark.runs.units import Shard
 
 
 def eval_command(
@@ -158,7 +158,7 @@ def eval_command(
     from benchmark.protocols import PROTOCOLS, STANDARD
     from benchmark.records.reproduction import find_reproductions, with_reproductions
     from benchmark.records.seed_splits import is_adversarial
-    from benchmark.runs.shards import Shard
+    from benchmark.runs.units import Shard
 
     if not model and plans is None and not results:
         raise InputError(

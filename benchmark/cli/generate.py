@@ -163,7 +163,7 @@ def generate_command(
     from benchmark.cli.preflight_places import require_place
     from benchmark.machine.extension import OFFERS, from_extension
     from benchmark.machine.several_devices import require_one_device, workers_for
-    from benchmark.runs.shards import Shard
+    from benchmark.runs.units import Shard
     from generation.search.departures import told
     from generation.search.presets import hyper_parameters, trajectory_model
 

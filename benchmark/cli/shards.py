@@ -10,7 +10,7 @@ from benchmark.cli.what_next import say_next
 from benchmark.report.words import counted
 
 if TYPE_CHECKING:
-    from benchmark.runs.shards import FinishedShard, Shard
+    from benchmark.runs.units import FinishedShard, Shard
 
 
 def say_shard(

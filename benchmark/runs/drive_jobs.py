@@ -7,11 +7,12 @@ from typing import Final, NamedTuple
 from benchmark.closed_loop.driving import Stage
 from benchmark.closed_loop.riding import RideMaker
 from benchmark.closed_loop.sensors import Sensor
-from benchmark.machine.storage import content_key, file_name
-from benchmark.records.drive_schema import Measured
+from benchmark.machine.storage import content_key
+from benchmark.records.drive_schema import DriveRow, Measured
 from benchmark.records.run_schema import LABELS, PlannerFacts
 from benchmark.runs.code_identity import code_sha256
 from benchmark.runs.plan_rows import PlannerFactory
+from benchmark.runs.units import ResultStore
 
 FORMAT: Final = 1
 """Raised whenever the drives of an unchanged planner in an unchanged engine would change."""
@@ -27,6 +28,32 @@ class Unit:
     scene: str
     run: int
     family: str = ""
+
+    @property
+    def name(self) -> str:
+        """Of its file."""
+        return "-".join([self.scene, *([self.family] if self.family else []), str(self.run)])
+
+
+Paths = list[list[list[float]]]
+"""Waypoints of some plans, as JSON has them."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeptDrive:
+    """What is kept of a unit.
+
+    Attributes:
+        row: Of the record.
+        scoring: Version of its scores: drives that were scored by earlier definitions are scored again.
+        plan: Its plans of the instants at which the ego was still where it was recorded.
+        recorded: What was recorded there.
+    """
+
+    row: DriveRow
+    scoring: int
+    plan: Paths
+    recorded: Paths
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,10 +98,10 @@ class Job:
         what = self.measured.model_dump(mode="json")
         return content_key("drive", FORMAT, self.fingerprint, unit.scene, unit.family, unit.run, who, what, code)
 
-    def path(self, unit: Unit) -> Path:
-        """File of a unit; scene names may hold slashes."""
-        name = "-".join([file_name(unit.scene), *([unit.family] if unit.family else []), str(unit.run)])
-        return self.directory / KEPT / f"{name}.json"
+    @property
+    def store(self) -> ResultStore[KeptDrive]:
+        """Where drives are kept."""
+        return ResultStore(self.directory / KEPT, KeptDrive)
 
 
 class Task(NamedTuple):

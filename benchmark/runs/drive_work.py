@@ -9,8 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from benchmark.closed_loop.adversary import AdversaryTrack
 from benchmark.closed_loop.asking import Reason
@@ -21,14 +20,14 @@ from benchmark.datasets.steps import require_two_hz
 from benchmark.errors import InputError
 from benchmark.machine.metering import Meter
 from benchmark.machine.pages import keep_pages_of
-from benchmark.machine.storage import content_key, content_seed, read_json, write_json
+from benchmark.machine.storage import content_key, content_seed
 from benchmark.planning import Planner, SupervisedPlanner
 from benchmark.records.considered import read_considered, write_considered
 from benchmark.records.drive_schema import DriveRow
 from benchmark.records.planner_cost import SceneCost
 from benchmark.runs.beginning_again import begun_again
 from benchmark.runs.compared_drives import compared_drive
-from benchmark.runs.drive_jobs import Job, Task, Unit
+from benchmark.runs.drive_jobs import Job, KeptDrive, Task, Unit
 from benchmark.runs.drive_rows import considered_of, row_of
 from benchmark.runs.ladders import ladder_rows
 from benchmark.runs.plan_rows import cost_so_far, seed_everything
@@ -61,6 +60,11 @@ class UnitResult:
     cost: SceneCost | None
     compared: ComparedPlans
 
+    @property
+    def kept(self) -> bool:
+        """Whether it was driven before."""
+        return self.seconds is None
+
 
 def work_here(data: "DataSet", planners: "Planners", tasks: Sequence[Task]) -> list[UnitResult]:
     """Drive units side by side, or take the drives that are kept.
@@ -78,18 +82,18 @@ def work_here(data: "DataSet", planners: "Planners", tasks: Sequence[Task]) -> l
     """
     found: dict[int, UnitResult] = {}
     left: dict[int, str] = {}
-    for place, (job, unit) in enumerate(tasks):
+    for place, task in enumerate(tasks):
+        job, unit = task
         key = job.key(unit)
-        kept = None if job.fresh else kept_drive(job.path(unit), key)
+        kept = None if job.fresh else job.store.get(key, unit.name)
         if kept is None:
             left[place] = key
             continue
-        row, scoring, compared = kept
-        if scoring != VERSION or compared is None:
+        row, compared = kept.row, ComparedPlans.from_lists(kept.plan, kept.recorded)
+        if kept.scoring != VERSION:
             scene = data.scene(unit.scene)
-            row = row if scoring == VERSION else driven_again(job.maker, scene, data, row)
-            compared = compared_drive(scene, row)
-            write_kept(job.path(unit), key, row, compared)
+            row = driven_again(job.maker, scene, data, row)
+            compared = _keep(task, key, scene, row)
         _keep_considered(data, job, row)
         found[place] = UnitResult(unit, row, None, None, compared)
     started = time.perf_counter()
@@ -98,13 +102,20 @@ def work_here(data: "DataSet", planners: "Planners", tasks: Sequence[Task]) -> l
         job, unit = tasks[place]
         if job.keep_considered and track is not None:
             write_considered(job.directory, row, considered_of(track))
-        compared = compared_drive(scene, row)
-        if row.failure is None or row.failure.reason not in _TRIED_AGAIN:
-            write_kept(job.path(unit), left[place], row, compared)
+        lost = row.failure is not None and row.failure.reason in _TRIED_AGAIN
+        compared = compared_drive(scene, row) if lost else _keep(tasks[place], left[place], scene, row)
         seconds = time.perf_counter() - started
         found[place] = UnitResult(unit, row, seconds, spent(seconds), compared)
     results = [found[place] for place in range(len(tasks))]
     return [with_ladder(data, task, result) for task, result in zip(tasks, results, strict=True)]
+
+
+def _keep(task: Task, key: str, scene: Scene, row: DriveRow) -> ComparedPlans:
+    """Keep a drive; returns its plans beside what was recorded."""
+    compared = compared_drive(scene, row)
+    kept = KeptDrive(row, VERSION, compared.plan.tolist(), compared.recorded.tolist())
+    task.job.store.put(key, kept, task.unit.name)
+    return compared
 
 
 def _keep_considered(data: "DataSet", job: Job, row: DriveRow) -> None:
@@ -126,7 +137,7 @@ def costs_of(job: Job, results: Sequence[UnitResult], workers: int) -> dict[str,
         By the name of the drive's file; ``None`` for those that were kept from before.
     """
     beside = {"workers": workers}
-    return {job.path(each.unit).stem: each.cost and each.cost.model_copy(update=beside) for each in results}
+    return {job.store.path(each.unit.name).stem: each.cost and each.cost.model_copy(update=beside) for each in results}
 
 
 def with_ladder(data: "DataSet", task: Task, result: UnitResult) -> UnitResult:
@@ -184,40 +195,6 @@ def work_in_worker(reopen: Callable[[], "DataSet"], tasks: Sequence[Task]) -> li
     if fingerprint not in _opened:
         _opened[fingerprint] = reopen()
     return work_here(_opened[fingerprint], _planners, tasks)
-
-
-class KeptDrive(NamedTuple):
-    """A drive that is kept: its row, the version of its scores, and its plans beside what was recorded, if kept too."""
-
-    row: DriveRow
-    scoring: int
-    compared: ComparedPlans | None
-
-
-def kept_drive(path: Path, key: str) -> KeptDrive | None:
-    """A drive that is kept under its content key; ``None`` if there is none."""
-    try:
-        kept: Any = read_json(path)
-        head, row = kept["head"], kept["row"]
-        if head != _header(key, row, int(head["scoring"])):
-            return None
-        beside = kept.get("compared")
-        compared = None if beside is None else ComparedPlans.from_lists(beside["plan"], beside["recorded"])
-        return KeptDrive(DriveRow.model_validate(row), int(head["scoring"]), compared)
-    except (InputError, ValueError, KeyError, TypeError):
-        # What is absent or damaged is unfinished work: it is done again.
-        return None
-
-
-def write_kept(path: Path, key: str, row: DriveRow, compared: ComparedPlans) -> None:
-    """Keep a drive."""
-    stored = row.model_dump(mode="json")
-    beside = {"plan": compared.plan.tolist(), "recorded": compared.recorded.tolist()}
-    write_json(path, {"head": _header(key, stored, VERSION), "row": stored, "compared": beside}, indent=None)
-
-
-def _header(key: str, row: Any, scoring: int) -> dict[str, Any]:
-    return {"key": key, "scoring": scoring, "content": content_key(row)}
 
 
 def _driven(

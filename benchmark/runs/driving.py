@@ -24,7 +24,6 @@ from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
 from benchmark.interactions.driving import LADDER
 from benchmark.machine.pages import keep_pages_of
-from benchmark.machine.progress import Count
 from benchmark.machine.storage import content_key, file_name, only_writer, writing_to
 from benchmark.machine.workers import Executor, LocalProcesses
 from benchmark.planning import Planner, RemotePlanner, remembers_across_scenes
@@ -38,7 +37,7 @@ from benchmark.report.words import counted
 from benchmark.runs.caveats import drive_caveats
 from benchmark.runs.drive_jobs import KEPT, Job, Task, Unit
 from benchmark.runs.drive_rows import with_labels
-from benchmark.runs.drive_work import Planners, UnitResult, costs_of, kept_drive, work_here, work_in_worker
+from benchmark.runs.drive_work import Planners, UnitResult, costs_of, work_here, work_in_worker
 from benchmark.runs.judges import JudgedScenes, described
 from benchmark.runs.plan_rows import PlannerFactory, supervision_said
 from benchmark.runs.planner_facts import facts_of
@@ -46,7 +45,7 @@ from benchmark.runs.reading import truths_of
 from benchmark.runs.redriving import can_of
 from benchmark.runs.run_directory import run_directory
 from benchmark.runs.scene_work import reopening
-from benchmark.runs.shards import FinishedShard, Shard
+from benchmark.runs.units import FinishedShard, Shard, run_units
 from benchmark.untrusted.plans_beside_recording import ComparedPlans
 
 if TYPE_CHECKING:
@@ -395,7 +394,7 @@ def drives_directory(
 
 def kept_units(job: Job, units: list[Unit]) -> int:
     """How many units are kept already."""
-    return sum(kept_drive(job.path(unit), job.key(unit)) is not None for unit in units)
+    return sum(job.store.get(job.key(unit), unit.name) is not None for unit in units)
 
 
 def _results(
@@ -406,16 +405,12 @@ def _results(
     label: str,
 ) -> Iterator[UnitResult]:
     """Results in the order of the tasks; those of one process are driven here."""
-    count = Count("drive", total=sum(map(len, groups)), each=len, kept=_were_there)
     executor = settings.executor
     alone = elsewhere is None or (isinstance(executor, LocalProcesses) and executor.workers == 1)
     work, where = (here, LocalProcesses(1)) if alone or elsewhere is None else (elsewhere, executor)
-    for results in where.map(work, groups, total=len(groups), label=label, count=count):
+    drives = sum(map(len, groups))
+    for results in run_units(work, groups, where, total=len(groups), label=label, noun="drive", of=drives):
         yield from results
-
-
-def _were_there(results: list[UnitResult]) -> bool:
-    return all(result.seconds is None for result in results)
 
 
 def _described(
@@ -438,7 +433,7 @@ def _described(
 
 def _tidy(job: Job, units: list[Unit]) -> None:
     """Remove what is kept of scenes that are none of this record's any more; further runs of its own stay."""
-    wanted = {_without_run(job.path(unit)) for unit in units}
+    wanted = {_without_run(job.store.path(unit.name)) for unit in units}
     for folder in (job.directory / KEPT, job.directory / CONSIDERED):
         with writing_to(folder):
             for path in folder.iterdir() if folder.is_dir() else ():

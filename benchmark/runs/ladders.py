@@ -3,16 +3,17 @@
 An encounter is one scene, one run and one adversary; who plans against it does not matter to the ladder.
 """
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.closed_loop.ladder import LadderOutcome, climbed
 from benchmark.errors import InputError
 from benchmark.interactions.reaction import Driver
-from benchmark.machine.storage import content_key, file_name, read_json, write_json
+from benchmark.machine.storage import content_key
 from benchmark.records.drive_schema import LadderRow
 from benchmark.runs.code_identity import code_sha256
 from benchmark.runs.drive_jobs import Job, Unit
+from benchmark.runs.units import ResultStore
 from benchmark.scene import Scene
 
 if TYPE_CHECKING:
@@ -38,31 +39,19 @@ def ladder_rows(data: "DataSet", job: Job, unit: Unit) -> dict[str, LadderRow]:
     Raises:
         InputError: If the engine has no such encounters, or what was found cannot be written.
     """
-    path = job.directory.parent / FOLDER / f"{file_name(unit.scene)}-{unit.run}.json"
+    store: ResultStore[dict[str, LadderRow]] = ResultStore(job.directory.parent / FOLDER, dict[str, LadderRow])
     measured = job.measured.model_dump(mode="json", exclude={"sensor", "sensor_facts"})
     code = code_sha256(type(job.maker), made_by=_LOOP)
     key = content_key("ladder", job.fingerprint, unit.scene, unit.run, measured, list(job.ladder), code)
-    kept = None if job.fresh else _kept(path, key)
+    kept = None if job.fresh else store.get(key, unit.name)
     if kept is None:
         if not isinstance(job.maker, DefaultRides):
             raise InputError(f"reference drivers drive in the default engine alone, not in {job.measured.engine}")
         scene = data.scene(unit.scene)
         found = climbed(scene, job.maker.course(scene, unit.run), [Driver(name) for name in job.ladder])
         kept = {each.driver.value: _row(scene, each) for each in found}
-        rows = {name: row.model_dump(mode="json") for name, row in kept.items()}
-        write_json(path, {"key": key, "content": content_key(rows), "rows": rows}, indent=None)
+        store.put(key, kept, unit.name)
     return kept
-
-
-def _kept(path: Any, key: str) -> dict[str, LadderRow] | None:
-    try:
-        found: Any = read_json(path)
-        if found["key"] != key or found["content"] != content_key(found["rows"]):
-            return None
-        return {name: LadderRow.model_validate(row) for name, row in found["rows"].items()}
-    except (InputError, ValueError, KeyError, TypeError, AttributeError):
-        # What is absent or damaged is unfinished work: it is done again.
-        return None
 
 
 def _row(scene: Scene, outcome: LadderOutcome) -> LadderRow:

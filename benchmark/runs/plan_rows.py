@@ -22,7 +22,7 @@ from benchmark.geometry import Floats
 from benchmark.machine.environment import device_name
 from benchmark.machine.metering import Meter, peak_memory_mb
 from benchmark.machine.progress import Count, progress
-from benchmark.machine.storage import content_key, content_seed, file_name, read_json_lines, write_json_lines
+from benchmark.machine.storage import content_key, content_seed
 from benchmark.planning import (
     Forecasts,
     Observation,
@@ -41,6 +41,7 @@ from benchmark.planning import (
 from benchmark.records.planner_cost import SceneCost
 from benchmark.records.run_schema import LABELS, PlannerFacts
 from benchmark.runs.beginning_again import begun_again
+from benchmark.runs.units import ResultStore
 from benchmark.scene import Scene
 
 ROW_FORMAT = 2
@@ -122,19 +123,21 @@ def scene_key(fingerprint: str, split: str, scene: str, facts: PlannerFacts) -> 
     return content_key("plan rows", ROW_FORMAT, fingerprint, split, scene, who)
 
 
-def rows_path(directory: Path, scene: str) -> Path:
-    """File of one scene's plan rows; scene names may hold slashes."""
-    return directory / "rows" / f"{file_name(scene)}.jsonl"
+def plan_store(directory: Path) -> ResultStore[list[dict[str, Any]]]:
+    """Where plan rows of the scenes of a run are kept."""
+    return ResultStore(directory / "rows", list[dict[str, Any]])
 
 
-def plan_scene(planner: Planner, source: SceneSource, name: str, path: Path, key: str, *, fresh: bool) -> PlannedScene:
+def plan_scene(
+    planner: Planner, source: SceneSource, name: str, directory: Path, key: str, *, fresh: bool
+) -> PlannedScene:
     """Plan every sample of a scene, or take the rows that are there already.
 
     Args:
         planner: The planner.
         source: Where the scene comes from.
         name: Scene name.
-        path: Where the rows are kept.
+        directory: Run directory.
         key: Their content key; rows of another key are made again.
         fresh: Make them again in any case.
 
@@ -145,7 +148,8 @@ def plan_scene(planner: Planner, source: SceneSource, name: str, path: Path, key
     Raises:
         InputError: If an image is broken, the rows cannot be written, or a planner elsewhere cannot be asked.
     """
-    kept = None if fresh else kept_rows(path, key)
+    store = plan_store(directory)
+    kept = None if fresh else store.get(key, name)
     if kept is not None:
         return PlannedScene(kept, None)
     seed_everything(content_seed(key), planner)
@@ -156,7 +160,7 @@ def plan_scene(planner: Planner, source: SceneSource, name: str, path: Path, key
         rows, lost = begun_again(partial(_rows, planner, scene, observations, meter), planner)
     cost = cost_so_far(planner, meter, time.perf_counter() - started)
     if not lost:
-        write_json_lines(path, [_header(key, rows), *rows])
+        store.put(key, rows, name)
     return PlannedScene(rows, cost)
 
 
@@ -180,23 +184,6 @@ def cost_so_far(planner: Planner, meter: Meter, planning_s: float) -> SceneCost:
         peak_device_mb=meter.peak_device_mb,
         device="elsewhere" if elsewhere else device_name(meter.peak_device_mb is not None),
     )
-
-
-def kept_rows(path: Path, key: str) -> list[dict[str, Any]] | None:
-    """Rows of a scene that are there already under their content key, or ``None``."""
-    if not path.exists():
-        return None
-    try:
-        header, *rows = read_json_lines(path)
-    except (InputError, ValueError):
-        # A damaged file is unfinished work: it is made again.
-        return None
-    return rows if header == _header(key, rows) else None
-
-
-def _header(key: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """First line of a file of rows: what they are of, and a hash that tells whether they are still those."""
-    return {"key": key, "rows": len(rows), "content": content_key(rows)}
 
 
 def seed_everything(seed: int, planner: Planner | None = None) -> None:

@@ -1,9 +1,9 @@
-"""Where a run lies on disk, and what may be left there when it is done."""
+"""Where a run lies on disk."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from benchmark.machine.storage import content_key, file_name, writing_to
+from benchmark.machine.storage import content_key, file_name
 from benchmark.records.run_schema import AS_PUBLISHED, PlannerFacts
 
 
@@ -32,17 +32,3 @@ def run_directory(out: Path, data_name: str, split: str, planner: PlannerFacts, 
         special[AS_PUBLISHED] = planner.settings[AS_PUBLISHED]
     suffix = f"-{content_key(special)[:8]}" if any(special.values()) else ""
     return out / file_name(data_name) / file_name(split) / (file_name(planner.name) + suffix)
-
-
-def tidy(directory: Path, kept: Collection[Path]) -> None:
-    """Remove what an interrupted or earlier run left.
-
-    Args:
-        directory: Run directory.
-        kept: Row files of this run.
-    """
-    with writing_to(directory):
-        # Nothing was kept where the planner's process was lost in every scene.
-        for path in (*directory.glob(".*.part"), *(directory / "rows").glob("*")):
-            if path not in kept:
-                path.unlink()

@@ -13,7 +13,7 @@ from benchmark.records.planner_cost import SceneCost
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run_schema import PlannerFacts, TruthFacts
 from benchmark.runs.judging import judge_all_plans
-from benchmark.runs.plan_rows import PlannedScene, PlannerFactory, plan_scene, rows_path, scene_key
+from benchmark.runs.plan_rows import PlannedScene, PlannerFactory, plan_scene, scene_key
 from benchmark.runs.reading import SceneReading
 
 if TYPE_CHECKING:
@@ -61,6 +61,11 @@ class SceneResult:
     cost: SceneCost | None
     truth: TruthFacts
 
+    @property
+    def kept(self) -> bool:
+        """Whether its plans were there before."""
+        return self.cost is None
+
 
 def work_here(runs: Sequence[Run], data: "DataSet", planners: Sequence[Planner], scene: str) -> list[SceneResult]:
     """Plan a scene with every planner, or take the plans that are kept, and judge them; the scene is read once.
@@ -80,7 +85,7 @@ def work_here(runs: Sequence[Run], data: "DataSet", planners: Sequence[Planner],
     reading, planned = SceneReading(data, scene), []
     for run, planner in zip(runs, planners, strict=True):
         key = scene_key(run.fingerprint, run.split, scene, run.planner)
-        planned.append(plan_scene(planner, reading, scene, rows_path(run.directory, scene), key, fresh=run.fresh))
+        planned.append(plan_scene(planner, reading, scene, run.directory, key, fresh=run.fresh))
     return judged_scenes(runs, reading, planned)
 
 

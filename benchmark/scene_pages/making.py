@@ -24,6 +24,7 @@ from benchmark.records.scenes import (
     scene_folder,
 )
 from benchmark.records.store import validated
+from benchmark.runs.units import ResultStore
 from benchmark.scene import Scene
 from benchmark.scene_pages.motion import agents_of, ego_of, origin_of
 from benchmark.scene_pages.pictures import (
@@ -42,7 +43,8 @@ if TYPE_CHECKING:
 
 MAKING_VERSION: Final = 2
 """Goes up when the same data set would give another sheet."""
-KEY_FILE: Final = "key.json"
+KEY: Final = "key"
+"""Name of the file beside a sheet, or the sheet of a split, that says what it was made of."""
 _PICTURES_FOLDER: Final = "cameras"
 
 
@@ -63,6 +65,11 @@ class WrittenSheet:
     pictures: int
     sheet_bytes: int
     picture_bytes: int
+
+    @property
+    def kept(self) -> bool:
+        """Whether it was there before."""
+        return not self.made
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +93,11 @@ class Job:
     def folder(self, scene: str) -> Path:
         """Where a scene's sheet lies."""
         return scene_folder(self.root, self.facts.name, self.split, scene)
+
+
+def sheets_in(folder: Path) -> ResultStore[str]:
+    """What was written to a folder, by the hash of ``sheet.json``."""
+    return ResultStore(folder, str)
 
 
 def sheet_of(data: "DataSet", split: str, name: str, facts: DataFacts) -> Sheet:
@@ -182,7 +194,7 @@ def written_sheet(job: Job, data: "DataSet", name: str) -> WrittenSheet:
     made = sheet is None
     if sheet is None:
         sheet = _make(job, data, name, keyframes, sweeps)
-        write_json(folder / KEY_FILE, {"key": key})
+        sheets_in(folder).put(key, file_sha256(folder / SHEET_FILE), KEY)
     sizes = [(folder / path).stat().st_size for path in sheet.files]
     return WrittenSheet(name, made, len(sheet.pictures), (folder / SHEET_FILE).stat().st_size, sum(sizes))
 
@@ -233,7 +245,7 @@ def _key(job: Job, scene: str, keyframes: Videos, sweeps: Videos) -> str:
 def _kept(job: Job, scene: str, key: str) -> Sheet | None:
     """The sheet that is there, if it is what would be written, whole."""
     folder = job.folder(scene)
-    if read_kept_json(folder / KEY_FILE) != {"key": key}:
+    if sheets_in(folder).get(key, KEY) is None:
         return None
     try:
         return read_sheet(folder).sheet

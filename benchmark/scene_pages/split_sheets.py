@@ -4,15 +4,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pydantic import ValidationError
-
 from benchmark.datasets.statistics import statistics
-from benchmark.machine.storage import content_key, read_kept_json, write_json
+from benchmark.machine.storage import content_key, write_json
 from benchmark.records.attempts import ATTEMPTS_FILE, read_attempts
 from benchmark.records.run_schema import DataFacts
 from benchmark.records.scenes import SCHEMA, SPLIT_FILE, AttemptFacts, SplitSheet
 from benchmark.records.statistics import Runtime, SplitStatistics
-from benchmark.scene_pages.making import KEY_FILE, MAKING_VERSION
+from benchmark.runs.units import ResultStore
+from benchmark.scene_pages.making import KEY, MAKING_VERSION
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -45,30 +44,22 @@ def write_split_sheet(
     review = data.review(split).facts
     reviewed = [] if review is None else [review.content]
     key = content_key("split sheet", [MAKING_VERSION, SCHEMA], facts.model_dump(mode="json"), split, *reviewed)
+    store: ResultStore[SplitStatistics] = ResultStore(directory, SplitStatistics)
     sheet = SplitSheet(
         schema=SCHEMA,
         data=facts,
         split=split,
         scenes=data.scene_names(split),
-        statistics=_kept_statistics(directory, key) or statistics(data.root, split=split, version=data.version),
+        # Counting the tables of all nuScenes takes minutes.
+        statistics=store.get(key, KEY) or statistics(data.root, split=split, version=data.version),
         attempts=_attempts(data, split),
         runtime=runtime,
         review=review,
         hyper=dict(hyper or {}),
     )
     write_json(directory / SPLIT_FILE, sheet.model_dump(mode="json", by_alias=True), indent=None)
-    write_json(directory / KEY_FILE, {"key": key})
+    store.put(key, sheet.statistics, KEY)
     return sheet
-
-
-def _kept_statistics(directory: Path, key: str) -> SplitStatistics | None:
-    """Numbers that were counted before; counting the tables of all nuScenes takes minutes."""
-    if read_kept_json(directory / KEY_FILE) != {"key": key}:
-        return None
-    try:
-        return SplitSheet.model_validate(read_kept_json(directory / SPLIT_FILE)).statistics
-    except ValidationError:
-        return None
 
 
 def _attempts(data: "DataSet", split: str) -> tuple[AttemptFacts, ...]:

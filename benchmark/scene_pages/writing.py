@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
-from benchmark.machine.progress import Count
 from benchmark.machine.storage import file_name, only_writer, read_kept_json, write_bytes, writing_to
-from benchmark.machine.workers import default_workers, map_ordered
+from benchmark.machine.workers import LocalProcesses, default_workers
 from benchmark.records.run_schema import DataFacts
 from benchmark.records.scenes import ROUNDS_FILE, SCENES_FOLDER, SHEET_FILE, Sheet, kept_rounds_path, split_folder
 from benchmark.records.statistics import Runtime
 from benchmark.report.words import counted
 from benchmark.runs.scene_work import reopening
+from benchmark.runs.units import run_units
 from benchmark.scene_pages.making import Job, WrittenSheet, planned_sheet, rounds_fit, written_sheet
 from benchmark.scene_pages.split_sheets import write_split_sheet
 
@@ -140,13 +140,10 @@ def write_sheets(
         workers = settings.workers or default_workers()
         opener = reopen or reopening(data)
         work = partial(written_sheet, job, data) if workers == 1 else partial(_in_worker, job, opener)
-        written = tuple(map_ordered(work, chosen, workers=workers, label="scene sheets", count=Count(kept=_was_there)))
+        where = LocalProcesses(workers)
+        written = tuple(run_units(work, chosen, where, total=len(chosen), label="scene sheets"))
         traced = sum(_show_rounds(job.folder(name), data.root, name) for name in chosen) if settings.rounds else None
     return WrittenSheets(directory, written, traced)
-
-
-def _was_there(sheet: WrittenSheet) -> bool:
-    return not sheet.made
 
 
 def _show_rounds(folder: Path, data_root: Path, scene: str) -> bool:

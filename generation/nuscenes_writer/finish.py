@@ -13,7 +13,7 @@ from benchmark.machine.storage import canonical_json, write_bytes, write_json, w
 from benchmark.records.seed_splits import SEARCH
 from generation.nuscenes_writer.maps import write_maps
 from generation.nuscenes_writer.plan import DataSetPlan, require_own_root
-from generation.nuscenes_writer.scenes import read_state, release_claim
+from generation.nuscenes_writer.scenes import read_state, release_claim, stored_fragment
 from generation.nuscenes_writer.vocabulary import Row, Vocabulary, sensor_rows
 
 PROVENANCE: Final = "challenger.json"
@@ -65,7 +65,7 @@ def finish_data_set(
 
 
 def _read_fragment(plan: DataSetPlan, key: str) -> Fragment:
-    fragment = read_state(plan.fragment_path(key))
+    fragment = stored_fragment(plan, key)
     if fragment is None:
         raise InputError(f"scene {key[:12]} of {plan.root} is not written; run the command that builds it again")
     return fragment

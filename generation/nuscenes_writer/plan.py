@@ -14,6 +14,7 @@ from benchmark.constants import NUSCENES_TABLES
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, token
 from benchmark.records.review import Judged
+from benchmark.runs.units import ResultStore
 from benchmark.scene import Camera, Scene
 from generation.render.contract import Renderer
 
@@ -98,9 +99,10 @@ class DataSetPlan:
         """The nuScenes-format root that a scene belongs to."""
         return self.root if self.layout == "suffixed" else self.root / f"v{variant}"
 
-    def fragment_path(self, key: str) -> Path:
-        """Table rows of one finished scene; its presence means that all files of the scene are there."""
-        return self.state / "fragments" / f"{key}.json"
+    @property
+    def fragments(self) -> ResultStore[dict[str, Any]]:
+        """Table rows of finished scenes; one that is there means that all files of its scene are."""
+        return ResultStore(self.state / "fragments", dict[str, Any])
 
     def claim_path(self, variant: int, name: str) -> Path:
         """Which key, and which files, a scene name stands for at the moment."""

@@ -37,10 +37,10 @@ class WrittenScene(NamedTuple):
     key: str
     made: bool
 
-
-def was_there(written: WrittenScene) -> bool:
-    """Whether nothing had to be done for a scene."""
-    return not written.made
+    @property
+    def kept(self) -> bool:
+        """Whether nothing had to be done."""
+        return not self.made
 
 
 def write_scene(
@@ -132,7 +132,7 @@ def written_scene(
         **({UNDRAWN: True} if plan.pictures == "keyframes" else {}),
         "tables": {table: ",\n".join(map(canonical_json, rows)) for table, rows in tables.items()},
     }
-    write_json(plan.fragment_path(key), fragment, indent=None)
+    plan.fragments.put(key, fragment)
     return WrittenScene(key, made=True)
 
 
@@ -145,10 +145,8 @@ def is_complete(plan: DataSetPlan, key: str, *, variant: int, name: str) -> bool
 
 
 def _claimed_fragment(plan: DataSetPlan, key: str, *, variant: int, name: str) -> dict[str, Any] | None:
-    claim, fragment = read_state(plan.claim_path(variant, name)), read_state(plan.fragment_path(key))
-    if claim is None or fragment is None or claim["key"] != key or fragment["key"] != key:
-        return None
-    return fragment
+    claim = read_state(plan.claim_path(variant, name))
+    return None if claim is None or claim["key"] != key else stored_fragment(plan, key)
 
 
 def _whole_files(root: Path, fragment: dict[str, Any]) -> frozenset[str]:
@@ -169,9 +167,17 @@ def _is_sweep_image(path: str) -> bool:
     return path.startswith("sweeps/") and path.endswith((".jpg", ".png"))
 
 
+def stored_fragment(plan: DataSetPlan, key: str) -> dict[str, Any] | None:
+    """The fragment of a scene, or ``None`` where there is none or it is damaged: the scene is written again."""
+    return _sound(plan.fragments.get(key))
+
+
 def read_state(path: Path) -> dict[str, Any] | None:
-    """A fragment or a claim, or ``None`` where there is none or it is damaged: what it stood for is written again."""
-    value = read_kept_json(path)
+    """A claim, or ``None`` where there is none or it is damaged: what it stood for is written again."""
+    return _sound(read_kept_json(path))
+
+
+def _sound(value: Any) -> dict[str, Any] | None:
     if not isinstance(value, dict) or not {"key", "name", "variant", "files"} <= value.keys():
         return None
     typed = isinstance(value["key"], str) and isinstance(value["name"], str) and type(value["variant"]) is int
@@ -221,7 +227,7 @@ def release_claim(plan: DataSetPlan, claim: dict[str, Any], keep: frozenset[str]
     root = plan.data_root(claim["variant"])
     with writing_to(root):
         # The fragment goes first: without it the scene is unfinished and whatever is left is written again.
-        plan.fragment_path(claim["key"]).unlink(missing_ok=True)
+        plan.fragments.path(claim["key"]).unlink(missing_ok=True)
         for path in claim["files"]:
             if path not in keep:
                 (root / path).unlink(missing_ok=True)

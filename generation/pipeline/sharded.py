@@ -1,4 +1,4 @@
-"""A build in shards (`benchmark.runs.shards`): each searches its recordings, later draws its scenes."""
+"""A build in shards (`benchmark.runs.units`): each searches its recordings, later draws its scenes."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -7,7 +7,7 @@ from typing import Literal, TypeVar
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.progress import Count
-from benchmark.runs.shards import FinishedShard, Shard
+from benchmark.runs.units import FinishedShard, Shard
 from generation.nuscenes_writer import DataSetPlan
 from generation.nuscenes_writer.plan import require_own_root
 from generation.pipeline.settings import BuildSettings

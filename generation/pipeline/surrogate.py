@@ -20,7 +20,7 @@ from benchmark.report.words import counted
 from benchmark.runs.failures import FAILURES_FILE, first_failure
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
-from generation.nuscenes_writer.scenes import claim_files, read_state
+from generation.nuscenes_writer.scenes import claim_files, stored_fragment
 
 if TYPE_CHECKING:
     from benchmark.runs.plan_rows import PlannerFactory
@@ -168,7 +168,7 @@ def take_over(staging: DataSetPlan, plan: DataSetPlan, keys: Sequence[str]) -> N
         InputError: If the disk refuses.
     """
     for key in keys:
-        fragment = read_state(staging.fragment_path(key))
+        fragment = stored_fragment(staging, key)
         if fragment is None:
             continue
         claim_files(plan, fragment["key"], fragment["variant"], fragment["name"], fragment["files"])
@@ -176,7 +176,7 @@ def take_over(staging: DataSetPlan, plan: DataSetPlan, keys: Sequence[str]) -> N
         for path in fragment["files"]:
             _link(source / path, target / path)
         write_bytes(plan.map_path(fragment["map"]), staging.map_path(fragment["map"]).read_bytes())
-        write_bytes(plan.fragment_path(key), staging.fragment_path(key).read_bytes())
+        plan.fragments.put(key, fragment)
 
 
 def _link(source: Path, target: Path) -> None:

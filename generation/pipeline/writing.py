@@ -23,16 +23,16 @@ from benchmark.datasets.tables import variant_folders
 from benchmark.errors import InputError
 from benchmark.fairness.scenes import TracksAtHand, judge_scene
 from benchmark.fairness.split_realism import split_realism
-from benchmark.machine.progress import Count
-from benchmark.machine.storage import canonical_json, read_json, read_kept_json, write_bytes, write_json, writing_to
+from benchmark.machine.storage import canonical_json, content_key, read_json, write_bytes, writing_to
 from benchmark.machine.workers import Executor
 from benchmark.records.judgement import DEFINITION, SceneJudgement
 from benchmark.records.scenes import KEPT_ROUNDS_FOLDER, RefinementTrace, kept_rounds_path
+from benchmark.runs.units import ResultStore, run_units
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan
 from generation.nuscenes_writer.finish import PROVENANCE
 from generation.nuscenes_writer.plan import STATE_FOLDER
-from generation.nuscenes_writer.scenes import WrittenScene, read_state, was_there, written_scene
+from generation.nuscenes_writer.scenes import WrittenScene, read_state, stored_fragment, written_scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,8 +103,8 @@ def write_scenes(
             yield job.make(read(job.source_scene)), job
 
     work = functools.partial(_write_one, plan, timing)
-    count = Count(kept=was_there)
-    written = dict(zip(order, executor.map(work, shipments(), total=len(jobs), label=label, count=count), strict=True))
+    done = run_units(work, shipments(), executor, total=len(jobs), label=label)
+    written = dict(zip(order, done, strict=True))
     return [written[index].key for index in range(len(jobs))]
 
 
@@ -256,23 +256,15 @@ def _kept_file(folder: Path) -> dict[str, tuple[SceneJudgement, ...]] | None:
 def _judge(plan: DataSetPlan, key: str, scene: Scene, tracks: TracksAtHand) -> None:
     """Judge a scene where it is written, once."""
     if _kept_judgements(plan, key) is None:
-        judged = [each.model_dump(mode="json") for each in judge_scene(scene, tracks)]
-        write_json(_judgements_path(plan, key), {"definition": DEFINITION, "judgements": judged}, indent=None)
+        _judged(plan).put(content_key(DEFINITION, key), tuple(judge_scene(scene, tracks)), key)
 
 
 def _kept_judgements(plan: DataSetPlan, key: str) -> tuple[SceneJudgement, ...] | None:
-    kept = read_kept_json(_judgements_path(plan, key))
-    if not isinstance(kept, dict) or kept.get("definition") != DEFINITION:
-        return None
-    try:
-        return tuple(SceneJudgement.model_validate(each) for each in kept["judgements"])
-    except (KeyError, TypeError, ValidationError):
-        # A damaged file is unfinished work: it is made again.
-        return None
+    return _judged(plan).get(content_key(DEFINITION, key), key)
 
 
-def _judgements_path(plan: DataSetPlan, key: str) -> Path:
-    return plan.state / "judgements" / f"{key}.json"
+def _judged(plan: DataSetPlan) -> ResultStore[tuple[SceneJudgement, ...]]:
+    return ResultStore(plan.state / "judgements", tuple[SceneJudgement, ...])
 
 
 def _rounds(plan: DataSetPlan, job: WritingJob, key: str) -> bytes | None:
@@ -280,7 +272,7 @@ def _rounds(plan: DataSetPlan, job: WritingJob, key: str) -> bytes | None:
     if job.last_attempt is None:
         return None
     attempt, place = job.last_attempt
-    path, fragment = plan.state / "rounds" / f"{attempt}.json", read_state(plan.fragment_path(key))
+    path, fragment = plan.state / "rounds" / f"{attempt}.json", stored_fragment(plan, key)
     if fragment is None or not path.is_file():
         return None
     try:

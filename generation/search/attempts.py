@@ -5,20 +5,19 @@ Workers never open the data set: they are sent the scene that they work on.
 
 import functools
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, field_serializer
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.pages import keep_pages
-from benchmark.machine.progress import Count
-from benchmark.machine.storage import canonical_json, content_key, read_kept_json, write_bytes, write_json
+from benchmark.machine.storage import canonical_json, write_bytes, write_json
 from benchmark.machine.workers import Executor
 from benchmark.records.attempts import Attempt
 from benchmark.records.scenes import SCHEMA, RefinementTrace, TraceFrame
+from benchmark.runs.units import ResultStore, run_units
 from benchmark.scene import Scene
 from benchmark.scene_pages.motion import origin_of
 from generation.search.adversary import Searched, attempts_together
@@ -29,8 +28,6 @@ from generation.search.verify import verify
 
 SAME_M: Final = 1e-9
 """How far a track that is searched again for its rounds may be from the one that was kept; radians for the heading."""
-_HASH: Final = "sha256"
-"""Field of kept work that says what the others must hash to."""
 
 
 class StoredAttempt(BaseModel):
@@ -48,27 +45,15 @@ class StoredAttempt(BaseModel):
     report: Attempt
     poses: tuple[tuple[float, float, float], ...]
 
+    @field_serializer("report")
+    def _as_written(self, report: Attempt) -> dict[str, Any]:
+        return report.as_json()
+
     @classmethod
     def of(cls, unit: Unit, result: Searched) -> "StoredAttempt":
         """What is stored of an attempt."""
         poses = result.poses.tolist() if result.kept else []
         return cls(agent=unit.agent, report=result.attempt, poses=tuple((x, y, yaw) for x, y, yaw in poses))
-
-    def as_json(self) -> dict[str, Any]:
-        """JSON values; what others than this program look for stands outside the report as well."""
-        report = self.report
-        return {
-            "schema_version": 1,
-            "scene_name": report.scene,
-            "agent": self.agent,
-            "agent_id": report.agent,
-            "kept": report.kept,
-            "discard": report.discard,
-            "start": report.launch_frame,
-            "challenge": report.challenge,
-            "report": report.as_json(),
-            "poses": self.poses,
-        }
 
     def adversarial(self, scene: Scene) -> Scene:
         """The kept scene, from the one that the attempt started from.
@@ -108,26 +93,30 @@ def eligibility(
     Returns:
         The choice.
     """
-    path = search.eligibility_path(scene_name, earlier)
-    try:
-        kept = Eligibility.model_validate(_kept_work(path))
-        if kept.scene_name == scene_name:
-            return kept
-    except ValidationError:
-        # A damaged file is unfinished work: it is made again.
-        pass
+    key, store = search.eligibility_key(scene_name, earlier), eligibility_store(search)
+    kept = store.get(key)
+    if kept is not None and kept.scene_name == scene_name:
+        return kept
     found = eligibility_of(read(), search.hyper, search.seed)
     if keep:
-        _keep_work(path, found.model_dump(mode="json"))
+        store.put(key, found)
     return found
+
+
+def eligibility_store(search: Search) -> ResultStore[Eligibility]:
+    """Where choices of vehicles are kept."""
+    return ResultStore(search.state / "surveys", Eligibility)
+
+
+def attempt_store(search: Search) -> ResultStore[StoredAttempt]:
+    """Where finished attempts are kept."""
+    return ResultStore(search.state / "attempts", StoredAttempt)
 
 
 def kept_attempt(search: Search, unit: Unit, *, with_rounds: bool = False) -> StoredAttempt | None:
     """A finished attempt, or ``None`` where there is none, it is damaged, or its rounds are wanted and not there."""
-    try:
-        stored = StoredAttempt.model_validate(_kept_work(search.path(unit)))
-    except ValidationError:
-        # A damaged file is unfinished work: it is made again.
+    stored = attempt_store(search).get(search.key(unit))
+    if stored is None:
         return None
     report = stored.report
     of_unit = (unit.scene_name, unit.agent, unit.agent_id, unit.asked)
@@ -172,9 +161,10 @@ def attempts(
         for batch in batches:
             yield [(scene_of(units[index]), units[index]) for index in batch]
 
-    vehicles = Count("vehicle", len(units) - len(missing), len(units), each=len)
-    planned = functools.partial(_attempted, search, keep_rounds)
-    done = executor.map(planned, work(), total=len(batches), label=label, count=vehicles)
+    planned, before = functools.partial(_attempted, search, keep_rounds), len(units) - len(missing)
+    done = run_units(
+        planned, work(), executor, total=len(batches), label=label, noun="vehicle", before=before, of=len(units)
+    )
     for batch, results in zip(batches, done, strict=True):
         for index, stored in zip(batch, results, strict=True):
             found[index] = stored
@@ -209,7 +199,7 @@ def _attempted(search: Search, keep_rounds: bool, work: Sequence[tuple[Scene, Un
         if keep_rounds and stored.report.kept:
             _keep_rounds(search, unit, scene, result.rounds)
         if before is None:
-            _keep_work(search.path(unit), stored.as_json())
+            attempt_store(search).put(search.key(unit), stored)
         kept.append(stored)
     return kept
 
@@ -238,24 +228,6 @@ def _keep_rounds(search: Search, unit: Unit, scene: Scene, frames: tuple[TraceFr
         frames=frames,
     )
     write_json(search.rounds_path(unit), trace.model_dump(mode="json", by_alias=True), indent=None)
-
-
-def _keep_work(path: Path, value: dict[str, Any]) -> None:
-    """Keep finished work with its own hash, by which damage of any kind is noticed."""
-    write_json(path, {**value, _HASH: content_key(value)}, indent=None)
-
-
-def _kept_work(path: Path) -> dict[str, Any] | None:
-    """What `_keep_work` wrote, or ``None`` if it is absent or not exactly that."""
-    value = read_kept_json(path)
-    if not isinstance(value, dict):
-        return None
-    written = value.pop(_HASH, None)
-    try:
-        return value if content_key(value) == written else None
-    except ValueError:
-        # NaN and infinity are not JSON, although Python reads them: nothing here writes them.
-        return None
 
 
 def _undisturbed(result: Searched, unit: Unit, hyper: HyperParameters) -> Searched:

@@ -116,10 +116,6 @@ class Search:
         request = [] if unit.asked is None else [{"asked": unit.asked.value}]
         return content_key("attempt", ALGORITHM_VERSION, *parts, self.prior_fingerprint, *chain, verdict, *request)
 
-    def path(self, unit: Unit) -> Path:
-        """File of one finished attempt."""
-        return self.state / "attempts" / f"{self.key(unit)}.json"
-
     def rounds_path(self, unit: Unit) -> Path:
         """File of the rounds of one kept attempt."""
         return self.state / "rounds" / f"{self.key(unit)}.json"
@@ -128,11 +124,11 @@ class Search:
         """File that says how long an attempt took; no result depends on it."""
         return self.timings / "attempts" / f"{self.key(unit)}.timing.json"
 
-    def eligibility_path(self, scene_name: str, earlier: tuple[Earlier, ...]) -> Path:
-        """File of one finished choice of vehicles."""
+    def eligibility_key(self, scene_name: str, earlier: tuple[Earlier, ...]) -> str:
+        """Content key of one choice of vehicles."""
         chain = [link.key for link in earlier]
-        parts = ("survey", ALGORITHM_VERSION, self.fingerprint, scene_name, self.seed, self.hyper.fingerprint, chain)
-        return self.state / "surveys" / f"{content_key(*parts)}.json"
+        parts = (self.fingerprint, scene_name, self.seed, self.hyper.fingerprint, chain)
+        return content_key("survey", ALGORITHM_VERSION, *parts)
 
     def as_json(self) -> dict[str, Any]:
         """Everything that decided the attempts of a build, for ``search.json``."""

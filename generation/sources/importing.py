@@ -3,16 +3,16 @@
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from benchmark.datasets.scenarionet import find_scenarionet, read_exchanged
 from benchmark.errors import InputError
-from benchmark.machine.progress import Count
 from benchmark.machine.storage import only_writer
-from benchmark.machine.workers import map_ordered
+from benchmark.machine.workers import LocalProcesses
+from benchmark.runs.units import run_units
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
-from generation.nuscenes_writer.scenes import WrittenScene, was_there, written_scene
+from generation.nuscenes_writer.scenes import WrittenScene, written_scene
 from generation.render.schematic import SchematicRenderer
 from generation.sources.rig import default_cameras
 
@@ -68,25 +68,33 @@ def import_scenarionet(source: Path, root: Path, settings: ImportSettings, *, wo
         keeps_instances=True,
     )
     with only_writer(root):
-        count = Count(kept=lambda imported: was_there(imported[1]))
-        work = partial(_import_one, plan)
-        written = list(map_ordered(work, files, workers=workers, label="importing scenes", count=count))
-        names = [name for name, _ in written]
+        work, where = partial(_import_one, plan), LocalProcesses(workers)
+        written = list(run_units(work, files, where, total=len(files), label="importing scenes"))
+        names = [imported.name for imported in written]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise InputError(f"{source} holds more than one file of scene {twice[0]}; keep one of them")
-        finish_data_set(plan, [scene.key for _, scene in written])
+        finish_data_set(plan, [imported.written.key for imported in written])
     return tuple(names)
 
 
-def _import_one(plan: DataSetPlan, path: Path) -> tuple[str, WrittenScene]:
+class _Imported(NamedTuple):
+    name: str
+    written: WrittenScene
+
+    @property
+    def kept(self) -> bool:
+        return self.written.kept
+
+
+def _import_one(plan: DataSetPlan, path: Path) -> _Imported:
     made = read_exchanged(path)
     scene = with_default_rig(made.scene)
     if scene.adversaries and plan.split == "val":
         raise InputError(f"{path} names adversaries, which are never in val; import it with --split adv")
-    return scene.name, written_scene(
-        plan, scene, name=scene.name, source_scene=made.source_scene, report=dict(made.report)
-    )
+    report = dict(made.report)
+    written = written_scene(plan, scene, name=scene.name, source_scene=made.source_scene, report=report)
+    return _Imported(scene.name, written)
 
 
 def with_default_rig(scene: Scene) -> Scene:

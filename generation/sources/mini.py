@@ -6,16 +6,16 @@ from pathlib import Path
 from typing import Any, Literal
 
 from benchmark.errors import InputError
-from benchmark.machine.progress import Count
 from benchmark.machine.storage import content_key, only_writer, read_kept_json, write_json
-from benchmark.machine.workers import map_ordered
+from benchmark.machine.workers import LocalProcesses
 from benchmark.machine.workspace import is_finished
 from benchmark.records.driven import DRIVEN
 from benchmark.records.drives import DRIVE_FILE, DriveRecord, find_drives
 from benchmark.records.off_path import OFF_PATH
+from benchmark.runs.units import run_units
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
 from generation.nuscenes_writer.plan import SHARED_TABLES_VERSION, STATE_FOLDER
-from generation.nuscenes_writer.scenes import WrittenScene, was_there, written_scene
+from generation.nuscenes_writer.scenes import WrittenScene, written_scene
 from generation.render.schematic import SchematicRenderer
 from generation.sources.town import (
     DEFAULT_VAL_SCENES,
@@ -134,8 +134,8 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
     work += [("train", index, drives.get(index)) for index in numbers]
     job = partial(_write_one, plan, settings.seed, settings.off_path, settings.crossing)
     with only_writer(root):
-        count = Count(kept=was_there)
-        written = list(map_ordered(job, work, workers=workers, label="building the town", count=count))
+        where = LocalProcesses(workers)
+        written = list(run_units(job, work, where, total=len(work), label="building the town"))
         finish_data_set(plan, [scene.key for scene in written], extra_splits={"train": train} if train else None)
         write_json(note, made_of)
     return root

@@ -16,7 +16,7 @@ from benchmark.report.words import counted
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
-from generation.nuscenes_writer.scenes import read_state
+from generation.nuscenes_writer.scenes import stored_fragment
 from generation.pipeline.estimate import Estimate, rendering_estimate, workers_of
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.writing import WritingJob, publish_judgements, publish_realism, publish_reports, write_scenes
@@ -334,7 +334,7 @@ def _other_images(
     """What was compared, and the scenes whose images are not those that were frozen."""
     other = []
     for (scene, _), key in zip(chosen, keys, strict=True):
-        fragment = read_state(plan.fragment_path(key))
+        fragment = stored_fragment(plan, key)
         assert fragment is not None, "finishing read it"
         row = fragment["renderer"]
         if frozen is None or row is None or facts_of_row(row, plan.jpeg_quality) != frozen:

@@ -114,7 +114,7 @@ def test_other_data_or_another_planner_is_planned_anew(tmp_path: Path) -> None:
 def test_damaged_rows_are_planned_again(tmp_path: Path) -> None:
     record = evaluate(town_of_two(), "val", Straight(), tmp_path)
     before = contents(record.directory)
-    rows = record.directory / "rows" / "scene-9901.jsonl"
+    rows = record.directory / "rows" / "scene-9901.json"
     for damage in (b"", rows.read_bytes()[:-400], b"[]\n", rows.read_bytes().rsplit(b"\n", 2)[0] + b"\n"):
         rows.write_bytes(damage)
         planner = Straight()
@@ -279,13 +279,13 @@ def test_killed_and_started_again_gives_the_bytes_of_an_undisturbed_run(tmp_path
     script = KILLED.format(pause=0.02, out=str(tmp_path / "killed"))
     running = subprocess.Popen([sys.executable, "-c", script], cwd=ROOT, env=environment)
     deadline = time.monotonic() + 60
-    while len(list((tmp_path / "killed").rglob("*.jsonl"))) < 2 and time.monotonic() < deadline:
+    while len(list((tmp_path / "killed").rglob("rows/*.json"))) < 2 and time.monotonic() < deadline:
         time.sleep(0.01)
     running.send_signal(signal.SIGKILL)
     running.wait()
-    left = list((tmp_path / "killed").rglob("*.jsonl"))
+    left = list((tmp_path / "killed").rglob("rows/*.json"))
     assert left and not list((tmp_path / "killed").rglob("run.json"))
-    (left[0].parent / ".scene.jsonl.1.part").write_bytes(b"half a row")
+    (left[0].parent / ".scene.json.1.part").write_bytes(b"half a row")
     timed = EvalSettings(timings=tmp_path / "timings")
     again = evaluate(town_of_six(), "val", Factory(), tmp_path / "killed", timed)
     undisturbed = evaluate(town_of_six(), "val", Factory(), tmp_path / "undisturbed")

@@ -62,7 +62,7 @@ def quality_command(
     from benchmark.cli.preflight_places import require_folder, require_place
     from benchmark.extensions.quality.definition import Definition, mask_source
     from benchmark.machine.several_devices import workers_for
-    from benchmark.runs.shards import Shard
+    from benchmark.runs.units import Shard
 
     files: Literal["own", "lossless"] = "lossless" if lossless else "own"
     definition = Definition(mask_source(masks), frames.value, files, batch=batch)

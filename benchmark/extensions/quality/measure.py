@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import torch
-from pydantic import ValidationError
 
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
@@ -15,16 +14,15 @@ from benchmark.extensions.quality.definition import Definition, needed_for
 from benchmark.extensions.quality.pretrained import transformers_version
 from benchmark.extensions.quality.scoring import Networks, image_file, load_networks, score_scene
 from benchmark.machine.devices import device_of, device_of_worker
-from benchmark.machine.progress import Count
 from benchmark.machine.several_devices import device_in_turn, device_names, workers_for
-from benchmark.machine.storage import content_key, file_name, only_writer, read_kept_json, write_json, writing_to
-from benchmark.machine.workers import default_workers, map_ordered, worker_number
+from benchmark.machine.storage import content_key, file_name, only_writer
+from benchmark.machine.workers import LocalProcesses, default_workers, worker_number
 from benchmark.records.quality import QualityRecord, write_quality
 from benchmark.records.quality_schema import QUALITY_SCHEMA, SceneRows, WeightsFacts
 from benchmark.report.words import counted
 from benchmark.runs.judges import JudgedScenes, described
 from benchmark.runs.scene_work import reopening
-from benchmark.runs.shards import FinishedShard, Shard
+from benchmark.runs.units import FinishedShard, ResultStore, Shard, run_units
 from benchmark.weights.folders import content_hash, folder_of
 
 if TYPE_CHECKING:
@@ -77,6 +75,11 @@ class _Job:
     device: str
     keys: Mapping[str, str]
 
+    @property
+    def store(self) -> ResultStore[SceneRows]:
+        """Where rows of scenes are kept."""
+        return ResultStore(self.directory / "scenes", SceneRows)
+
 
 def measure_quality(
     data: "DataSet",
@@ -114,7 +117,7 @@ def measure_quality(
         opener = reopen or reopening(data)
         rows = list(_scored(job, data, opener, _processes(settings)))
         record = write_quality(job.directory, said, rows)
-        _tidy(job)
+        job.store.tidy(job.keys)
     return record
 
 
@@ -216,23 +219,20 @@ def plan_of(data: "DataSet", split: str, settings: QualitySettings) -> str:
 
 def _scored(job: _Job, data: "DataSet", reopen: Callable[[], "DataSet"], workers: int) -> Iterator[SceneRows]:
     """Rows in the order of the scenes; those that are kept are not made again, and networks load only for others."""
-    open_scenes = [name for name in job.keys if _kept(job, name) is None]
+    found = {name: job.store.get(key, name) for name, key in job.keys.items()}
+    open_scenes = [name for name, kept in found.items() if kept is None]
     work = partial(_in_worker, job, reopen)
     if open_scenes and workers == 1:
         work = partial(_here, job, data, load_networks(job.definition, job.folders, _first(job)))
-    count = Count(before=len(job.keys) - len(open_scenes))
-    scored = map_ordered(work, open_scenes, workers=workers, label="video quality", count=count)
+    where, before = LocalProcesses(workers), len(job.keys) - len(open_scenes)
+    scored = run_units(work, open_scenes, where, total=len(open_scenes), label="video quality", before=before)
     made = {rows.scene: rows for rows in scored}
-    for name in job.keys:
-        kept = made.get(name) or _kept(job, name)
-        if kept is None:
-            raise InputError(f"{_rows_path(job, name)} was changed while the command ran; run the same command again")
-        yield kept
+    yield from (found[name] or made[name] for name in job.keys)
 
 
 def _here(job: _Job, data: "DataSet", networks: Networks, scene: str) -> SceneRows:
     rows = score_scene(data, scene, job.definition, networks)
-    write_json(_rows_path(job, scene), {"key": job.keys[scene], "rows": rows.model_dump(mode="json")}, indent=None)
+    job.store.put(job.keys[scene], rows, scene)
     return rows
 
 
@@ -272,26 +272,3 @@ def _processes(settings: QualitySettings) -> int:
     if device.type != "cuda":
         return default_workers()
     return 1 if device.index is not None else torch.cuda.device_count()
-
-
-def _kept(job: _Job, scene: str) -> SceneRows | None:
-    stored = read_kept_json(_rows_path(job, scene))
-    if not isinstance(stored, dict) or stored.get("key") != job.keys[scene]:
-        return None
-    try:
-        return SceneRows.model_validate(stored.get("rows"))
-    except ValidationError:
-        return None
-
-
-def _rows_path(job: _Job, scene: str) -> Path:
-    return job.directory / "scenes" / f"{file_name(scene)}.json"
-
-
-def _tidy(job: _Job) -> None:
-    """Remove rows of scenes that are not in the record, and what killed commands left."""
-    wanted = {_rows_path(job, scene) for scene in job.keys}
-    with writing_to(job.directory):
-        for path in (job.directory / "scenes").iterdir():
-            if path not in wanted:
-                path.unlink()

@@ -25,7 +25,7 @@ from benchmark.records.planner_cost import (
 from benchmark.records.record_costs import with_cost
 from benchmark.records.run import RunRecord, load_record
 from benchmark.runs.planner_facts import facts_of
-from benchmark.runs.shards import Shard
+from benchmark.runs.units import Shard
 from leaderboard.frame.runs import Frame
 from leaderboard.tables.contents import data_set_tables
 from leaderboard.tables.cost import cost_table

@@ -1,7 +1,6 @@
 """Driving a split: kept units, resumed work, any number of processes, scores made anew."""
 
 import errno
-import json
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,7 +17,7 @@ from benchmark.closed_loop.engines import ENGINES, rides_of
 from benchmark.closed_loop.scoring import VERSION
 from benchmark.errors import InputError
 from benchmark.machine.extension import OFFERS
-from benchmark.machine.storage import write_json
+from benchmark.machine.storage import write_parts
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Observation, Plan
 from benchmark.records.drive_schema import DriveRow
@@ -102,8 +101,7 @@ def test_a_damaged_or_cut_file_is_driven_again(tmp_path: Path) -> None:
     before = bytes_below(tmp_path)
     kept = sorted((first.directory / "drives").iterdir())
     kept[0].write_text(kept[0].read_text()[:-40])
-    row = json.loads(kept[1].read_text())
-    kept[1].write_text(json.dumps({**row, "row": {**row["row"], "end": "end", "contact": None}}))
+    kept[1].write_bytes(kept[1].read_bytes().replace(b'"end":"contact"', b'"end":"end"'))
     planner = Straight()
     assert driven(tmp_path, planner) == first and planner.calls > 0 and bytes_below(tmp_path) == before
 
@@ -129,12 +127,12 @@ def test_an_interrupted_command_goes_on(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_is_a_sentence_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(path: Path, value: Any, **options: Any) -> None:
+    def full(path: Path, parts: Any, **options: Any) -> None:
         if "scene-9902" in path.name:
             raise InputError(f"cannot write {path}: {OSError(errno.ENOSPC, 'No space left').strerror}")
-        write_json(path, value, **options)
+        write_parts(path, parts, **options)
 
-    monkeypatch.setattr("benchmark.runs.drive_work.write_json", full)
+    monkeypatch.setattr("benchmark.runs.units.write_parts", full)
     with pytest.raises(InputError, match="No space left"):
         driven(tmp_path, Factory(Straight))
     monkeypatch.undo()

@@ -8,7 +8,7 @@ import pytest
 
 from benchmark.records.drives import load_drives
 from benchmark.runs.driving import drive_planners, drive_shard
-from benchmark.runs.shards import Shard
+from benchmark.runs.units import Shard
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.benchmark.cli.in_process import run_here

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate, plan_shard
-from benchmark.runs.shards import Shard
+from benchmark.runs.units import Shard
 from tests.benchmark.planners import Failing, Remembering
 from tests.benchmark.runs.test_together import Made
 from tests.benchmark.test_evaluation import contents, town_of_six

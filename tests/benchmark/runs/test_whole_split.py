@@ -89,7 +89,7 @@ def test_a_run_is_kept_as_a_whole_or_made_again_from_its_start(tmp_path: Path) -
 def test_a_scene_that_is_not_kept_makes_the_whole_split_anew(tmp_path: Path) -> None:
     data = town()
     record = evaluate(data, "val", Continuous(), tmp_path)
-    (record.directory / "rows" / "scene-9902.jsonl").unlink()
+    (record.directory / "rows" / "scene-9902.json").unlink()
     again = Continuous()
     assert evaluate(data, "val", again, tmp_path).rows == record.rows
     assert again.seen == len(record.rows)

@@ -11,7 +11,7 @@ import pytest
 
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
-from benchmark.runs.shards import Shard
+from benchmark.runs.units import Shard
 from generation.pipeline import sharded
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.sharded import build_shard, draw_frozen_shard

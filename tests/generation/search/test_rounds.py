@@ -14,9 +14,9 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json
 from benchmark.machine.workers import LocalProcesses
 from benchmark.records.scenes import RefinementTrace, StoredSheet, find_sheets, kept_rounds_path
+from benchmark.runs.units import ResultStore
 from benchmark.scene_pages.writing import SheetSettings, write_sheets
 from generation.pipeline.split import build_split
-from generation.search.attempts import _keep_work
 from generation.search.rounds import SHOWN_CANDIDATES, shown_candidates
 from tests.generation.labels.recorded_roads import CHEAP, HYPER, contents, recorded, write_source
 from tests.generation.search.driving_prior import DrivingPrior, unchanged
@@ -161,11 +161,12 @@ def test_rounds_of_another_search_go(source: DataSet, copied: Path) -> None:
 
 def test_a_search_that_gives_another_track_here_is_not_kept(source: DataSet, copied: Path) -> None:
     for path in (copied / ".challenger" / "attempts").iterdir():
-        content = json.loads(path.read_text())
-        content.pop("sha256", None)
+        store: ResultStore[Any] = ResultStore(path.parent, Any)
+        content = store.get(path.stem)
+        assert content is not None
         if content["poses"]:
             content["poses"][5][0] += 1e-6
-        _keep_work(path, content)
+        store.put(path.stem, content)
     shutil.rmtree(copied / ".challenger" / "rounds")
     with pytest.raises(InputError, match="another track here"):
         build_split(source, "adv", replace(TWO, out=copied))

@@ -11,9 +11,12 @@ from benchmark.datasets.judged import stored_judgements
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.geometry import box_corners
+from benchmark.machine.storage import content_key
 from benchmark.machine.workers import LocalProcesses
 from benchmark.machine.workspace import is_finished
 from benchmark.protocols import NATIVE_PROTOCOLS
+from benchmark.records.judgement import DEFINITION, SceneJudgement
+from benchmark.runs.units import ResultStore
 from generation.labels.labelling import agent_boxes
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import build_split
@@ -278,6 +281,11 @@ def test_frozen_scenes_are_judged_where_they_are_written_and_kept_as_frozen(
     assert stored_judgements(again.root, again.version) == judged and report.unsolvable == ()
     assert "scenes that nobody could have avoided: 0, kept as frozen" in report.summary()
     # Judged once: what was judged is kept.
-    for path in (tmp_path / "built" / ".challenger" / "judgements").iterdir():
-        path.write_text(path.read_text().replace('"unsolvable":false', '"unsolvable":true'))
+    kept: ResultStore[tuple[SceneJudgement, ...]] = ResultStore(
+        tmp_path / "built" / ".challenger" / "judgements", tuple[SceneJudgement, ...]
+    )
+    for path in kept.folder.iterdir():
+        key = content_key(DEFINITION, path.stem)
+        changed = [each.model_copy(update={"unsolvable": True}) for each in kept.get(key, path.stem) or ()]
+        kept.put(key, tuple(changed), path.stem)
     assert len(build_frozen(source, split, bare).unsolvable) == len(judged)

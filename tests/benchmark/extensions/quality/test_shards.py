@@ -10,7 +10,7 @@ from benchmark.errors import InputError
 from benchmark.extensions.quality import musiq
 from benchmark.extensions.quality.measure import measure_quality, measure_shard
 from benchmark.records.quality import QualityRecord
-from benchmark.runs.shards import Shard
+from benchmark.runs.units import Shard
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.extensions.quality.test_measure import PUBLISHED_SCALES, TWO, record, root, settings, small_scales

@@ -1,0 +1,196 @@
+"""Finished work: one store of results under content keys, one way to run what is missing, shards of it.
+
+A command's work consists of units (a scene planned, a drive, an attempt of the search). What comes of a unit depends on
+nothing but what its content key is made of, and is kept in a file of its own, written whole: so the same command goes
+on where it stopped, one process, many and a cluster give the same bytes, and ``--shard 3/40`` does every 40th unit and
+leaves the rest, and the record, to the same command without it.
+"""
+
+import functools
+import hashlib
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, Self, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
+
+from benchmark.errors import InputError
+from benchmark.machine.progress import Count
+from benchmark.machine.storage import canonical_json, file_name, write_parts, writing_to
+from benchmark.machine.workers import Executor
+from benchmark.untrusted.files import read_file
+from benchmark.untrusted.json_text import parse_json
+from benchmark.untrusted.limits import JSON
+
+Value = TypeVar("Value")
+Item = TypeVar("Item")
+Part = TypeVar("Part")
+
+
+@dataclass(frozen=True, slots=True)
+class ResultStore(Generic[Value]):
+    """Results of units of one kind, a file each: its first line is the content key and the hash of the second.
+
+    Attributes:
+        folder: Where.
+        form: What pydantic checks a result to be: a model, or a type of JSON values.
+    """
+
+    folder: Path
+    form: Any
+
+    def path(self, name: str) -> Path:
+        """File of a unit; its name may hold slashes."""
+        return self.folder / f"{file_name(name)}.json"
+
+    def get(self, key: str, name: str | None = None) -> Value | None:
+        """The result that is kept under a content key.
+
+        Args:
+            key: Of everything that the result depends on.
+            name: Of the unit's file; the key if it has no other.
+
+        Returns:
+            The result; ``None`` where there is none, another one, or a damaged one: that is unfinished work, and is
+            done again.
+        """
+        try:
+            head, _, body = read_file(self.path(name or key), JSON).partition(b"\n")
+            if head + b"\n" != _header(key, body):
+                return None
+            value: Value = _adapter(self.form).validate_python(parse_json(body))
+        except (InputError, ValueError, ValidationError):
+            return None
+        return value
+
+    def put(self, key: str, value: Value, name: str | None = None) -> None:
+        """Keep a result, whole or not at all; arguments as of `get`.
+
+        Raises:
+            InputError: If it cannot be written.
+            ValueError: If a number in it is not finite.
+        """
+        body = (canonical_json(_adapter(self.form).dump_python(value, mode="json", by_alias=True)) + "\n").encode()
+        write_parts(self.path(name or key), (_header(key, body), body))
+
+    def tidy(self, names: Collection[str]) -> None:
+        """Remove what is kept of other units than these, and what killed commands left."""
+        wanted = {self.path(name) for name in names}
+        with writing_to(self.folder):
+            for path in self.folder.iterdir() if self.folder.is_dir() else ():
+                if path not in wanted:
+                    path.unlink()
+
+
+def _header(key: str, body: bytes) -> bytes:
+    return (canonical_json({"key": key, "sha256": hashlib.sha256(body).hexdigest()}) + "\n").encode()
+
+
+@functools.cache
+def _adapter(form: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(form)
+
+
+Result = TypeVar("Result")
+
+
+def run_units(
+    work: Callable[[Item], Result],
+    units: Iterable[Item],
+    executor: Executor,
+    *,
+    total: int,
+    label: str,
+    noun: str = "scene",
+    before: int = 0,
+    of: int | None = None,
+) -> Iterator[Result]:
+    """Do units of work, or find what is kept of them, saying how far it is.
+
+    Args:
+        work: Does one, or several side by side, which it returns as a list; importable, as it is sent to workers.
+            Results may say that they are ``kept``: there before, they make the rest look no quicker than it is.
+        units: What it is given; made lazily, a little ahead of the results.
+        executor: Where; no result depends on it.
+        total: How many ``units`` there are.
+        label: What is done, for people.
+        noun: What is counted of it.
+        before: How many were found finished already and are not among the units.
+        of: How many there are in all, where ``units`` are several each.
+
+    Returns:
+        Results in the order of the units.
+
+    Raises:
+        InputError: If workers are lost for good.
+    """
+    count = Count(noun, before, of, each=_units_in, kept=_were_kept)
+    return executor.map(work, units, total=total, label=label, count=count)
+
+
+def _results_in(result: Any) -> list[Any]:
+    return result if isinstance(result, list) else [result]
+
+
+def _units_in(result: Any) -> int:
+    return len(_results_in(result))
+
+
+def _were_kept(result: Any) -> bool:
+    return all(getattr(each, "kept", False) for each in _results_in(result))
+
+
+@dataclass(frozen=True, slots=True)
+class Shard:
+    """One of so many parts.
+
+    Attributes:
+        number: Which, from 1.
+        of: How many there are.
+    """
+
+    number: int
+    of: int
+
+    @classmethod
+    def named(cls, text: str) -> Self:
+        """The shard that a user asks for.
+
+        Args:
+            text: For example ``3/40``.
+
+        Returns:
+            The shard.
+
+        Raises:
+            InputError: If it is none.
+        """
+        found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
+        number, of = map(int, found.groups()) if found else (0, 0)
+        if not 1 <= number <= of:
+            raise InputError(f"--shard takes a number and how many shards there are, for example 3/40; got {text!r}")
+        return cls(number, of)
+
+    def part(self, everything: Sequence[Part]) -> tuple[Part, ...]:
+        """What of a sequence is this shard's: every n-th, so that shards differ by one at most."""
+        return tuple(everything[self.number - 1 :: self.of])
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.of}"
+
+
+@dataclass(frozen=True, slots=True)
+class FinishedShard:
+    """What a shard did.
+
+    Attributes:
+        directory: Folder of the record, or root of the data set.
+        done: How many scenes it did or found done.
+        scenes: How many there are altogether.
+    """
+
+    directory: Path
+    done: int
+    scenes: int

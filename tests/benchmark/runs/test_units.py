@@ -1,0 +1,113 @@
+"""One store of finished work: what is kept is what was put there, or nothing."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import BaseModel
+
+from benchmark.errors import InputError
+from benchmark.machine.workers import LocalProcesses
+from benchmark.runs.units import ResultStore, Shard, run_units
+
+
+class Measured(BaseModel):
+    value: float
+    seen: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Drawn:
+    number: int
+    kept: bool = False
+
+
+def store_in(folder: Path) -> ResultStore[Measured]:
+    return ResultStore(folder, Measured)
+
+
+def test_what_was_put_there_is_found_under_its_key_alone(tmp_path: Path) -> None:
+    store, made = store_in(tmp_path), Measured(value=0.1 + 0.2, seen=("a", "ä"))
+    assert store.get("key", "scene/1") is None
+    store.put("key", made, "scene/1")
+    assert store.get("key", "scene/1") == made
+    assert store.get("another", "scene/1") is None and store.get("key", "scene/2") is None
+    store.put("another", Measured(value=1.0), "scene/1")
+    assert store.get("key", "scene/1") is None
+
+
+@given(place=st.integers(0, 10**6), byte=st.integers(0, 255))
+def test_any_changed_byte_is_noticed(tmp_path_factory: pytest.TempPathFactory, place: int, byte: int) -> None:
+    folder = tmp_path_factory.mktemp("store")
+    store, made = store_in(folder), Measured(value=2.5, seen=("x",))
+    store.put("key", made)
+    path = store.path("key")
+    whole = bytearray(path.read_bytes())
+    place %= len(whole)
+    same, whole[place] = whole[place] == byte, byte
+    path.write_bytes(whole)
+    assert store.get("key") == (made if same else None)
+
+
+@pytest.mark.parametrize("content", [b"", b"\n", b"{}", b"[1]\n2\n", b"\0" * 100, b'{"key":"key"}\n{"value":1.0}\n'])
+def test_what_is_none_of_its_files_is_nothing(tmp_path: Path, content: bytes) -> None:
+    store = store_in(tmp_path)
+    store.path("key").write_bytes(content)
+    assert store.get("key") is None
+
+
+@pytest.mark.parametrize("cut", [1, 50, 90])
+def test_truncated_is_nothing(tmp_path: Path, cut: int) -> None:
+    store = store_in(tmp_path)
+    store.put("key", Measured(value=1.0))
+    store.path("key").write_bytes(store.path("key").read_bytes()[:-cut])
+    assert store.get("key") is None
+
+
+def test_a_result_of_another_form_is_nothing(tmp_path: Path) -> None:
+    other: ResultStore[dict[str, str]] = ResultStore(tmp_path, dict[str, str])
+    other.put("key", {"value": "many"})
+    assert store_in(tmp_path).get("key") is None
+
+
+def test_numbers_that_are_not_finite_are_not_kept(tmp_path: Path) -> None:
+    store: ResultStore[list[float]] = ResultStore(tmp_path, list[float])
+    with pytest.raises(ValueError, match="JSON"):
+        store.put("key", [float("nan")])
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_rest_is_tidied_away(tmp_path: Path) -> None:
+    store = store_in(tmp_path / "rows")
+    store.tidy(["nothing is there yet"])
+    for name in ("one", "two"):
+        store.put("key", Measured(value=1.0), name)
+    (tmp_path / "rows" / ".one.json.part").write_bytes(b"left")
+    store.tidy(["two"])
+    assert [path.name for path in (tmp_path / "rows").iterdir()] == ["two.json"]
+
+
+def test_a_folder_that_is_a_file_is_said(tmp_path: Path) -> None:
+    (tmp_path / "rows").write_text("")
+    store = store_in(tmp_path / "rows")
+    assert store.get("key") is None
+    with pytest.raises(InputError, match="cannot write"):
+        store.put("key", Measured(value=1.0))
+
+
+def draw(number: int) -> Drawn:
+    return Drawn(number, kept=number == 1)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_results_come_in_the_order_of_the_units(workers: int) -> None:
+    found = run_units(draw, range(5), LocalProcesses(workers), total=5, label="drawing")
+    assert [each.number for each in found] == [0, 1, 2, 3, 4]
+
+
+def test_shards_are_all_units_and_none_twice() -> None:
+    parts = [Shard(number, 3).part(range(8)) for number in (1, 2, 3)]
+    assert sorted(unit for part in parts for unit in part) == list(range(8))
+    assert max(map(len, parts)) - min(map(len, parts)) <= 1
