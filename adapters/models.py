@@ -130,12 +130,6 @@ class Model:
         assert self.miniature is not None, f"{self.name} is no miniature"
         return self.miniature
 
-    @property
-    def identity(self) -> list[Any]:
-        """What of this entry plans depend on; where things are defined does not count, so that they may move."""
-        made = (self.planner, self.net.build, self.net.config)
-        return [*(reference.partition(":")[2] for reference in made), dict(self.net.settings), self.net.seeded]
-
     def configuration(self, shapes: Mapping[str, Sequence[int]] | None = None) -> Any:
         """Sizes of its network.
 

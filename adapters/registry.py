@@ -19,7 +19,7 @@ from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.address import Address, is_address
 from benchmark.machine.extension import OFFERS, imported
 from benchmark.machine.several_devices import device_here
-from benchmark.machine.storage import content_key, file_sha256
+from benchmark.machine.storage import file_sha256
 from benchmark.planning import Planner
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.plan_rows import FAILURES
@@ -147,8 +147,6 @@ def planner_factory(
     # A model server is sent both; what other planners use of an observation is not known.
     known["wants"] = list(model.wants) if model is not None else ["images", "motion"] if is_address(name) else []
     if model is not None and model.network is not None:
-        # Planners do not read the table, so that of it their own entry alone counts.
-        known["code_sha256"] = content_key(facts.code_sha256, model.identity)
         known["miniature"] = model.miniature is not None
     facts = facts.model_copy(update=known)
     return NamedPlanner(name, checkpoint, seed, facts, device, precision, published, over_http, limits, identity)

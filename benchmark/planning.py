@@ -269,6 +269,9 @@ class SupervisedPlanner(Protocol):
     def seed_generators(self, seed: int) -> None:
         """Global generators of its process begin there at the next `Planner.reset`."""
 
+    def loaded_code(self) -> dict[str, str]:
+        """What `benchmark.runs.code_identity.loaded_code` is in its process."""
+
 
 @runtime_checkable
 class RemotePlanner(Protocol):

@@ -28,7 +28,6 @@ from benchmark.constants import VERSION
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256, only_writer
 from benchmark.report.words import counted
-from benchmark.runs.code_identity import outside_identity
 from benchmark.untrusted.files import open_file
 from benchmark.untrusted.limits import CHECKPOINT, PICKLE
 from benchmark.weights.catalogue import PublishedWeights
@@ -145,7 +144,6 @@ def fetch_checkpoint(weights: PublishedWeights, cache: Path, *, normalisation: s
             shutil.rmtree(folder, ignore_errors=True)
 
 
-@outside_identity
 def resolve_checkpoint(model: str, checkpoint: Path | None, cache: Path | None = None) -> Path:
     """The weights file for a model, from what ``--checkpoint`` says or from what has been imported.
 

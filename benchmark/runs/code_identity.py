@@ -1,109 +1,68 @@
-"""What makes a kept plan stale: the hash of the code that a planner's plans depend on, and of nothing else.
+"""What makes a kept plan stale: a hash of the code that it was made by.
 
-From the planner's class the names that its code uses are followed to where they are defined, import after import, also
-of those inside functions, within the class's own top-level package and within this project; libraries count by the
-versions that a run record names. What is found counts as syntax trees without docstrings, comments and import lines,
-each keyed by its name without its module. So a definition may move, and a line may be commented, and plans stay.
+Of this project all of `benchmark` and `adapters` counts, but for what no plan depends on (`APART`) and for extensions
+that the planner does not use. Of other code those modules count that the planner's module imports, directly and through
+others, also inside functions: all that is neither Python's nor an installed library's, and its own package wherever it
+is installed. A module counts as its syntax tree without docstrings, comments and the form of its lines.
 
-Two measures, because a package of strangers may do anything when it is imported (fill a registry, patch a class):
-
-* of packages of strangers all of each imported module counts, with the packages that it lies in;
-* of this project, whose modules do nothing when they are imported, only the definitions that are reached count.
-
-What a name stands for counts, not how it is imported: a name from the public face of a package leads to the module that
-defines it, also where a module-level ``__getattr__`` looks it up. Text that names a module (``"package.module"``,
-``"package.module:name"``) is followed like an import; ``"package."``, of which a name is made, leads to all modules of
-the package. A class that is found through nothing of this is given by hand: the function that made the planner
-(``made_by``), the classes of its parts.
-
-`outside_identity` marks, where a thing is defined, what is not followed.
+What a planner loads under names that it makes up while it plans is known afterwards alone (`loaded_code`, in the
+process that it has); it is kept with the plans, which are stale when any of it has changed (`is_current`).
 """
 
-import importlib
-import re
+import ast
+import contextlib
+import hashlib
+import inspect
 import sys
-from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cache
-from typing import Any, Final, TypeVar
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache, lru_cache
+from importlib.machinery import ModuleSpec, PathFinder
+from pathlib import Path
+from typing import Any, Final
 
+from benchmark.errors import InputError
 from benchmark.machine.storage import content_key
-from benchmark.planning import Planner, PrivilegedPlanner
-from benchmark.runs.module_files import OURS, ModuleFiles, is_local, source_of, top_package
-from benchmark.runs.source_files import ON_IMPORT, Import, SourceFile, absolute_name
+from benchmark.machine.user_cache import cache_root
+from benchmark.runs.units import ResultStore
 
-_REFERENCE: Final = re.compile(r"\.*[A-Za-z_]\w*(\.[A-Za-z_]\w*)*(:[A-Za-z_][\w.]*)?")
-_PREFIX: Final = re.compile(r"([A-Za-z_]\w*(\.[A-Za-z_]\w*)*)\.")
-_LISTS_MODULES: Final = frozenset({"iter_modules", "walk_packages"})
-Anything = TypeVar("Anything")
-
-
-def outside_identity(definition: Anything) -> Anything:
-    """Mark what plans use but do not depend on, because what comes of it is part of a run's identity anyway.
-
-    For example what finds or converts a file of weights: the hash of the file is kept with every plan.
-
-    Args:
-        definition: A function or class, as a decorator; or the value of a constant.
-
-    Returns:
-        The same.
-    """
-    return definition
+OURS: Final = ("benchmark", "adapters")
+APART: Final = (
+    "benchmark/api",
+    "benchmark/cli",
+    "benchmark/report",
+    "benchmark/scene_pages",
+    "benchmark/extensions",
+    "adapters/extensions",
+)
+"""What the hash of this project leaves out; extensions count where a planner imports them."""
+_NO_STRANGERS: Final = (*OURS, "generation", "leaderboard", "__main__", "__mp_main__")
+_INSTALLED: Final = frozenset({"site-packages", "dist-packages"})
+_LIBRARIES: Final = frozenset({"torch"})
+"""Never followed, even where it is not installed but imported from its sources."""
+_SAYS_NOTHING: Final = frozenset({"ctx", "kind", "type_comment", "type_ignores"})
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Dependency:
-    """A top-level name of a module that plans depend on.
-
-    Attributes:
-        module: The module.
-        name: The name; empty for what the module does when it is imported.
-    """
-
-    module: str
-    name: str
-
-
-def code_sha256(planner_class: type, *, made_by: str | None = None, parts: frozenset[type] = frozenset()) -> str | None:
-    """Hash of the code that a planner's plans depend on, so that changed code is never taken for done work.
+def code_sha256(made: type, *, made_by: str | None = None, parts: frozenset[type] = frozenset()) -> str | None:
+    """Hash of the code that what a planner (or an engine) does depends on.
 
     Args:
-        planner_class: Its class.
+        made: Its class.
         made_by: The function or class that made it, as ``package.module:name``.
         parts: Classes of what it was given, such as its network.
 
     Returns:
-        The hash; ``None`` if the class has no source file.
+        The hash, 64 hexadecimal digits; ``None`` if the class has no source file, as in a notebook.
     """
-    return _identity(planner_class, made_by, parts)[0]
-
-
-def dependencies_of(
-    planner_class: type, *, made_by: str | None = None, parts: frozenset[type] = frozenset()
-) -> tuple[Dependency, ...]:
-    """What `code_sha256` is the hash of.
-
-    Args:
-        planner_class: A planner's class.
-        made_by: The function or class that made it, as ``package.module:name``.
-        parts: Classes of what it was given, such as its network.
-
-    Returns:
-        All definitions, by module and name.
-    """
-    return _identity(planner_class, made_by, parts)[1]
+    if _source_of(made) is None:
+        return None
+    module, _, maker = (made_by or f"{made.__module__}:{made.__qualname__}").partition(":")
+    start = {each.__module__ for each in (*made.__mro__, *parts)} | {module}
+    return content_key(project_sha256(), made.__qualname__, maker, sorted(code_of_modules(start, made).items()))
 
 
 def parts_of(planner: Any) -> frozenset[type]:
-    """Classes of what a planner was given or made, the modules of networks included.
-
-    Args:
-        planner: The planner.
-
-    Returns:
-        Those of its attributes' values.
-    """
+    """Classes of the values of a planner's attributes, the modules of networks included."""
     values = list(getattr(planner, "__dict__", {}).values())
     torch = sys.modules.get("torch")
     networks = [value for value in values if torch is not None and isinstance(value, torch.nn.Module)]
@@ -111,169 +70,193 @@ def parts_of(planner: Any) -> frozenset[type]:
 
 
 @cache
-def _identity(
-    planner_class: type, made_by: str | None, parts: frozenset[type]
-) -> tuple[str | None, tuple[Dependency, ...]]:
-    file = source_of(planner_class)
-    if file is None:
-        return None, ()
-    files = ModuleFiles(planner_class.__module__, file)
-    given = [each for each in (*planner_class.__mro__[1:], *parts) if files.follows(each.__module__) or is_local(each)]
-    files.followed |= {top_package(each.__module__) for each in given}
-    reach = _Reach(files)
-    contract = PrivilegedPlanner if hasattr(planner_class, "reveal") else Planner
-    for each in (planner_class, contract, *given):
-        reach.start(each.__module__, each.__qualname__)
-    name_of_class = planner_class.__qualname__
-    module, _, maker = (made_by or f":{name_of_class}").partition(":")
-    if made_by is not None:
-        files.followed.add(top_package(module))
-        reach.start(module, maker)
-    return content_key(name_of_class, maker, reach.entries()), tuple(sorted(reach.found))
+def project_sha256() -> str:
+    """Hash of the code of this project that plans depend on."""
+    root = Path(__file__).parents[2]
+    apart = tuple(root / each for each in APART)
+    found = {
+        path.relative_to(root).as_posix(): path
+        for package in OURS
+        for path in (root / package).rglob("*.py")
+        if not any(path.is_relative_to(each) for each in apart)
+    }
+    contents = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in sorted(found.items())}
+    # Parsing all of it takes a second, reading it little.
+    kept: ResultStore[str] = ResultStore(cache_root() / "code", str)
+    key = content_key("project", sys.version_info[:2], contents)
+    sha256 = kept.get(key)
+    if sha256 is None:
+        sha256 = content_key([(name, file_code_sha256(found[name])) for name in contents])
+        with contextlib.suppress(InputError):
+            kept.put(key, sha256)
+    return sha256
 
 
-class _Reach:
-    """All definitions that can be reached from a few.
+def loaded_code() -> dict[str, str]:
+    """Hashes of files that this process has loaded modules from, beside Python's, libraries' and this project's."""
+    names = [name for name in list(sys.modules) if name.partition(".")[0] not in _NO_STRANGERS]
+    files = {file for file in map(_own_file, names) if file is not None}
+    return {str(file): file_code_sha256(file) for file in sorted(files)}
+
+
+def is_current(loaded: Mapping[str, str]) -> bool:
+    """Whether files that `loaded_code` named still say the same."""
+    return all(Path(file).is_file() and file_code_sha256(Path(file)) == sha256 for file, sha256 in loaded.items())
+
+
+def code_of_modules(start: Iterable[str], made: type | None = None) -> dict[str, str]:
+    """Hashes of modules and of all that they import, directly and through others, and that counts.
 
     Args:
-        files: Of the modules.
+        start: Names of modules.
+        made: A class whose top-level package counts wherever it is installed.
+
+    Returns:
+        Hashes by name of the module.
     """
+    own = "" if made is None else made.__module__.partition(".")[0]
+    found: dict[str, str] = {}
+    waiting = sorted(set(start))
+    while waiting:
+        module = waiting.pop()
+        name = "__main__" if module == "__mp_main__" else module
+        if name in found:
+            continue
+        file = _located(module) if own and module.partition(".")[0] == own else _own_file(module)
+        if file is None or _is_in_project_hash(file):
+            continue
+        found[name] = file_code_sha256(file)
+        package = module if file.name == "__init__.py" else module.rpartition(".")[0]
+        tree = _parsed(file)[1]
+        for imported in set() if tree is None else set(_imports(tree)):
+            waiting += _with_parents(_absolute(imported, package))
+    return found
 
-    def __init__(self, files: ModuleFiles) -> None:
-        self.found: set[Dependency] = set()
-        self._files = files
-        self._waiting: list[Dependency] = []
 
-    def start(self, module: str, qualname: str) -> None:
-        """Reach a definition; all of its module if it is not at the top level there."""
-        for each in self._defined(module, (qualname.partition(".")[0],)):
-            if isinstance(each, Dependency):
-                self._reach(each)
-        while self._waiting:
-            self._expand(self._waiting.pop())
+def file_code_sha256(path: Path) -> str:
+    """Hash of the syntax tree of a file as it is now, without what says nothing."""
+    state = path.stat()
+    return _code_sha256(path, state.st_mtime_ns, state.st_size)
 
-    def entries(self) -> list[list[Any]]:
-        """What was found, without modules: name, what it says, and what the names in it stand for."""
-        return sorted(self._entry(each) for each in self.found if self._text(each))
 
-    def _entry(self, found: Dependency) -> list[Any]:
-        source = self._source(found.module)
-        stand_for = set()
-        for used in source.read(found.name).uses:
-            for each in self._meant(source, found, used):
-                said = each if isinstance(each, str) else f"{each.name} {self._text(each)}"
-                stand_for.add((used[0], said))
-        return [found.name, self._text(found), sorted(map(list, stand_for))]
+@lru_cache(maxsize=4096)
+def _code_sha256(path: Path, changed_ns: int, size: int) -> str:
+    said: list[str] = []
+    content, tree = _parsed(path)
+    if tree is None:
+        # Not Python of this version: all that can be said is whether it changed.
+        return hashlib.sha256(content).hexdigest()
+    _write(tree, said)
+    return hashlib.sha256(" ".join(said).encode("utf-8", "backslashreplace")).hexdigest()
 
-    def _text(self, found: Dependency) -> str:
-        source = self._source(found.module)
-        if found.name in source.outside:
-            return ""
-        reading = source.read(found.name)
-        return reading.sha256 if reading.text else ""
 
-    def _source(self, module: str) -> SourceFile:
-        source = self._files.source(module)
-        if source is None:
-            raise LookupError(module)
-        return source
+def _parsed(path: Path) -> tuple[bytes, ast.Module | None]:
+    content = path.read_bytes()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return content, ast.parse(content)
+    except (SyntaxError, ValueError, RecursionError):
+        return content, None
 
-    def _reach(self, found: Dependency) -> None:
-        if found not in self.found and found.name not in self._source(found.module).outside:
-            self.found.add(found)
-            self._waiting.append(found)
 
-    def _reach_module(self, module: str) -> None:
-        """What importing a module of strangers brings: all of it, and of the packages that it lies in."""
-        parts = module.split(".")
-        for end in range(1, len(parts) + 1):
-            for each in self._whole(".".join(parts[:end])):
-                self._reach(each)
+def _write(node: ast.AST, said: list[str]) -> None:
+    """Write a syntax tree down; what is absent is left out, as newer versions of Python have more fields."""
+    said.append(type(node).__name__)
+    for name in node._fields:
+        value = getattr(node, name, None)
+        if name in _SAYS_NOTHING or value is None or value == []:
+            continue
+        said.append(name)
+        for each in value if isinstance(value, list) else (value,):
+            if not isinstance(each, ast.AST):
+                said.append(repr(each))
+            # Docstrings, and what stands where there is nothing to say.
+            elif not isinstance(each, ast.Pass) and not (
+                isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant)
+            ):
+                _write(each, said)
+    said.append(")")
 
-    def _whole(self, module: str) -> list[Dependency]:
-        source = self._files.source(module)
-        return [] if source is None else [Dependency(module, name) for name in list(source.definitions)]
 
-    def _expand(self, found: Dependency) -> None:
-        source = self._source(found.module)
-        reading = source.read(found.name)
-        if top_package(found.module) not in OURS:
-            self._reach_module(found.module)
-        else:
-            self._reach(Dependency(found.module, ON_IMPORT))
-        for module in reading.modules:
-            if top_package(module) not in OURS and self._files.follows(module):
-                self._reach_module(module)
-        meant = [each for used in reading.uses for each in self._meant(source, found, used)]
-        meant += [each for text in reading.strings for each in self._named(text, source.package)]
-        if any(_LISTS_MODULES & set(used) for used in reading.uses):
-            meant += [each for module in self._files.within(source.package) for each in self._whole(module)]
-        for each in meant:
-            if isinstance(each, Dependency):
-                self._reach(each)
+def _imports(tree: ast.AST) -> Iterator[str]:
+    for node in _run_nodes(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            module = "." * node.level + (node.module or "")
+            yield module
+            yield from (f"{module}{'.' if node.module else ''}{alias.name}" for alias in node.names)
 
-    def _meant(self, source: SourceFile, found: Dependency, used: tuple[str, ...]) -> Iterator[Dependency | str]:
-        """What a name with its attributes stands for in a definition: ours or a stranger's, or text for a library's."""
-        name, rest = used[0], used[1:]
-        if name in source.definitions and name != ON_IMPORT:
-            yield Dependency(found.module, name)
-        own = source.read(found.name).imports.get(name, set())
-        for each in own | source.imports.get(name, set()):
-            yield from self._imported(each, rest)
 
-    def _imported(
-        self, made: Import, rest: tuple[str, ...], seen: frozenset[tuple[str, str]] = frozenset()
-    ) -> Iterator[Dependency | str]:
-        if not self._files.follows(made.module):
-            yield ".".join([made.module, *([made.name] if made.name else []), *rest])
-        else:
-            yield from self._defined(made.module, (made.name, *rest) if made.name else rest, seen)
+def _run_nodes(node: ast.AST) -> Iterator[ast.AST]:
+    """All nodes but those that only type checkers read."""
+    for child in ast.iter_child_nodes(node):
+        name = getattr(child.test, "attr", getattr(child.test, "id", "")) if isinstance(child, ast.If) else ""
+        for each in child.orelse if isinstance(child, ast.If) and name == "TYPE_CHECKING" else [child]:
+            yield each
+            yield from _run_nodes(each)
 
-    def _defined(
-        self, module: str, path: tuple[str, ...], seen: frozenset[tuple[str, str]] = frozenset()
-    ) -> Iterator[Dependency | str]:
-        """Where a name of a module is defined, by the steps that Python takes; all of the module if that is unclear."""
-        source = self._files.source(module)
-        if not path or (source is not None and (module, path[0]) in seen):
-            yield from self._whole(module)
-            return
-        name, rest = path[0], path[1:]
-        if source is not None and name in source.definitions:
-            yield Dependency(module, name)
-        elif source is not None and name in source.imports:
-            for each in source.imports[name]:
-                yield from self._imported(each, rest, seen | {(module, name)})
-        elif self._files.exists(f"{module}.{name}"):
-            yield from self._defined(f"{module}.{name}", rest, seen)
-        elif source is not None and "__getattr__" in source.definitions and (owner := self._owner(module, name)):
-            yield from self._defined(owner, path, seen | {(module, name)})
-        else:
-            yield from self._whole(module)
 
-    def _named(self, text: str, package: str) -> Iterator[Dependency | str]:
-        """Modules that a text names."""
-        if prefix := _PREFIX.fullmatch(text):
-            for module in self._files.within(prefix[1]):
-                yield from self._whole(module)
-        elif _REFERENCE.fullmatch(text) and ("." in text or ":" in text):
-            name, _, attribute = text.partition(":")
-            parts = absolute_name(name, package).split(".")
-            known = [end for end in range(len(parts), 0, -1) if self._files.source(".".join(parts[:end])) is not None]
-            if known and (len(parts) > 1 or attribute):
-                path = [*parts[known[0] :], *filter(None, attribute.split("."))]
-                yield from self._defined(".".join(parts[: known[0]]), tuple(path))
+def _absolute(name: str, package: str) -> str:
+    level = len(name) - len(name.lstrip("."))
+    if not level:
+        return name
+    parents = package.split(".")
+    return ".".join([*parents[: len(parents) - level + 1], *filter(None, [name.lstrip(".")])])
 
-    def _owner(self, module: str, name: str) -> str | None:
-        """The module that defines what a module-level ``__getattr__`` hands on; a constant does not say so itself."""
-        try:
-            value = getattr(importlib.import_module(module), name)
-        except Exception:
-            return None
-        owner = getattr(value, "__module__", None)
-        if not isinstance(owner, str):
-            loaded = sorted(
-                each for each, found in sys.modules.items() if getattr(found, "__dict__", {}).get(name) is value
-            )
-            sources = ((each, self._files.source(each)) for each in loaded)
-            owner = next((each for each, source in sources if source is not None and name in source.definitions), None)
-        return owner if owner != module else None
+
+def _with_parents(module: str) -> list[str]:
+    """Importing a module imports the packages that it lies in."""
+    parts = module.split(".")
+    return [".".join(parts[: end + 1]) for end in range(len(parts))]
+
+
+def _own_file(module: str) -> Path | None:
+    """The file of a module that is neither Python's nor an installed library's."""
+    top = module.partition(".")[0]
+    if top in sys.stdlib_module_names or top in _LIBRARIES:
+        return None
+    file = _located(module)
+    return None if file is None or _INSTALLED & set(file.parts) or _is_in_project_hash(file) else file
+
+
+def _is_in_project_hash(file: Path) -> bool:
+    """Whether a file is this project's, and no extension's."""
+    root = Path(__file__).parents[2]
+    parts = file.relative_to(root).parts if file.is_relative_to(root) else ("",)
+    return parts[0] in OURS and "extensions" not in parts
+
+
+def _located(module: str) -> Path | None:
+    """The source file of a module; nothing is imported to find it."""
+    if module in sys.modules:
+        return _python_file(getattr(sys.modules[module], "__file__", None))
+    spec = _spec(module)
+    return None if spec is None else _python_file(spec.origin)
+
+
+def _spec(module: str) -> ModuleSpec | None:
+    parent = module.rpartition(".")[0]
+    folders: Any = None
+    if parent in sys.modules:
+        folders = getattr(sys.modules[parent], "__path__", [])
+    elif parent:
+        above = _spec(parent)
+        folders = [] if above is None else above.submodule_search_locations or []
+    try:
+        return PathFinder.find_spec(module, None if folders is None else list(folders))
+    except (ImportError, ValueError):
+        return None
+
+
+def _python_file(name: Any) -> Path | None:
+    path = Path(name) if isinstance(name, str) and name.endswith(".py") else None
+    return path if path is not None and path.is_file() else None
+
+
+def _source_of(made: type) -> Path | None:
+    try:
+        return _python_file(inspect.getsourcefile(made))
+    except (TypeError, OSError):
+        return None

@@ -10,7 +10,7 @@ from benchmark.closed_loop.sensors import Sensor
 from benchmark.machine.storage import content_key
 from benchmark.records.drive_schema import DriveRow, Measured
 from benchmark.records.run_schema import LABELS, PlannerFacts
-from benchmark.runs.code_identity import code_sha256
+from benchmark.runs.code_identity import code_sha256, is_current
 from benchmark.runs.plan_rows import PlannerFactory
 from benchmark.runs.units import ResultStore
 
@@ -48,12 +48,14 @@ class KeptDrive:
         scoring: Version of its scores: drives that were scored by earlier definitions are scored again.
         plan: Its plans of the instants at which the ego was still where it was recorded.
         recorded: What was recorded there.
+        loaded: Code that its planner had loaded (`benchmark.runs.code_identity.loaded_code`).
     """
 
     row: DriveRow
     scoring: int
     plan: Paths
     recorded: Paths
+    loaded: dict[str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +99,11 @@ class Job:
         code += [] if adversary is None else [code_sha256(type(adversary))]
         what = self.measured.model_dump(mode="json")
         return content_key("drive", FORMAT, self.fingerprint, unit.scene, unit.family, unit.run, who, what, code)
+
+    def kept(self, unit: Unit) -> KeptDrive | None:
+        """What is kept of a unit, made by code as it is now."""
+        kept = None if self.fresh else self.store.get(self.key(unit), unit.name)
+        return kept if kept is not None and is_current(kept.loaded) else None
 
     @property
     def store(self) -> ResultStore[KeptDrive]:

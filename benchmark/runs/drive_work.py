@@ -30,7 +30,7 @@ from benchmark.runs.compared_drives import compared_drive
 from benchmark.runs.drive_jobs import Job, KeptDrive, Task, Unit
 from benchmark.runs.drive_rows import considered_of, row_of
 from benchmark.runs.ladders import ladder_rows
-from benchmark.runs.plan_rows import cost_so_far, seed_everything
+from benchmark.runs.plan_rows import code_behind, cost_so_far, seed_everything
 from benchmark.runs.redriving import can_of, considered_again, driven_again
 from benchmark.scene import Scene
 from benchmark.untrusted.plans_beside_recording import ComparedPlans
@@ -84,37 +84,36 @@ def work_here(data: "DataSet", planners: "Planners", tasks: Sequence[Task]) -> l
     left: dict[int, str] = {}
     for place, task in enumerate(tasks):
         job, unit = task
-        key = job.key(unit)
-        kept = None if job.fresh else job.store.get(key, unit.name)
+        kept = job.kept(unit)
         if kept is None:
-            left[place] = key
+            left[place] = job.key(unit)
             continue
         row, compared = kept.row, ComparedPlans.from_lists(kept.plan, kept.recorded)
         if kept.scoring != VERSION:
             scene = data.scene(unit.scene)
             row = driven_again(job.maker, scene, data, row)
-            compared = _keep(task, key, scene, row)
+            compared = _keep(task, scene, row, kept.loaded)
         _keep_considered(data, job, row)
         found[place] = UnitResult(unit, row, None, None, compared)
     started = time.perf_counter()
     driven = _driven(data, planners, {place: tasks[place] for place in left}, [*left.values()]) if left else ()
-    for place, scene, row, track, spent in driven:
+    for place, scene, row, track, planner, meter in driven:
         job, unit = tasks[place]
         if job.keep_considered and track is not None:
             write_considered(job.directory, row, considered_of(track))
         lost = row.failure is not None and row.failure.reason in _TRIED_AGAIN
-        compared = compared_drive(scene, row) if lost else _keep(tasks[place], left[place], scene, row)
+        compared = compared_drive(scene, row) if lost else _keep(tasks[place], scene, row, code_behind(planner))
         seconds = time.perf_counter() - started
-        found[place] = UnitResult(unit, row, seconds, spent(seconds), compared)
+        found[place] = UnitResult(unit, row, seconds, cost_so_far(planner, meter, seconds), compared)
     results = [found[place] for place in range(len(tasks))]
     return [with_ladder(data, task, result) for task, result in zip(tasks, results, strict=True)]
 
 
-def _keep(task: Task, key: str, scene: Scene, row: DriveRow) -> ComparedPlans:
+def _keep(task: Task, scene: Scene, row: DriveRow, loaded: dict[str, str]) -> ComparedPlans:
     """Keep a drive; returns its plans beside what was recorded."""
     compared = compared_drive(scene, row)
-    kept = KeptDrive(row, VERSION, compared.plan.tolist(), compared.recorded.tolist())
-    task.job.store.put(key, kept, task.unit.name)
+    kept = KeptDrive(row, VERSION, compared.plan.tolist(), compared.recorded.tolist(), loaded)
+    task.job.store.put(task.job.key(task.unit), kept, task.unit.name)
     return compared
 
 
@@ -199,8 +198,8 @@ def work_in_worker(reopen: Callable[[], "DataSet"], tasks: Sequence[Task]) -> li
 
 def _driven(
     data: "DataSet", planners: Planners, tasks: Mapping[int, Task], keys: Sequence[str]
-) -> Iterator[tuple[int, Scene, DriveRow, AdversaryTrack | None, Callable[[float], SceneCost]]]:
-    """Scenes and rows of tasks by their places, as drives end, with adversaries and what planners took in some seconds.
+) -> Iterator[tuple[int, Scene, DriveRow, AdversaryTrack | None, Planner, Meter]]:
+    """Scenes and rows of tasks by their places, as drives end, with adversaries, planners and what these took.
 
     What cannot be driven is raised at last.
     """
@@ -223,8 +222,7 @@ def _driven(
         stage = stages[places[number]]
         scores = None if found.failure is not None else score_drive(stage.scene, found)
         assert stage.meter is not None
-        spent = partial(cost_so_far, ready[number], stage.meter)
-        yield places[number], stage.scene, row_of(stage, found, scores), found.adversary, spent
+        yield places[number], stage.scene, row_of(stage, found, scores), found.adversary, ready[number], stage.meter
     if broken:
         raise broken[0]
 

@@ -394,7 +394,7 @@ def drives_directory(
 
 def kept_units(job: Job, units: list[Unit]) -> int:
     """How many units are kept already."""
-    return sum(job.store.get(job.key(unit), unit.name) is not None for unit in units)
+    return sum(job.kept(unit) is not None for unit in units)
 
 
 def _results(

@@ -41,6 +41,7 @@ from benchmark.planning import (
 from benchmark.records.planner_cost import SceneCost
 from benchmark.records.run_schema import LABELS, PlannerFacts
 from benchmark.runs.beginning_again import begun_again
+from benchmark.runs.code_identity import is_current
 from benchmark.runs.units import ResultStore
 from benchmark.scene import Scene
 
@@ -123,9 +124,33 @@ def scene_key(fingerprint: str, split: str, scene: str, facts: PlannerFacts) -> 
     return content_key("plan rows", ROW_FORMAT, fingerprint, split, scene, who)
 
 
-def plan_store(directory: Path) -> ResultStore[list[dict[str, Any]]]:
-    """Where plan rows of the scenes of a run are kept."""
-    return ResultStore(directory / "rows", list[dict[str, Any]])
+@dataclass(frozen=True, slots=True)
+class KeptPlans:
+    """What is kept of a scene.
+
+    Attributes:
+        rows: One JSON object for each sample.
+        loaded: Code that had been loaded when they were made (`benchmark.runs.code_identity.loaded_code`).
+    """
+
+    rows: list[dict[str, Any]]
+    loaded: dict[str, str]
+
+
+def plan_store(directory: Path) -> ResultStore[KeptPlans]:
+    """Where plans of the scenes of a run are kept."""
+    return ResultStore(directory / "rows", KeptPlans)
+
+
+def kept_rows(directory: Path, name: str, key: str) -> list[dict[str, Any]] | None:
+    """Rows of a scene that are kept under their content key and made by code as it is now, or ``None``."""
+    kept = plan_store(directory).get(key, name)
+    return kept.rows if kept is not None and is_current(kept.loaded) else None
+
+
+def code_behind(planner: Planner) -> dict[str, str]:
+    """Code that a planner in a process of its own has loaded by now; of others their identity says all there is."""
+    return planner.loaded_code() if isinstance(planner, SupervisedPlanner) else {}
 
 
 def plan_scene(
@@ -148,8 +173,7 @@ def plan_scene(
     Raises:
         InputError: If an image is broken, the rows cannot be written, or a planner elsewhere cannot be asked.
     """
-    store = plan_store(directory)
-    kept = None if fresh else store.get(key, name)
+    kept = None if fresh else kept_rows(directory, name, key)
     if kept is not None:
         return PlannedScene(kept, None)
     seed_everything(content_seed(key), planner)
@@ -160,7 +184,7 @@ def plan_scene(
         rows, lost = begun_again(partial(_rows, planner, scene, observations, meter), planner)
     cost = cost_so_far(planner, meter, time.perf_counter() - started)
     if not lost:
-        store.put(key, rows, name)
+        plan_store(directory).put(key, KeptPlans(rows, code_behind(planner)), name)
     return PlannedScene(rows, cost)
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from benchmark.machine.storage import content_key
 from benchmark.planning import ContinuousPlanner
-from benchmark.runs.plan_rows import PlannedScene, plan_scene, plan_store, scene_key
+from benchmark.runs.plan_rows import PlannedScene, kept_rows, plan_scene, scene_key
 from benchmark.runs.reading import SceneReading
 from benchmark.runs.scene_work import Run, SceneResult, judged_scene
 
@@ -62,8 +62,7 @@ def work_through(run: Run, data: "DataSet", planner: ContinuousPlanner, scenes: 
         name: content_key(scene_key(run.fingerprint, run.split, name, run.planner), "after", list(order[:place]))
         for place, name in enumerate(order)
     }
-    store = plan_store(run.directory)
-    kept = {name: None if run.fresh else store.get(keys[name], name) for name in order}
+    kept = {name: None if run.fresh else kept_rows(run.directory, name, keys[name]) for name in order}
     whole = all(rows is not None for rows in kept.values())
     if not whole:
         planner.begin_run()

@@ -32,6 +32,7 @@ from benchmark.planning import (
     SceneInfo,
     reads_message_after,
 )
+from benchmark.runs.code_identity import loaded_code
 from benchmark.runs.plan_rows import seed_everything, traceback_text
 from benchmark.sandbox.frames import ClosedError, answer, next_question
 from benchmark.sandbox.libraries import on_import_of_torch, one_thread
@@ -162,6 +163,10 @@ class Answering:
         self._planner.reset(scene)
         return ["done"]
 
+    def loaded(self) -> list[Any]:
+        """What code this process has loaded."""
+        return ["loaded", loaded_code()]
+
     def tell(self, method: str, what: Any) -> list[Any]:
         """``reveal`` or ``follow``."""
         getattr(self._planner, method)(what)
@@ -205,6 +210,7 @@ _KINDS: Final[dict[str, Callable[..., list[Any]]]] = {
     "build": Answering.build,
     "begin_run": Answering.begin_run,
     "reset": Answering.reset,
+    "loaded": Answering.loaded,
     "tell": Answering.tell,
     "plan": Answering.plan,
 }

@@ -177,6 +177,13 @@ class Supervised:
         self._looked = tuple(name for name in told[2] if name in views)
         return _plan(told[1])
 
+    def loaded_code(self) -> dict[str, str]:
+        """Code that its process has loaded; raises as `reset` does."""
+        if self._process is None:
+            return {}
+        told = self._asked("loaded", doing="asking what it has loaded did not return")[1]
+        return {str(file): str(sha256) for file, sha256 in told.items()}
+
     def close(self) -> None:
         """End its process; the next scene starts another."""
         if self._process is not None:
@@ -194,7 +201,7 @@ class Supervised:
         try:
             process, limit_s = self._started(), self._supervision.sample_s
             told = process.ask(kind, *parts, doing=doing, limit_s=limit_s, picture=picture, ahead=ahead)
-            return _understood(told, ("plan", "no plan") if kind == "plan" else ("done",))
+            return _understood(told, ("plan", "no plan") if kind == "plan" else ("done", "loaded"))
         except (PlannerLostError, MalformedError) as error:
             self.close()
             raise error if isinstance(error, PlannerLostError) else _misunderstood(error) from None

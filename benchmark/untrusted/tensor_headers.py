@@ -5,7 +5,6 @@ import os
 from pathlib import Path
 from typing import Any, Final
 
-from benchmark.runs.code_identity import outside_identity
 from benchmark.untrusted.files import one_line, open_file
 from benchmark.untrusted.json_text import parse_json
 from benchmark.untrusted.limits import SAFETENSORS, Limits, in_words
@@ -22,7 +21,6 @@ _FARTHEST: Final = 1 << 40
 """No axis is longer, not even of a tensor that is empty along another."""
 
 
-@outside_identity
 def require_sound_header(path: Path, limits: Limits = SAFETENSORS) -> None:
     """Look at the header of a safetensors file.
 

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, write_bytes
-from benchmark.runs.code_identity import outside_identity
 from benchmark.untrusted.files import one_line
 from benchmark.untrusted.json_text import parse_json
 from benchmark.untrusted.tensor_headers import require_sound_header
@@ -88,7 +87,6 @@ def read_header(path: Path, *, instead: str) -> tuple[dict[str, tuple[int, ...]]
         raise InputError(f"cannot read weights from {path} ({one_line(error)}); {instead}") from error
 
 
-@outside_identity
 def _facts(stream: Any, entry: str) -> dict[str, Any]:
     facts = parse_json((stream.metadata() or {}).get(entry, "null").encode())
     return facts if isinstance(facts, dict) else {}

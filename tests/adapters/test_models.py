@@ -1,6 +1,5 @@
 """The table of planners; its miniatures load, drive, look at the images, are small, and say where they come from."""
 
-import inspect
 import json
 import subprocess
 import sys
@@ -110,24 +109,6 @@ def test_reading_the_table_imports_no_network() -> None:
     )
     said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert said.stdout.strip() == "[]"
-
-
-def test_no_planner_reads_the_table() -> None:
-    """What a plan depends on is followed from its planner's class; of the table nothing may be among it."""
-    for model in MODELS.values():
-        assert "adapters.models" not in inspect.getsource(resolve(model.planner)), model.name
-        assert not hasattr(sys.modules[model.planner.partition(":")[0]], "MODELS")
-
-
-def test_the_own_entry_counts_and_where_things_are_defined_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    model = miniature("vad-mini")
-    before = planner_factory("vad-mini").facts.code_sha256
-    moved = replace(model.net, build="adapters.networks.vad.elsewhere:VAD", config="elsewhere:VADConfig.miniature")
-    assert replace(model, network=moved, published_as="VAD").identity == model.identity
-    another = replace(model, network=replace(model.net, config="adapters.networks.vad.config:VADConfig.tiny"))
-    assert another.identity != model.identity
-    monkeypatch.setitem(MODELS, "vad-tiny", replace(MODELS["vad-tiny"], wants=()))
-    assert planner_factory("vad-mini").facts.code_sha256 == before
 
 
 def test_kinds_of_planners_are_told_apart() -> None:

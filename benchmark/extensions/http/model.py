@@ -13,7 +13,6 @@ from benchmark.extensions.http.observed import request_of
 from benchmark.extensions.http.values import WireError
 from benchmark.machine.address import Address
 from benchmark.planning import Observation, Plan, PlanFrame, PlannerGoneError, PlannerLateError, SceneInfo
-from benchmark.runs.code_identity import outside_identity
 from benchmark.untrusted.files import one_line
 from benchmark.untrusted.json_text import parse_json
 from benchmark.untrusted.limits import WIRE_ANSWER
@@ -167,7 +166,6 @@ def http_planner(
     return HttpPlanner(Address.of(address, _OPTION), ImageFormat(image_format), deadline_s, PlanFrame(frame))
 
 
-@outside_identity
 def _detail(reply: Reply) -> str:
     """What a server says of an error, without the object that frameworks put around it."""
     try:

@@ -1,5 +1,7 @@
-import ast
+"""What makes kept plans stale: code of the planner and of this project, and nothing that says nothing."""
+
 import importlib
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -8,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from benchmark.runs.code_identity import Dependency, code_sha256, dependencies_of, parts_of
+from benchmark.runs import code_identity
+from benchmark.runs.code_identity import code_sha256, is_current, loaded_code, parts_of, project_sha256
 
 PLANNER = """
 from made_up.net import Net
@@ -44,8 +47,9 @@ FILES = {
     "made_up/net.py": NET,
     "made_up/layers/__init__.py": "",
     "made_up/layers/gain.py": GAIN,
-    "made_up/unrelated.py": "raise RuntimeError('nobody imports this')",
+    "made_up/unrelated.py": "raise RuntimeError('not imported')",
 }
+ROOT = Path(__file__).resolve().parents[3]
 Identify = Callable[..., str | None]
 
 
@@ -95,32 +99,14 @@ def changed(name: str, old: str, new: str, files: dict[str, str] = FILES) -> dic
     return {**files, name: files[name].replace(old, new)}
 
 
-@pytest.fixture
-def ours(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Counts the made-up package as one of this project."""
-    for module in ("code_identity", "module_files"):
-        monkeypatch.setattr(f"benchmark.runs.{module}.OURS", frozenset({"benchmark", "adapters", "made_up"}))
-
-
-def test_what_says_nothing_and_where_it_lies_does_not_count(identity: Identify) -> None:
+def test_what_says_nothing_does_not_count(identity: Identify) -> None:
     before = identity(FILES)
     assert before is not None and before == identity(FILES)
     documented = changed("made_up/layers/gain.py", "def gain(value):", 'def gain(value):\n    """Louder."""  # much')
     spaced = changed("made_up/net.py", "gain(observation)", "gain(\n            observation\n        )")
     empty = changed("made_up/planner.py", "pass", '"""Nothing is remembered."""')
-    moved = {name: text for name, text in FILES.items() if name != "made_up/layers/gain.py"}
-    moved["made_up/deep/__init__.py"] = '"""Layers."""'
-    moved["made_up/deep/loud.py"] = GAIN
-    moved = changed("made_up/net.py", "made_up.layers.gain", "made_up.deep.loud", moved)
-    later = changed(
-        "made_up/net.py", "        return gain", "        from .layers.gain import gain\n        return gain"
-    )
-    later = changed("made_up/net.py", "from made_up.layers.gain import gain\n\n", "import math, sys\n\n", later)
-    apart = {**FILES, "made_up/constants.py": "GAIN = 2.0"}
-    apart = changed("made_up/layers/gain.py", "GAIN = 2.0", "from made_up.constants import GAIN", apart)
-    for version in (documented, spaced, empty, moved, later, apart):
+    for version in (documented, spaced, empty, changed("made_up/unrelated.py", "not", "never")):
         assert identity(version) == before
-    assert identity(changed("made_up/unrelated.py", "nobody", "somebody")) == before
 
 
 def test_what_a_plan_depends_on_counts(identity: Identify) -> None:
@@ -137,135 +123,36 @@ def test_what_a_plan_depends_on_counts(identity: Identify) -> None:
     assert len(set(hashes)) == len(versions) and None not in hashes
 
 
-def test_what_an_imported_name_stands_for_counts_though_the_import_line_does_not(
-    identity: Identify, ours: None
-) -> None:
-    layers = {**FILES, "made_up/layers/gain.py": GAIN + "\ndef other(value):\n    return value\n"}
-    both = changed("made_up/planner.py", "pass", "from made_up.layers.gain import gain, other; gain(other(1))", layers)
-    swapped = changed("made_up/net.py", "import gain", "import other as gain", both)
-    assert identity(both) != identity(swapped)
-    one = changed("made_up/net.py", "from made_up.layers.gain import gain", "from math import sin as gain")
-    two = changed("made_up/net.py", "from math import sin as gain", "from math import cos as gain", one)
-    assert identity(one) != identity(two)
-    dotted = changed("made_up/net.py", "from math import sin as gain", "from cmath import sin as gain", one)
-    assert identity(dotted) != identity(one)
-
-
-def test_of_this_project_only_definitions_that_are_reached_count(identity: Identify, ours: None) -> None:
-    before = identity(FILES)
-    beside = {**FILES, "made_up/layers/gain.py": GAIN + "\nLOSS = 3.0\n\ndef train(): ...\n"}
-    assert identity(beside) == before
-    assert identity(changed("made_up/layers/gain.py", "2.0", "2.5")) != before
-    assert identity({**FILES, "made_up/layers/gain.py": GAIN + "\nprint(gain(1))\n"}) != before
-    typed = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from made_up.unrelated import X\n"
-    assert identity({**FILES, "made_up/net.py": typed + NET}) == before
-    run = "\nif __name__ == '__main__':\n    import made_up.unrelated\n"
-    assert identity({**FILES, "made_up/planner.py": PLANNER + run}) == before
-    whole = changed("made_up/net.py", "from made_up.layers.gain import gain", "import made_up.layers.gain as layers")
-    whole = changed("made_up/net.py", "gain(observation)", "getattr(layers, 'gain')(observation)", whole)
-    assert identity(whole) != identity(changed("made_up/layers/gain.py", "GAIN = 2.0", "A = 1; GAIN = 2.0", whole))
-
-
-def test_methods_may_change_places_and_fields_may_not(identity: Identify) -> None:
-    methods = "class Net:\n    {}\n    forward = print\n"
-    first, second = "def a(self): return 1", "def b(self): return 2"
-    one = {**FILES, "made_up/net.py": methods.format(f"{first}\n    {second}")}
-    two = {**FILES, "made_up/net.py": methods.format(f"{second}\n    {first}")}
-    assert identity(one) == identity(two)
-    one = {**FILES, "made_up/net.py": methods.format("a = 1\n    b = 2")}
-    two = {**FILES, "made_up/net.py": methods.format("b = 2\n    a = 1")}
-    assert identity(one) != identity(two)
-
-
-@pytest.mark.parametrize("whose", ["stranger", "project"])
 @pytest.mark.parametrize(
     "reaches",
     [
         "    def plan(self, observation):\n        from made_up.far import far\n        return far()",
         "    def plan(self, observation):\n        import made_up.far\n        return made_up.far.far()",
         "    def plan(self, observation):\n        from . import far as f\n        return f.far()",
-        "    def plan(self, observation):\n        return importlib.import_module('made_up.far').far()",
-        "    def plan(self, observation):\n        return importlib.import_module('.far', __package__).far()",
-        "    def plan(self, observation):\n        return importlib.import_module(f'made_up.{self.part}').far()",
-        "    def plan(self, observation):\n        return LOOKED_UP['far']()",
+        "    def plan(self, observation):\n        from .far import far as f\n        return f()",
         "    @decorated\n    def plan(self, observation): ...",
     ],
 )
-def test_every_way_to_another_module_counts(
-    identity: Identify, reaches: str, whose: str, request: pytest.FixtureRequest
-) -> None:
-    if whose == "project":
-        request.getfixturevalue("ours")
-    head = "import importlib\nfrom made_up.tables import LOOKED_UP, decorated\n\nclass Planner:\n"
+def test_every_import_counts_wherever_it_stands(identity: Identify, reaches: str) -> None:
     files = {
         "made_up/__init__.py": "",
-        "made_up/planner.py": f"{head}{reaches}\n    def reset(self, scene): ...\n",
-        "made_up/tables.py": (
-            "LOOKED_UP = {'far': 'made_up.far:far'}\n\n"
-            "def decorated(f):\n    from made_up.far import far\n    return far"
+        "made_up/planner.py": (
+            f"from made_up.tables import decorated\n\nclass Planner:\n{reaches}\n    def reset(self, scene): ...\n"
         ),
+        "made_up/tables.py": "def decorated(f):\n    from made_up.far import far\n    return far\n",
         "made_up/far.py": "from made_up.farther import FARTHER\n\ndef far():\n    return FARTHER\n",
         "made_up/farther.py": "from made_up import far\n\nFARTHER = 1\n",
     }
     assert identity(files) != identity(changed("made_up/farther.py", "1", "2", files))
 
 
-@pytest.mark.parametrize(
-    "face",
-    [
-        "{'Net': 'made_up.net'}",
-        "{'Net': '.net'}",
-        "{'Net': 'made_up.net:Net'}",
-        "{'Net': ('made_up.net', 'Net')}",
-        "{'made_up.net': ('Net', 'Other'), 'made_up.unrelated': ['X']}",
-    ],
-)
-def test_a_name_from_a_public_face_leads_to_the_module_that_defines_it(
-    identity: Identify, ours: None, face: str
-) -> None:
-    direct = identity(FILES)
-    lazy = "def __getattr__(name):\n    return importlib.import_module('made_up.net').Net\n"
-    lazy = f"import importlib\nFACE = {face}\n\n{lazy}"
-    faced = changed("made_up/planner.py", "from made_up.net", "from made_up", {**FILES, "made_up/__init__.py": lazy})
-    assert identity(faced) == direct
-    untold = changed("made_up/__init__.py", f"FACE = {face}", "", faced)
-    assert identity(untold) == direct
-    eager = {**faced, "made_up/__init__.py": "from made_up.net import Net"}
-    assert identity(eager) == direct
-    dotted = changed("made_up/planner.py", "from made_up import Net", "import made_up", faced)
-    dotted = changed("made_up/planner.py", "Net()", "made_up.Net()", dotted)
-    assert identity(dotted) != identity(changed("made_up/layers/gain.py", "2.0", "3.0", dotted))
+def test_imports_for_type_checkers_do_not_count(identity: Identify) -> None:
+    typed = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from made_up.unrelated import X\n"
+    files = {**FILES, "made_up/net.py": typed + NET}
+    assert identity(files) == identity(changed("made_up/unrelated.py", "not", "never", files))
 
 
-def test_the_face_of_this_project_leads_to_what_it_names(load: Callable[..., ModuleType]) -> None:
-    planner = "from benchmark.planning import Plan\n\nclass Planner:\n    def reset(self, scene): ...\n"
-    found = dependencies_of(load({"made_up/__init__.py": "", "made_up/planner.py": planner}).Planner)
-    assert Dependency("benchmark.planning", "Plan") in found and Dependency("made_up.planner", "Planner") in found
-    # Whatever a planner imports, the harness gives it observations and takes plans.
-    assert Dependency("benchmark.planning", "Observation") in found
-    assert not any(each.module.startswith("benchmark.datasets") for each in found)
-
-
-def test_a_constant_from_a_public_face_leads_to_the_module_that_defines_it(identity: Identify, ours: None) -> None:
-    lazy = "def __getattr__(name):\n    import importlib\n    return importlib.import_module('made_up.sizes').SIZES\n"
-    files = {**FILES, "made_up/__init__.py": lazy, "made_up/sizes.py": "SIZES = {'a': 1}\nOTHER = 2\n"}
-    files = changed("made_up/planner.py", "pass", "print(SIZES)", files)
-    files = changed("made_up/planner.py", "from made_up.net", "from made_up import SIZES\nfrom made_up.net", files)
-    before = identity(files)
-    assert before == identity(changed("made_up/sizes.py", "OTHER = 2", "OTHER = 3", files))
-    assert before != identity(changed("made_up/sizes.py", "'a': 1", "'a': 2", files))
-
-
-def test_what_is_marked_as_outside_is_not_followed(identity: Identify, ours: None) -> None:
-    marked = "from benchmark.runs.code_identity import outside_identity\n" + GAIN.replace(
-        "def ", "@outside_identity\ndef "
-    )
-    files = {**FILES, "made_up/layers/gain.py": marked}
-    assert identity(files) == identity(changed("made_up/layers/gain.py", "GAIN * value", "value", files))
-    assert identity(files) == identity(changed("made_up/layers/gain.py", "2.0", "3.0", files))
-
-
-def test_base_classes_of_another_local_package_and_modules_beside_a_script_count(identity: Identify) -> None:
+def test_base_classes_of_another_package_and_modules_beside_a_script_count(identity: Identify) -> None:
     files = {
         "lonely.py": "import beside\nfrom made_up.net import Net\n\nclass Planner(Net):\n    reset = beside.reset\n",
         "beside.py": "def reset(self, scene): return 1\n",
@@ -274,7 +161,7 @@ def test_base_classes_of_another_local_package_and_modules_beside_a_script_count
     before = identity(files, "lonely")
     assert before != identity(changed("beside.py", "1", "2", files), "lonely")
     assert before != identity(changed("made_up/layers/gain.py", "2.0", "3.0", files), "lonely")
-    assert before == identity(changed("made_up/unrelated.py", "nobody", "somebody", files), "lonely")
+    assert before == identity(changed("made_up/unrelated.py", "not", "never", files), "lonely")
 
 
 def test_who_made_a_planner_and_what_it_was_given_count(load: Callable[..., ModuleType]) -> None:
@@ -314,28 +201,81 @@ def test_packages_without_init_files_import_cycles_and_broken_files(identity: Id
     assert before != identity(changed("made_up/old.py", "older", "much older", files))
 
 
+def test_an_installed_planner_counts_with_its_package_and_without_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def installed(version: str, other: str) -> str | None:
+        folder = tmp_path / f"{version}-{other}" / "site-packages"
+        planner = "import other_lib\nfrom made_up import net\n\nclass Planner:\n    plan = net.plan\n"
+        written(folder, {"made_up/__init__.py": "", "made_up/planner.py": planner, "other_lib.py": f"A = {other}\n"})
+        written(folder, {"made_up/net.py": f"def plan(self, seen): return {version}\n"})
+        forget("made_up", "other_lib")
+        monkeypatch.syspath_prepend(str(folder))
+        return code_sha256(importlib.import_module("made_up.planner").Planner)
+
+    assert installed("1", "1") == installed("1", "2") != installed("2", "2")
+    forget("made_up", "other_lib")
+
+
 def test_classes_without_a_file_have_no_hash() -> None:
     namespace: dict[str, Any] = {"__name__": "nowhere"}
     exec("class Planner:\n    name = 'typed in'", namespace)
-    assert code_sha256(namespace["Planner"]) is None and dependencies_of(namespace["Planner"]) == ()
+    assert code_sha256(namespace["Planner"]) is None
 
 
-def test_a_class_inside_a_function_counts_with_the_function() -> None:
-    class Planner:
-        def reset(self, scene: Any) -> None: ...
+def test_what_was_loaded_is_known_and_checked(load: Callable[..., ModuleType], tmp_path: Path) -> None:
+    load(FILES)
+    loaded = {file: sha256 for file, sha256 in loaded_code().items() if "made_up" in file}
+    assert {Path(file).name for file in loaded} == {"__init__.py", "planner.py", "net.py", "gain.py"}
+    gain = next(Path(file) for file in loaded if file.endswith("gain.py"))
+    assert is_current(loaded)
+    gain.write_text(f"# commented\n{GAIN}")
+    assert is_current(loaded)
+    gain.write_text(GAIN.replace("2.0", "2.25"))
+    assert not is_current(loaded)
+    gain.unlink()
+    assert not is_current(loaded)
 
-    assert Dependency(__name__, "test_a_class_inside_a_function_counts_with_the_function") in dependencies_of(Planner)
+
+@pytest.fixture
+def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of this project's code, from which its hash is computed."""
+    for package in ("benchmark", "adapters", "generation"):
+        left_out = shutil.ignore_patterns("__pycache__", "*.safetensors", "*.npz")
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=left_out)
+    monkeypatch.setattr(code_identity, "__file__", str(tmp_path / "benchmark" / "runs" / "code_identity.py"))
+    monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(tmp_path / "cache"))
+    return tmp_path
 
 
-def test_modules_of_this_project_do_nothing_when_they_are_imported() -> None:
-    root = Path(__file__).parents[3]
-    functions = (ast.FunctionDef, ast.AsyncFunctionDef)
-    definitions = (ast.Import, ast.ImportFrom, *functions, ast.ClassDef, ast.Assign, ast.AnnAssign, ast.Assert)
-    fills_its_table = "benchmark/protocols/__init__.py"
-    for path in [*root.glob("adapters/**/*.py"), *root.glob("benchmark/**/*.py")]:
-        name = path.relative_to(root).as_posix()
-        for statement in ast.parse(path.read_text()).body:
-            said = isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
-            typed = isinstance(statement, ast.If) and ast.unparse(statement.test) == "TYPE_CHECKING"
-            command = name.startswith(("benchmark/cli", "benchmark/__main__", fills_its_table))
-            assert said or typed or command or isinstance(statement, definitions), f"{name}: {ast.unparse(statement)}"
+def hashed() -> str:
+    project_sha256.cache_clear()
+    found = project_sha256()
+    project_sha256.cache_clear()
+    return found
+
+
+def test_code_of_this_project_counts_and_what_no_plan_depends_on_does_not(copied: Path) -> None:
+    def edited(name: str, old: str, new: str) -> None:
+        text = (copied / name).read_text()
+        assert old in text
+        (copied / name).write_text(text.replace(old, new, 1))
+
+    before = hashed()
+    edited("adapters/networks/layers/resnet.py", '"""', '"""Again: ')
+    edited("benchmark/constants.py", "PLAN_STEPS: Final = 6", "PLAN_STEPS: Final = 6  # of 0.5 s")
+    for apart in ("benchmark/cli/drive.py", "adapters/extensions/training/trainer.py", "generation/pipeline/split.py"):
+        (copied / apart).write_text(f"{(copied / apart).read_text()}\nADDED = 1\n")
+    assert hashed() == before
+    edited("adapters/networks/layers/resnet.py", "EXPANSION = 4", "EXPANSION = 3")
+    other = hashed()
+    edited("benchmark/constants.py", "PLAN_STEPS: Final = 6", "PLAN_STEPS: Final = 7")
+    assert len({before, other, hashed()}) == 3
+
+
+def test_the_hash_of_this_project_is_kept_and_needs_no_cache(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = hashed()
+    assert len(list((copied / "cache" / "code").iterdir())) == 1
+    (copied / "file").write_text("in the way")
+    monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(copied / "file"))
+    assert hashed() == before
