@@ -1,11 +1,11 @@
 """Stored plans against what really happened: the part of a run that never needs the planner, for `eval` and `rescore`.
 
-The verdict on a sample depends on that sample alone, so a scene judged today gives the bytes that it gave in the run.
+`judge_plans` asks each judge of `ROW_JUDGES` about all plans of a scene; each fills one field of the rows. The verdict
+on a sample depends on that sample alone, so a scene judged today gives the bytes that it gave in the run.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
-from itertools import repeat
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -19,12 +19,10 @@ from benchmark.metrics.diagnosis import diagnose
 from benchmark.metrics.disagreement import EXACT, disagreements
 from benchmark.pdm.definition import PDM
 from benchmark.pdm.judging import judge_planners as judge_driving
-from benchmark.pdm.recording import RecordedScene
 from benchmark.planning import Forecasts, Plan, PlanFrame
 from benchmark.protocols import CollisionProtocol, Outcomes, protocol
 from benchmark.protocols.exact import judged_longer
 from benchmark.records.row_schema import SampleRow
-from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 from benchmark.waypoints import waypoints_in_lidar
 
@@ -37,127 +35,171 @@ PLANNERS_AT_ONCE: Final = 10
 """Planners whose plans of a scene are judged together: bounds the memory."""
 
 
-def judge(
-    rows: Sequence[Mapping[str, Any]],
-    truths: Sequence[SampleTruth],
-    protocols: Sequence[str],
-    *,
-    scene: Scene | None = None,
-    around: Sequence[Circumstances] | None = None,
-    longer: Callable[[int], Sequence[SampleTruth]] | None = None,
-    recorded: RecordedScene | None = None,
-    unjudged: Collection[str] = (),
-) -> list[SampleRow]:
-    """Put what really happened and the verdicts beside the plans.
+@dataclass(frozen=True, slots=True)
+class PlannedSamples:
+    """Samples of a scene that planners have a plan for, P in all: what judges are asked about.
 
-    Args:
-        rows: One JSON object for each sample, as `benchmark.runs.plan_rows` writes them.
-        truths: One for each sample, in the same order.
-        protocols: Who judges.
-        scene: The scene with its map, for driving scores, and for who is to blame for contacts at the ego's sides;
-            without it there is neither.
-        around: Place and speed of the recorded car at each sample; without them rows do not say where they are.
-        longer: The truths with more steps than a plan of 3 s has, asked for where plans go on; without it nothing is
-            said beyond 3 s.
-        recorded: What the scene gives to judge driving by, if that is there already.
+    Attributes:
+        scene: The scene.
+        planners: How many planners there are.
+        places: (P) planner and sample of each plan.
+        whole: (P) plans as they were given.
+        plans: (P) their first 3 s.
+        in_lidar: (P, 6, 2) waypoints of the lidar origin.
+        truths: (P) what happened at the sample.
+        outcomes: Verdicts of each protocol on all P.
         unjudged: Protocols, and perhaps ``pdm``, that cannot tell whom a plan could touch because the data have other
             categories than they know (`benchmark.runs.vocabulary`).
-
-    Returns:
-        One row for each sample. A sample without a plan has no outcome, no diagnosis and no disagreement. Nothing is
-        diagnosed or compared without ``exact`` among the protocols. Where objects were not labelled there is L2 alone.
-
-    Raises:
-        InputError: If a protocol is unknown or a plan cannot be read.
-        ValueError: If rows and truths are not of the same samples.
     """
-    return judge_planners(
-        [rows],
-        truths,
-        protocols,
-        scene=scene,
-        around=around,
-        longer=longer,
-        recorded=recorded,
-        unjudged=unjudged,
-    )[0]
+
+    scene: "SceneReading"
+    planners: int
+    places: Sequence[tuple[int, int]]
+    whole: Sequence[Plan]
+    plans: Sequence[Plan]
+    in_lidar: Floats
+    truths: Sequence[SampleTruth]
+    outcomes: Mapping[str, Outcomes]
+    unjudged: Collection[str]
+
+    def by_planner(self, plans: Sequence[Plan]) -> list[dict[int, Plan]]:
+        """P plans of each planner by number of the sample."""
+        found: list[dict[int, Plan]] = [{} for _ in range(self.planners)]
+        for (which, at), plan in zip(self.places, plans, strict=True):
+            found[which][at] = plan
+        return found
 
 
-def judge_planners(
+def judge_plans(
     rows_of: Sequence[Sequence[Mapping[str, Any]]],
-    truths: Sequence[SampleTruth],
+    scene: "SceneReading",
     protocols: Sequence[str],
-    *,
-    scene: Scene | None = None,
-    around: Sequence[Circumstances] | None = None,
-    longer: Callable[[int], Sequence[SampleTruth]] | None = None,
-    recorded: RecordedScene | None = None,
     unjudged: Collection[str] = (),
 ) -> list[list[SampleRow]]:
-    """`judge` of several planners together, each protocol asked once for all of them.
+    """Put what really happened and the verdicts beside the plans of a scene.
 
     Args:
-        rows_of: Of each planner what `judge` takes of one; the other arguments are those of `judge`.
+        rows_of: Of each planner one JSON object for each sample, as `benchmark.runs.plan_rows` writes them.
+        scene: The scene.
+        protocols: Who judges.
+        unjudged: As of `PlannedSamples`.
 
     Returns:
-        Of each planner one row for each sample, the same as one by one.
+        Of each planner one row for each sample. A sample without a plan has no outcome, no diagnosis and no
+        disagreement. Nothing is diagnosed or compared without ``exact`` among the protocols. Where objects were not
+        labelled there is L2 alone.
 
     Raises:
-        InputError: As `judge`, if any planner's plan cannot be read.
-        ValueError: As `judge`.
+        InputError: If the data is broken, a protocol is unknown or a plan cannot be read.
+        ValueError: If rows and truths are not of the same samples.
     """
-    tokens = [truth.sample_token for truth in truths]
+    if len(rows_of) > PLANNERS_AT_ONCE:
+        first, rest = rows_of[:PLANNERS_AT_ONCE], rows_of[PLANNERS_AT_ONCE:]
+        return judge_plans(first, scene, protocols, unjudged) + judge_plans(rest, scene, protocols, unjudged)
+    samples = _planned_samples(rows_of, scene, protocols, unjudged)
+    verdicts = {name: judge(samples) for name, judge in ROW_JUDGES.items()}
+    found: dict[tuple[int, int], dict[str, Any]] = {}
+    for number, (place, truth) in enumerate(zip(samples.places, samples.truths, strict=True)):
+        asked = ROW_JUDGES if truth.labelled else WITHOUT_LABELS
+        found[place] = {name: verdicts[name][number] for name in asked}
+    happened = [_recorded(truth, at) for truth, at in zip(scene.truth, scene.around, strict=True)]
+    return [
+        [
+            SampleRow(**row, **told, **found.get((which, at), {"outcomes": {}}))
+            for at, (row, told) in enumerate(zip(rows, happened, strict=True))
+        ]
+        for which, rows in enumerate(rows_of)
+    ]
+
+
+def _planned_samples(
+    rows_of: Sequence[Sequence[Mapping[str, Any]]],
+    scene: "SceneReading",
+    protocols: Sequence[str],
+    unjudged: Collection[str],
+) -> PlannedSamples:
+    tokens = [truth.sample_token for truth in scene.truth]
     for rows in rows_of:
         if [row["sample_token"] for row in rows] != tokens:
             raise ValueError(
                 f"plans and truth of {rows[0]['scene'] if rows else 'a scene'} do not have the same samples"
             )
-    planned = [
+    places = [
         (which, at) for which, rows in enumerate(rows_of) for at, row in enumerate(rows) if row["plan"] is not None
     ]
-    happened, whole = [truths[at] for _, at in planned], [plan_of(rows_of[which][at]["plan"]) for which, at in planned]
+    truths, whole = [scene.truth[at] for _, at in places], [plan_of(rows_of[which][at]["plan"]) for which, at in places]
     plans = [plan.judged for plan in whole]
-    in_lidar = _in_lidar(plans, happened)
+    in_lidar = _in_lidar(plans, truths)
     outcomes = {
         name: _where_known(
-            _at_rate(protocol(name), protocol(name).evaluate(happened, in_lidar), happened),
-            happened,
+            _at_rate(protocol(name), protocol(name).evaluate(truths, in_lidar), truths),
+            truths,
             told=name not in unjudged,
         )
         for name in dict.fromkeys(protocols)
     }
-    verdicts = {name: outcome.as_rows() for name, outcome in outcomes.items()}
-    causes, differences = _explained(happened, plans, in_lidar, outcomes)
-    recorded = None if scene is None else recorded or RecordedScene(scene)
-    judged = _by_planner(len(rows_of), planned, plans)
-    driven = _driven(None if PDM in unjudged else scene, recorded, judged, len(truths))
+    return PlannedSamples(scene, len(rows_of), places, whole, plans, in_lidar, truths, outcomes, unjudged)
+
+
+def _outcomes(samples: PlannedSamples) -> Sequence[Any]:
+    """Verdicts of each protocol."""
+    verdicts = {name: outcome.as_rows() for name, outcome in samples.outcomes.items()}
+    return [{name: of[place] for name, of in verdicts.items()} for place in range(len(samples.places))]
+
+
+def _driving(samples: PlannedSamples) -> Sequence[Any]:
+    """Driving scores."""
+    scene, count = samples.scene, len(samples.scene.truth)
+    if scene.mapped is None or PDM in samples.unjudged:
+        return [None] * len(samples.places)
+    plans = [[own.get(index) for index in range(count)] for own in samples.by_planner(samples.plans)]
+    verdicts = judge_driving(scene.mapped, plans, scene.recorded)
+    found = (verdicts[which][at] for which, at in samples.places)
+    return [None if verdict is None else verdict.as_json() for verdict in found]
+
+
+def _diagnosis(samples: PlannedSamples) -> Sequence[Any]:
+    """Why a plan collides, from the verdicts of ``exact``."""
+    if EXACT not in samples.outcomes or not samples.truths:
+        return [None] * len(samples.truths)
+    return diagnose([truth.by_clock for truth in samples.truths], samples.plans, samples.outcomes[EXACT])
+
+
+def _disagreements(samples: PlannedSamples) -> Sequence[Any]:
+    """Where other protocols say something else than ``exact``, and why."""
+    if EXACT not in samples.outcomes or not samples.truths:
+        return [{} for _ in samples.truths]
+    return disagreements(samples.truths, samples.in_lidar, samples.outcomes)
+
+
+def _severity(samples: PlannedSamples) -> Sequence[Any]:
+    """How hard and at whose fault plans hit, and how near they come."""
+    recorded = samples.scene.recorded
     # A map without roads or lanes would blame the ego for every contact at its sides.
-    known = recorded is not None and bool(recorded.road.drivable and recorded.road.lanes)
-    severe = plan_severities(
-        [truth.by_clock for truth in happened], in_lidar, recorded.road if recorded is not None and known else None
-    )
-    asked = longer if EXACT in outcomes else None
-    beyond = [{} if asked is None else longer_verdicts(own, asked) for own in _by_planner(len(rows_of), planned, whole)]
-    findings: list[list[dict[str, Any]]] = [[{"outcomes": {}} for _ in truths] for _ in rows_of]
-    for place, (which, at) in enumerate(planned):
-        findings[which][at] = {
-            "longer": beyond[which].get(at),
-            "outcomes": {name: found[place] for name, found in verdicts.items()},
-        }
-        if truths[at].labelled:
-            findings[which][at] |= {
-                "driving": driven[which][at],
-                "diagnosis": causes[place],
-                "disagreements": differences[place],
-                "severity": severe[place],
-            }
-    happening = [
-        _recorded(truth, at) for truth, at in zip(truths, repeat(None, len(truths)) if around is None else around)
-    ]
-    return [
-        [SampleRow(**row, **told, **found) for row, told, found in zip(rows, happening, own, strict=True)]
-        for rows, own in zip(rows_of, findings, strict=True)
-    ]
+    known = recorded is not None and recorded.road.drivable and recorded.road.lanes
+    road = recorded.road if recorded is not None and known else None
+    return plan_severities([truth.by_clock for truth in samples.truths], samples.in_lidar, road)
+
+
+def _longer(samples: PlannedSamples) -> Sequence[Any]:
+    """What ``exact`` says of plans that go on beyond 3 s, up to 6 s: `longer_verdicts` of each planner."""
+    if EXACT not in samples.outcomes:
+        return [None] * len(samples.places)
+    found = [longer_verdicts(own, samples.scene.longer) for own in samples.by_planner(samples.whole)]
+    return [found[which].get(at) for which, at in samples.places]
+
+
+ROW_JUDGES: Final[Mapping[str, Callable[[PlannedSamples], Sequence[Any]]]] = {
+    "longer": _longer,
+    "outcomes": _outcomes,
+    "driving": _driving,
+    "diagnosis": _diagnosis,
+    "disagreements": _disagreements,
+    "severity": _severity,
+}
+"""By field of a row: what is said of each of P plans."""
+WITHOUT_LABELS: Final = ("longer", "outcomes")
+"""The fields that say something where objects were not labelled: L2."""
 
 
 def _at_rate(definition: CollisionProtocol, outcomes: Outcomes, truths: Sequence[SampleTruth]) -> Outcomes:
@@ -183,69 +225,6 @@ def _in_lidar(plans: Sequence[Plan], truths: Sequence[SampleTruth]) -> Floats:
         ahead_m = np.array([truths[place].lidar_ahead_m for place in those])
         found[those] = waypoints_in_lidar(np.array([plans[place].waypoints for place in those]), frame, ahead_m)
     return found
-
-
-def _by_planner(count: int, planned: Sequence[tuple[int, int]], plans: Sequence[Plan]) -> list[dict[int, Plan]]:
-    """Plans of each planner by number of the sample."""
-    found: list[dict[int, Plan]] = [{} for _ in range(count)]
-    for (which, at), plan in zip(planned, plans, strict=True):
-        found[which][at] = plan
-    return found
-
-
-def judge_scene_plans(
-    rows: Sequence[Mapping[str, Any]],
-    reading: "SceneReading",
-    protocols: Sequence[str],
-    unjudged: Collection[str] = (),
-) -> list[SampleRow]:
-    """`judge` with all that is known of a scene.
-
-    Args:
-        rows: One JSON object for each sample, as `benchmark.runs.plan_rows` writes them.
-        reading: The scene.
-        protocols: Who judges.
-        unjudged: As of `judge`.
-
-    Returns:
-        One row for each sample.
-
-    Raises:
-        InputError: If the data is broken, a protocol is unknown or a plan cannot be read.
-    """
-    return judge_all_plans([rows], reading, protocols, unjudged)[0]
-
-
-def judge_all_plans(
-    rows_of: Sequence[Sequence[Mapping[str, Any]]],
-    reading: "SceneReading",
-    protocols: Sequence[str],
-    unjudged: Collection[str] = (),
-) -> list[list[SampleRow]]:
-    """`judge_scene_plans` of several planners together; arguments and errors as there, of any of them."""
-    found: list[list[SampleRow]] = []
-    for start in range(0, len(rows_of), PLANNERS_AT_ONCE):
-        found += judge_planners(
-            rows_of[start : start + PLANNERS_AT_ONCE],
-            reading.truth,
-            protocols,
-            scene=reading.mapped,
-            around=reading.around,
-            longer=reading.longer,
-            recorded=reading.recorded,
-            unjudged=unjudged,
-        )
-    return found
-
-
-def _driven(
-    scene: Scene | None, recorded: RecordedScene | None, plans: Sequence[Mapping[int, Plan]], count: int
-) -> list[list[dict[str, Any] | None]]:
-    """Of each planner the driving scores of each sample, as rows hold them."""
-    if scene is None:
-        return [[None] * count for _ in plans]
-    verdicts = judge_driving(scene, [[own.get(index) for index in range(count)] for own in plans], recorded)
-    return [[None if verdict is None else verdict.as_json() for verdict in own] for own in verdicts]
 
 
 def longer_verdicts(
@@ -318,17 +297,7 @@ def _forecasts(row: Mapping[str, Any]) -> Forecasts:
     )
 
 
-def _explained(
-    truths: Sequence[SampleTruth], plans: Sequence[Plan], in_lidar: Floats, outcomes: Mapping[str, Outcomes]
-) -> tuple[Sequence[Any], Sequence[dict[str, str]]]:
-    """Diagnosis and disagreements of each sample, from the verdicts of ``exact`` on it."""
-    if EXACT not in outcomes or not truths:
-        return [None] * len(truths), [{} for _ in truths]
-    causes = diagnose([truth.by_clock for truth in truths], plans, outcomes[EXACT])
-    return causes, disagreements(truths, in_lidar, outcomes)
-
-
-def _recorded(truth: SampleTruth, at: Circumstances | None) -> dict[str, Any]:
+def _recorded(truth: SampleTruth, at: Circumstances) -> dict[str, Any]:
     """What a row says of the recording."""
     ahead = truth.by_clock
     return {
@@ -338,6 +307,6 @@ def _recorded(truth: SampleTruth, at: Circumstances | None) -> dict[str, Any]:
         "recorded_future": [
             pose.tolist() if valid else None for pose, valid in zip(ahead.ego_future, ahead.ego_future_valid)
         ],
-        "place": None if at is None else at.place.value,
-        "speed_m_s": None if at is None else at.speed_m_s,
+        "place": at.place.value,
+        "speed_m_s": at.speed_m_s,
     }

@@ -20,7 +20,7 @@ from benchmark.records.run import RunRecord, load_record, summarise, write_recor
 from benchmark.records.run_schema import SCHEMA, RecordFacts, SceneFacts, TruthFacts
 from benchmark.records.store import RUN_FILE, pending, settle, stored_schema
 from benchmark.runs.caveats import run_caveats
-from benchmark.runs.judging import judge_all_plans, judge_scene_plans
+from benchmark.runs.judging import judge_plans
 from benchmark.runs.reading import SceneReading
 from benchmark.runs.vocabulary import unjudged
 
@@ -245,11 +245,11 @@ def _judged_together(
             yield from _judged_together([each], reading)
         return
     try:
-        yield from zip(readable, judge_all_plans(plans_of, reading, protocols, readable[0].silent), strict=True)
+        yield from zip(readable, judge_plans(plans_of, reading, protocols, readable[0].silent), strict=True)
     except InputError:
         for each, plans in zip(readable, plans_of, strict=True):
             try:
-                yield each, judge_scene_plans(plans, reading, protocols, each.silent)
+                yield each, judge_plans([plans], reading, protocols, each.silent)[0]
             except InputError as error:
                 yield each, error
 
@@ -329,7 +329,7 @@ def rows_judged_anew(
     Raises:
         InputError: If the record does not hold the samples of the scene, or a protocol is unknown.
     """
-    return judge_scene_plans(stored_plans(record, reading), reading, protocols, silent)
+    return judge_plans([stored_plans(record, reading)], reading, protocols, silent)[0]
 
 
 def stored_plans(record: RunRecord, reading: SceneReading) -> list[dict[str, Any]]:

@@ -12,7 +12,7 @@ from benchmark.planning import Planner
 from benchmark.records.planner_cost import SceneCost
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run_schema import PlannerFacts, TruthFacts
-from benchmark.runs.judging import judge_all_plans
+from benchmark.runs.judging import judge_plans
 from benchmark.runs.plan_rows import PlannedScene, PlannerFactory, plan_scene, scene_key
 from benchmark.runs.reading import SceneReading
 
@@ -107,7 +107,7 @@ def judged_scenes(runs: Sequence[Run], reading: SceneReading, planned: Sequence[
     for protocols in dict.fromkeys(run.protocols for run in runs):
         those = [place for place, run in enumerate(runs) if run.protocols == protocols]
         unjudged = runs[those[0]].unjudged
-        rows_of = judge_all_plans([planned[place].rows for place in those], reading, protocols, unjudged)
+        rows_of = judge_plans([planned[place].rows for place in those], reading, protocols, unjudged)
         found |= {
             place: SceneResult(reading.name, rows, planned[place].cost, reading.truth_facts)
             for place, rows in zip(those, rows_of)

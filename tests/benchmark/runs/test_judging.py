@@ -1,5 +1,6 @@
 """Verdicts beside plans: the same whatever is judged with a sample, none where there is no plan."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -8,11 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.errors import InputError
+from benchmark.metrics.circumstances import Circumstances
+from benchmark.metrics.places import Place
 from benchmark.planning import Forecasts, Observation, Plan, PlanFrame
 from benchmark.protocols import PROTOCOLS
-from benchmark.runs.judging import judge, judge_all_plans, judge_scene_plans, plan_of
+from benchmark.records.row_schema import SampleRow
+from benchmark.runs.judging import judge_plans, plan_of
 from benchmark.runs.plan_rows import plan_scene
 from benchmark.runs.reading import SceneReading
+from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Failing, Straight
@@ -21,6 +26,21 @@ from tests.hand_made import Car, scene_on_straight_road
 ALL = tuple(PROTOCOLS)
 DATA = town_of_two(slow_leader=True)
 SCENE = "scene-9902"
+
+
+class Known(SceneReading):
+    """A scene of which so much is known as a test says; without a map unless it says otherwise."""
+
+    def __init__(self, truths: Sequence[SampleTruth], scene: Scene | None = None) -> None:
+        self.truth = tuple(truths)
+        self.mapped = scene
+        self.around = tuple(Circumstances(Place.BEND, 0.0) for _ in truths)
+
+
+def judge(
+    rows: Sequence[dict[str, Any]], truths: Sequence[SampleTruth], protocols: Sequence[str], scene: Scene | None = None
+) -> list[SampleRow]:
+    return judge_plans([rows], Known(truths, scene), protocols)[0]
 
 
 class Foreseeing(Straight):
@@ -233,9 +253,9 @@ def test_planners_that_are_judged_together_get_the_rows_that_they_get_alone(tmp_
     reading = SceneReading(DATA, SCENE)
     planners = (Failing(), Foreseeing(), Swerving(), InLidar(), Straight())
     rows_of = [planned(planner, tmp_path / planner.name) for planner in planners]
-    alone = [judge_scene_plans(rows, SceneReading(DATA, SCENE), ALL) for rows in rows_of]
+    alone = [judge_plans([rows], SceneReading(DATA, SCENE), ALL)[0] for rows in rows_of]
     assert any(row.driving is not None and row.driving.ec is not None for row in alone[1])
     assert any(row.longer is not None for row in alone[2])
-    assert judge_all_plans(rows_of, reading, ALL) == alone
-    assert judge_all_plans(rows_of[::-1], reading, ALL) == alone[::-1]
-    assert judge_all_plans([], reading, ALL) == []
+    assert judge_plans(rows_of, reading, ALL) == alone
+    assert judge_plans(rows_of[::-1], reading, ALL) == alone[::-1]
+    assert judge_plans([], reading, ALL) == []
