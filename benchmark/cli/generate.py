@@ -275,7 +275,6 @@ def generate_command(
         together=together,
         keep_rounds=keep_rounds,
         freeze=wanted[0].freeze,
-        dry_run=dry_run,
     )
     if photorealistic is not None:
         typer.echo(network.estimate(source.scene(source_scenes(source, settings)[0])).plain(), err=True)
@@ -288,7 +287,7 @@ def generate_command(
         return
     built = []
     for one, of_split in zip(wanted, own, strict=True):
-        built.append(build_one(source, one, of_split, unlike, profile=profile))
+        built.append(build_one(source, one, of_split, unlike, profile=profile, dry_run=dry_run))
         if not json_output:
             typer.echo(built[-1].text if seeds is None else f"{one.split}: {built[-1].text}")
     if json_output:

@@ -134,6 +134,7 @@ def data_unpack_command(
                 typer.echo(f"  {each.name}: generate --from {to / 'splits' / each.name}.json --data RECORDINGS")
         return
     from benchmark.machine.workers import LocalProcesses
+    from generation.pipeline.dry_run import estimate_frozen
     from generation.pipeline.settings import BuildSettings
     from generation.splits.rebuilding import rebuild
 
@@ -147,9 +148,8 @@ def data_unpack_command(
         renderer=None if renderer is QuickRendererName.NONE else api.schematic_renderer((width, height)),
         frames=frames.value,
         executor=LocalProcesses(processes),
-        dry_run=dry_run,
     )
-    report = rebuild(source, found, chosen, settings)
+    report = estimate_frozen(source, chosen, settings) if dry_run else rebuild(source, found, chosen, settings)
     if json_output:
         print_json({**said, "built": {"root": str(settings.out), **report.as_json()}})
     else:

@@ -21,6 +21,7 @@ from benchmark.records.ablation import RECORD, SCHEMA, VARIANTS, AblationReport,
 from benchmark.records.attempts import ATTEMPTS_FILE, Attempt, read_attempts
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import DataFacts, RateRow
+from generation.pipeline.dry_run import estimate_build
 from generation.pipeline.report import BuildReport
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import NothingSurvivedError, build_split, source_scenes
@@ -76,8 +77,7 @@ def ablation_estimate(source: DataSet, planner: PlannerUnderTest, settings: Buil
     Raises:
         InputError: As `ablate`.
     """
-    dry = replace(settings, dry_run=True)
-    reports = [build_split(source, "adv", _settings_of(variant, dry, planner)) for variant in VARIANTS]
+    reports = [estimate_build(source, "adv", _settings_of(variant, settings, planner)) for variant in VARIANTS]
     return "\n".join(f"{variant.label}: {said.sentence()}" for variant, said in zip(VARIANTS, reports, strict=True))
 
 

@@ -17,26 +17,22 @@ from benchmark.records.review import Judged
 from benchmark.records.seed_splits import seed_of
 from benchmark.report.words import counted
 from benchmark.scene import Scene
-from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set
+from generation.nuscenes_writer import DataSetPlan, SourceInfo
 from generation.nuscenes_writer.plan import STATE_FOLDER
-from generation.pipeline.estimate import KEPT_SHARE, Estimate, planning_estimate, rendering_estimate, workers_of
 from generation.pipeline.profile import runtime_table
 from generation.pipeline.report import BuildReport
 from generation.pipeline.selection import Selection, select
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.writing import (
     WritingJob,
-    publish_judgements,
-    publish_realism,
+    WrittenScenes,
+    publish,
     publish_reports,
-    publish_rounds,
     withdraw,
     write_scenes,
 )
-from generation.search.attempts import kept_attempt
-from generation.search.chains import Chain, SearchResult, first_units, search_chains
+from generation.search.chains import Chain, SearchResult, search_chains
 from generation.search.definition import Search
-from generation.search.eligibility import not_tried_together
 from generation.splits.building import require_not_frozen
 from generation.splits.format import Choice, FrozenRejection, require_freezable, write_frozen
 from generation.splits.freezing import freeze, search_facts
@@ -76,8 +72,6 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
     if split == "val-r":
         return _build_originals(source, names, settings)
     search = search_of(source, names, settings)
-    if settings.dry_run:
-        return replace(_counted(source, search, names, settings), split=split)
     with only_writer(settings.out):
         return _build_adversarial(source, split, search, names, settings)
 
@@ -187,39 +181,6 @@ def unlabelled_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ..
     names = _asked_for(source, settings)
     counts = source.annotation_counts(names)
     return tuple(name for name in names if not counts[name].annotations)
-
-
-def _counted(source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings) -> BuildReport:
-    """How much there is to do."""
-    chosen = first_units(search, source, names, keep=False)
-    units = [unit for _, of_scene in chosen for unit in of_scene]
-    with_rounds = settings.keep_rounds and settings.adversaries == 1
-    left = [unit for unit in units if kept_attempt(search, unit, with_rounds=with_rounds) is None]
-    count, each = planning_estimate(search, units, left, source.scene, settings.adversaries)
-    expected = round(KEPT_SHARE * len(units))
-    for most in (settings.per_scene, settings.variants):
-        expected = expected if most is None else min(expected, most * len(names))
-    if settings.total is not None:
-        expected = min(expected, settings.total)
-    scene_s = _rendering_seconds(source, names, settings)
-    planners, renderers = workers_of(settings.executor), workers_of(settings.where_rendered)
-    about = Estimate(count, each, expected, scene_s, planners, renderers)
-    return BuildReport(
-        "adv",
-        len(names),
-        len(units),
-        len(units) - len(left),
-        not_tried=not_tried_together([seen for seen, _ in chosen]),
-        adversaries=settings.adversaries,
-        estimate=about,
-        dry_run=True,
-        unlabelled=unlabelled_scenes(source, settings),
-    )
-
-
-def _rendering_seconds(source: DataSet, names: Sequence[str], settings: BuildSettings) -> float:
-    timing = settings.timing / "rendering"
-    return rendering_estimate(settings.renderer, source.scene(names[0]), settings.frames, timing)
 
 
 @dataclass(frozen=True, slots=True)
@@ -367,12 +328,6 @@ def originals(
 
 
 def _build_originals(source: DataSet, names: Sequence[str], settings: BuildSettings) -> BuildReport:
-    if settings.dry_run:
-        each = _rendering_seconds(source, names, settings)
-        workers = workers_of(settings.where_rendered)
-        about = Estimate(0, 0.0, len(names), each, workers, workers)
-        skipped = unlabelled_scenes(source, settings)
-        return BuildReport("val-r", len(names), estimate=about, dry_run=True, unlabelled=skipped)
     plan, jobs, files = originals(source, names, settings)
     report = _report_of_originals(source, jobs, settings)
     with only_writer(settings.out):
@@ -408,10 +363,7 @@ def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], setti
     """Render, write and finish a data set; returns the notes on how long rendering took."""
     timing = settings.timing / "rendering"
     keys = write_scenes(plan, jobs, source.scene, settings.where_rendered, timing=timing)
-    publish_rounds(plan, jobs, keys)
-    publish_judgements(plan, jobs, keys)
-    finish_data_set(plan, keys)
-    publish_realism(plan, source)
+    publish(WrittenScenes(plan, jobs, keys, source))
     return [timing / f"{key}.timing.json" for key in keys]
 
 

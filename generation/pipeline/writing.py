@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from pydantic import ValidationError
 
@@ -29,7 +29,7 @@ from benchmark.records.judgement import DEFINITION, SceneJudgement
 from benchmark.records.scenes import KEPT_ROUNDS_FOLDER, RefinementTrace, kept_rounds_path
 from benchmark.runs.units import ResultStore, run_units
 from benchmark.scene import Scene
-from generation.nuscenes_writer import DataSetPlan
+from generation.nuscenes_writer import DataSetPlan, finish_data_set
 from generation.nuscenes_writer.finish import PROVENANCE
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.nuscenes_writer.scenes import WrittenScene, read_state, stored_fragment, written_scene
@@ -164,22 +164,39 @@ def unfinish_others(root: Path, files: dict[str, bytes]) -> bool:
     return True
 
 
-def publish_rounds(plan: DataSetPlan, jobs: Sequence[WritingJob], keys: Sequence[str]) -> None:
+@dataclass(frozen=True, slots=True)
+class WrittenScenes:
+    """Scenes of a data set that are written, and become it.
+
+    Attributes:
+        plan: The data set.
+        jobs: Its scenes.
+        keys: What `write_scenes` returned for them.
+        source: The recordings.
+    """
+
+    plan: DataSetPlan
+    jobs: Sequence[WritingJob]
+    keys: Sequence[str]
+    source: DataSet
+
+    @property
+    def judged(self) -> list[tuple[SceneJudgement, ...]]:
+        """The judgements of each scene, in the order of the jobs."""
+        return [
+            job.judgements if job.tracks is None else _kept_judgements(self.plan, key) or ()
+            for job, key in zip(self.jobs, self.keys, strict=True)
+        ]
+
+
+def _publish_rounds(written: WrittenScenes) -> None:
     """Put the kept rounds of written scenes where scene pages look for them, and take those of others away.
 
     Of a scene with several adversaries they are the last one's. A reader of the data set does not see them: they are no
     part of its fingerprint.
-
-    Args:
-        plan: The data set.
-        jobs: Its scenes.
-        keys: What `write_scenes` returned for them.
-
-    Raises:
-        InputError: If kept rounds are damaged, or the disk refuses.
     """
-    wanted = set()
-    for job, key in zip(jobs, keys, strict=True):
+    plan, wanted = written.plan, set()
+    for job, key in zip(written.jobs, written.keys, strict=True):
         content = _rounds(plan, job, key)
         if content is not None:
             path = kept_rounds_path(plan.root, job.name_read(plan))
@@ -192,28 +209,11 @@ def publish_rounds(plan: DataSetPlan, jobs: Sequence[WritingJob], keys: Sequence
                 path.unlink()
 
 
-def publish_judgements(
-    plan: DataSetPlan, jobs: Sequence[WritingJob], keys: Sequence[str]
-) -> list[tuple[SceneJudgement, ...]]:
-    """Put what is said of the scenes beside the tables of each root; it is no part of the fingerprint.
-
-    Args:
-        plan: The data set.
-        jobs: Its scenes.
-        keys: What `write_scenes` returned for them.
-
-    Returns:
-        The judgements of each scene, in the order of the jobs.
-
-    Raises:
-        InputError: If the disk refuses.
-    """
+def _publish_judgements(written: WrittenScenes) -> None:
+    """Put what is said of the scenes beside the tables of each root; it is no part of the fingerprint."""
+    plan = written.plan
     of_root: dict[Path, dict[str, tuple[SceneJudgement, ...]]] = {}
-    of_jobs = [
-        job.judgements if job.tracks is None else _kept_judgements(plan, key) or ()
-        for job, key in zip(jobs, keys, strict=True)
-    ]
-    for job, judged in zip(jobs, of_jobs, strict=True):
+    for job, judged in zip(written.jobs, written.judged, strict=True):
         if judged:
             root = plan.data_root(job.variant if plan.layout == "per-variant" else 0)
             of_root.setdefault(root, {})[job.written_as] = judged
@@ -221,27 +221,45 @@ def publish_judgements(
         folder = root / plan.version
         if _kept_file(folder) != scenes:
             write_bytes(folder / JUDGEMENTS_FILE, judgements_text(scenes).encode())
-    return of_jobs
 
 
-def publish_realism(plan: DataSetPlan, source: DataSet) -> None:
-    """Compare the adversaries of a finished data set with its recordings, once, and say so beside their judgements.
+def _finish(written: WrittenScenes) -> None:
+    finish_data_set(written.plan, written.keys)
 
-    Args:
-        plan: The data set, finished.
-        source: The recordings.
 
-    Raises:
-        InputError: If it cannot be read or written.
-    """
+def _publish_realism(written: WrittenScenes) -> None:
+    """Compare the adversaries of a finished data set with its recordings, once, and say so beside their judgements."""
+    plan = written.plan
     data = open_data(plan.root, version=plan.version)
     judged = stored_judgements(data.root, data.version)
     if not judged or stored_realism(data.root, data.version) is not None:
         return
-    realism = split_realism(data, judged, source)
+    realism = split_realism(data, judged, written.source)
     for folder in (plan.root / name for name in variant_folders(plan.root) or [""]):
         scenes = read_judgements(folder / plan.version)
         write_bytes(folder / plan.version / JUDGEMENTS_FILE, judgements_text(scenes, realism).encode())
+
+
+PUBLISHERS: Final[tuple[Callable[[WrittenScenes], None], ...]] = (
+    _publish_rounds,
+    _publish_judgements,
+    _finish,
+    _publish_realism,
+)
+"""What makes a data set of written scenes, in this order: realism is read from the finished one."""
+
+
+def publish(written: WrittenScenes) -> None:
+    """Make a data set of written scenes.
+
+    Args:
+        written: The scenes.
+
+    Raises:
+        InputError: If kept rounds are damaged, the scenes do not go together, or the disk refuses.
+    """
+    for step in PUBLISHERS:
+        step(written)
 
 
 def _kept_file(folder: Path) -> dict[str, tuple[SceneJudgement, ...]] | None:

@@ -14,12 +14,12 @@ from benchmark.records.review import REJECTED, Judged
 from benchmark.records.seed_splits import seed_of
 from benchmark.report.words import counted
 from benchmark.scene import Scene
-from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set
+from generation.nuscenes_writer import DataSetPlan, SourceInfo
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.nuscenes_writer.scenes import stored_fragment
-from generation.pipeline.estimate import Estimate, rendering_estimate, workers_of
+from generation.pipeline.estimate import Estimate
 from generation.pipeline.settings import BuildSettings
-from generation.pipeline.writing import WritingJob, publish_judgements, publish_realism, publish_reports, write_scenes
+from generation.pipeline.writing import WritingJob, WrittenScenes, publish, publish_reports, write_scenes
 from generation.search.adversary import ALGORITHM_VERSION
 from generation.search.ground_truth_checks import masked_line, masked_steps, masked_together
 from generation.splits.digests import facts_of_row, tables_digest, written_digest
@@ -153,12 +153,6 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *,
             of another frozen one, another command is writing there, or it cannot be written.
     """
     plan, chosen, report = ready_to_rebuild(source, split, settings, as_split)
-    recorded = sorted({frozen.source for frozen, _ in chosen})
-    if settings.dry_run:
-        each = rendering_estimate(plan.renderer, source.scene(recorded[0]), plan.frames, settings.timing / "rendering")
-        workers = workers_of(settings.where_rendered)
-        about = Estimate(0, 0.0, len(chosen), each, workers, workers)
-        return replace(report, estimate=about)
     # Everything is looked at before anything is written.
     jobs, tables, masked = frozen_jobs(source, plan, chosen, split)
     with only_writer(settings.out):
@@ -167,9 +161,9 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *,
         keys = write_scenes(
             plan, jobs, source.scene, settings.where_rendered, timing=settings.timing / "rendering", label="rendering"
         )
-        judged = publish_judgements(plan, jobs, keys)
-        finish_data_set(plan, keys)
-        publish_realism(plan, source)
+        written = WrittenScenes(plan, jobs, keys, source)
+        publish(written)
+        judged = written.judged
         images, other_images = _other_images(plan, split.frozen.images, chosen, keys)
     other = tuple(frozen.name for (frozen, _), digest in zip(chosen, tables, strict=True) if digest != frozen.tables)
     return replace(

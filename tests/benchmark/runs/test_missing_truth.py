@@ -23,8 +23,8 @@ from benchmark.records.run import RunRecord, load_record, scene_failures
 from benchmark.runs.driving import drive_split
 from benchmark.runs.rescoring import rescore, rescore_all
 from benchmark.runs.rescoring_drives import rescore_drives
+from generation.pipeline.dry_run import estimate_build
 from generation.pipeline.settings import BuildSettings
-from generation.pipeline.split import build_split
 from leaderboard.frame.runs import Frame
 from leaderboard.tables.collision import collision_table
 from tests.benchmark.edited_roots import (
@@ -278,9 +278,9 @@ def test_drives_of_nothing_that_is_labelled_are_refused(edited: Root, tmp_path: 
 
 def test_generation_skips_scenes_without_annotations_and_names_them(edited: Root, tmp_path: Path) -> None:
     data = open_data(edited(lambda root: without_annotations(root, {SCENES[1]})))
-    settings = BuildSettings(out=tmp_path / "out", renderer=None, dry_run=True)
-    report = build_split(data, "adv", settings)
+    settings = BuildSettings(out=tmp_path / "out", renderer=None)
+    report = estimate_build(data, "adv", settings)
     assert report.scenes == 2 and report.unlabelled == (SCENES[1],)
     assert report.summary().endswith("skipped 1 scene without annotations (scene-8001)")
     with pytest.raises(InputError, match="it has no annotation"):
-        build_split(data, "adv", replace(settings, scenes=(SCENES[1],)))
+        estimate_build(data, "adv", replace(settings, scenes=(SCENES[1],)))

@@ -17,6 +17,7 @@ from benchmark.protocols.exact import Exact
 from benchmark.records.attempts import read_attempts
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
+from generation.pipeline.dry_run import estimate_build
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import NothingSurvivedError, build_split
 from generation.search.candidates import NotTried
@@ -114,12 +115,12 @@ def test_a_half_finished_build_goes_on_to_the_same_bytes(source: DataSet, built:
 
 
 def test_dry_run_counts_and_writes_nothing(source: DataSet, built: Path, tmp_path: Path) -> None:
-    report = build_split(source, "adv", replace(CHEAP, out=tmp_path / "out", dry_run=True))
+    report = estimate_build(source, "adv", replace(CHEAP, out=tmp_path / "out"))
     assert report.tried > 0
     assert report.finished_before == 0
     assert not (tmp_path / "out").exists()
     before = contents(built)
-    again = build_split(source, "adv", replace(CHEAP, out=built, dry_run=True))
+    again = estimate_build(source, "adv", replace(CHEAP, out=built))
     assert again.finished_before == again.tried
     assert contents(built) == before
 
@@ -128,7 +129,7 @@ def test_dry_run_counts_and_writes_nothing(source: DataSet, built: Path, tmp_pat
 def test_a_dry_run_claims_nothing_that_it_did_not_do(
     source: DataSet, tmp_path: Path, split: Literal["adv", "val-r"]
 ) -> None:
-    text = build_split(source, split, replace(CHEAP, out=tmp_path / "out", dry_run=True)).summary()
+    text = estimate_build(source, split, replace(CHEAP, out=tmp_path / "out")).summary()
     assert text.startswith(f"would build {split} from 2 scenes")
     assert "tried" not in text
     assert not (tmp_path / "out").exists()

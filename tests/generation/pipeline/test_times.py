@@ -7,6 +7,7 @@ import pytest
 
 from benchmark.datasets.roots import DataSet
 from benchmark.published import RUNTIME_S
+from generation.pipeline.dry_run import estimate_build
 from generation.pipeline.estimate import Estimate, duration, rendering_estimate
 from generation.pipeline.profile import mean_seconds, runtime_table
 from generation.pipeline.split import build_split
@@ -46,26 +47,26 @@ def test_work_is_shared_by_workers() -> None:
 
 def test_a_dry_run_estimates_each_stage(source: DataSet, tmp_path: Path) -> None:
     settings = replace(CHEAP, out=tmp_path / "out", renderer=SchematicRenderer(64, 40), frames="keyframes")
-    before = build_split(source, "adv", replace(settings, dry_run=True)).estimate
+    before = estimate_build(source, "adv", replace(settings)).estimate
     assert before is not None
     assert before.attempts == 3
     assert before.attempt_s > 0.0
     assert before.scene_s > 0.0
     report = build_split(source, "adv", settings)
     assert report.runtime is not None
-    after = build_split(source, "adv", replace(settings, dry_run=True)).estimate
+    after = estimate_build(source, "adv", replace(settings)).estimate
     assert after is not None
     assert after.attempts == 0
     stages = ("sampling", "physics", "scoring", "other")
     assert after.attempt_s == pytest.approx(sum(report.runtime.each_s(stage) or 0.0 for stage in stages))
-    more = build_split(source, "adv", replace(settings, out=tmp_path / "more", adversaries=2, dry_run=True)).estimate
+    more = estimate_build(source, "adv", replace(settings, out=tmp_path / "more", adversaries=2)).estimate
     assert more is not None
     assert more.attempts > before.attempts
 
 
 def test_val_r_takes_rendering_only(source: DataSet, tmp_path: Path) -> None:
-    settings = replace(CHEAP, out=tmp_path / "out", renderer=SchematicRenderer(64, 40), dry_run=True)
-    text = build_split(source, "val-r", settings).summary()
+    settings = replace(CHEAP, out=tmp_path / "out", renderer=SchematicRenderer(64, 40))
+    text = estimate_build(source, "val-r", settings).summary()
     assert "of rendering (1 scene at" in text
     assert "planning" not in text
 

@@ -16,6 +16,7 @@ from benchmark.machine.workers import LocalProcesses
 from benchmark.records.scenes import RefinementTrace, StoredSheet, find_sheets, kept_rounds_path
 from benchmark.runs.units import ResultStore
 from benchmark.scene_pages.writing import SheetSettings, write_sheets
+from generation.pipeline.dry_run import estimate_build
 from generation.pipeline.split import build_split
 from generation.search.rounds import SHOWN_CANDIDATES, shown_candidates
 from tests.generation.labels.recorded_roads import CHEAP, HYPER, contents, recorded, write_source
@@ -129,7 +130,7 @@ def test_what_was_searched_without_is_searched_again_and_then_left_alone(
 ) -> None:
     build_split(source, "adv", replace(TWO, out=tmp_path, keep_rounds=False))
     counted = [
-        build_split(source, "adv", replace(TWO, out=tmp_path, keep_rounds=keep, dry_run=True)).finished_before
+        estimate_build(source, "adv", replace(TWO, out=tmp_path, keep_rounds=keep)).finished_before
         for keep in (False, True)
     ]
     assert counted[1] < counted[0]

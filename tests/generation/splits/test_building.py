@@ -18,6 +18,7 @@ from benchmark.protocols import NATIVE_PROTOCOLS
 from benchmark.records.judgement import DEFINITION, SceneJudgement
 from benchmark.runs.units import ResultStore
 from generation.labels.labelling import agent_boxes
+from generation.pipeline.dry_run import estimate_build, estimate_frozen
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import build_split
 from generation.search.adversary import ALGORITHM_VERSION
@@ -172,7 +173,7 @@ def test_some_scenes_only(source: DataSet, split: NamedSplit, tmp_path: Path) ->
     assert {name[:10] for name in first.written} == {"scene-9901"}
     with pytest.raises(InputError, match="no scene made from scene-1"):
         build_frozen(source, split, replace(BUILT, out=tmp_path / "d", scenes=("scene-1",)))
-    dry = build_frozen(source, split, replace(BUILT, out=tmp_path / "e", dry_run=True))
+    dry = estimate_frozen(source, split, replace(BUILT, out=tmp_path / "e"))
     assert "would build" in dry.summary() and not (tmp_path / "e").exists()
 
 
@@ -230,7 +231,7 @@ def test_a_search_and_a_frozen_split_never_share_a_root(
 ) -> None:
     for root, build in (
         (built, lambda: build_split(source, "adv", replace(CHEAP, out=built))),
-        (built, lambda: build_split(source, "adv", replace(CHEAP, out=built, dry_run=True))),
+        (built, lambda: estimate_build(source, "adv", replace(CHEAP, out=built))),
         (folder / "searched", lambda: build_frozen(source, split, replace(BUILT, out=folder / "searched"))),
         (built, lambda: build_frozen(source, of(split, split.frozen.scenes[0]), replace(BUILT, out=built))),
     ):
