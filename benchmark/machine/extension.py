@@ -61,7 +61,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "results": "adapters.extensions.golden_sets.result_files:verify_results",
         "drivers": "benchmark.extensions.golden_sets.drivers:GOLDEN",
         "severity": "benchmark.extensions.golden_sets.severity:GOLDEN",
-        "realism": "benchmark.extensions.golden_sets.realism:verify_realism",
+        "realism": "benchmark.extensions.golden_sets.realism:GOLDEN",
         "infos": "benchmark.extensions.infos.verification:verify_infos",
         "neuroncap": "benchmark.extensions.neuroncap.verification:verify_neuroncap",
         "model": "adapters.extensions.golden_sets.models:verify_model",
