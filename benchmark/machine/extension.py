@@ -57,7 +57,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "scoring": "generation.extensions.golden_sets.scoring:verify_scoring",
         "denoiser": "generation.extensions.golden_sets.denoiser:verify_denoiser",
         "protocols": "benchmark.extensions.golden_sets.protocols:verify_protocols",
-        "pdm": "benchmark.extensions.golden_sets.pdm:verify_pdm",
+        "pdm": "benchmark.extensions.golden_sets.pdm:GOLDEN",
         "results": "adapters.extensions.golden_sets.result_files:verify_results",
         "drivers": "benchmark.extensions.golden_sets.drivers:GOLDEN",
         "severity": "benchmark.extensions.golden_sets.severity:GOLDEN",
