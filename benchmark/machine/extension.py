@@ -56,7 +56,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "physics": "generation.extensions.golden_sets.physics:verify_physics",
         "scoring": "generation.extensions.golden_sets.scoring:verify_scoring",
         "denoiser": "generation.extensions.golden_sets.denoiser:verify_denoiser",
-        "protocols": "benchmark.extensions.golden_sets.protocols:verify_protocols",
+        "protocols": "benchmark.extensions.golden_sets.protocols:GOLDEN",
         "pdm": "benchmark.extensions.golden_sets.pdm:GOLDEN",
         "results": "adapters.extensions.golden_sets.result_files:verify_results",
         "drivers": "benchmark.extensions.golden_sets.drivers:GOLDEN",

@@ -45,14 +45,14 @@ class GoldenArrays:
         return cls(path, arrays)
 
     def floats(self, name: str, *shape: int | None, gaps: bool = False) -> Floats:
-        """Numbers in double precision.
+        """Numbers in double precision, of which verdicts are 0 and 1.
 
         Args:
             name: Of the array.
             shape: Length of each axis, ``None`` for any.
             gaps: Whether NaN and infinity may be among them.
         """
-        array = np.asarray(self._taken(name, "fiu", shape), np.float64)
+        array = np.asarray(self._taken(name, "fiub", shape), np.float64)
         if not gaps and not np.isfinite(array).all():
             raise damaged(self.path, f"array {name} has NaN or infinity in it")
         return array
