@@ -53,7 +53,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     "package": {"rules": "benchmark.extensions.challenge.rules:checked_rules"},
     # From a folder of golden numbers to checks.
     "golden set": {
-        "physics": "generation.extensions.golden_sets.physics:verify_physics",
+        "physics": "generation.extensions.golden_sets.physics:GOLDEN",
         "scoring": "generation.extensions.golden_sets.scoring:verify_scoring",
         "denoiser": "generation.extensions.golden_sets.denoiser:verify_denoiser",
         "protocols": "benchmark.extensions.golden_sets.protocols:GOLDEN",
