@@ -54,7 +54,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     # From a folder of golden numbers to checks.
     "golden set": {
         "physics": "generation.extensions.golden_sets.physics:GOLDEN",
-        "scoring": "generation.extensions.golden_sets.scoring:verify_scoring",
+        "scoring": "generation.extensions.golden_sets.scoring:GOLDEN",
         "denoiser": "generation.extensions.golden_sets.denoiser:verify_denoiser",
         "protocols": "benchmark.extensions.golden_sets.protocols:GOLDEN",
         "pdm": "benchmark.extensions.golden_sets.pdm:GOLDEN",
