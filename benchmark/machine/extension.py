@@ -55,7 +55,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     "golden set": {
         "physics": "generation.extensions.golden_sets.physics:GOLDEN",
         "scoring": "generation.extensions.golden_sets.scoring:GOLDEN",
-        "denoiser": "generation.extensions.golden_sets.denoiser:verify_denoiser",
+        "denoiser": "generation.extensions.golden_sets.denoiser:GOLDEN",
         "protocols": "benchmark.extensions.golden_sets.protocols:GOLDEN",
         "pdm": "benchmark.extensions.golden_sets.pdm:GOLDEN",
         "results": "adapters.extensions.golden_sets.result_files:verify_results",

@@ -17,7 +17,7 @@ from benchmark.untrusted.files import one_line
 from benchmark.untrusted.json_text import read_json
 from benchmark.verification.checks import Check, Comparison
 
-_DAMAGED: Final = (LookupError, ValueError, TypeError, AttributeError, ArithmeticError)
+_DAMAGED: Final = (LookupError, ValueError, TypeError, AttributeError, ArithmeticError, RuntimeError)
 """What code meets that takes a damaged set, or one of another kind, for a whole one."""
 
 
