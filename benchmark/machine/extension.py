@@ -58,7 +58,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "denoiser": "generation.extensions.golden_sets.denoiser:GOLDEN",
         "protocols": "benchmark.extensions.golden_sets.protocols:GOLDEN",
         "pdm": "benchmark.extensions.golden_sets.pdm:GOLDEN",
-        "results": "adapters.extensions.golden_sets.result_files:verify_results",
+        "results": "adapters.extensions.golden_sets.result_files:GOLDEN",
         "drivers": "benchmark.extensions.golden_sets.drivers:GOLDEN",
         "severity": "benchmark.extensions.golden_sets.severity:GOLDEN",
         "realism": "benchmark.extensions.golden_sets.realism:GOLDEN",

@@ -122,12 +122,13 @@ class GoldenSet:
     """One family of golden numbers, as `challenger-bench verify` runs it.
 
     Attributes:
-        name: What it is about; also the usual name of a folder that holds such a set.
+        name: What it is about, as `verify` is told.
         files: What a set holds; a name may be a pattern.
         compare: Each reads of the folder, works our values out, and compares them; in this order.
         quantities: Largest error by quantity, whose name may be a pattern; verdicts must be equal and have none.
         built_in: The set in the package.
         made_here: Stands for the set in the package where there is none.
+        usual: Usual name of a folder that holds such a set, if not the name.
         holds: What a set is, where there is neither, for the message.
     """
 
@@ -137,6 +138,7 @@ class GoldenSet:
     quantities: Mapping[str, float] = field(default_factory=dict)
     built_in: Path | None = None
     made_here: Callable[[Comparison], None] | None = None
+    usual: str = ""
     holds: str = "golden numbers"
 
     def verify(self, golden: Path | None = None) -> list[Check]:
@@ -157,7 +159,7 @@ class GoldenSet:
         elif folder is None:
             raise InputError(f"verify {self.name} needs --golden, a directory of {self.holds}; none is built in")
         else:
-            golden_directory(folder, self.name, *self.files)
+            golden_directory(folder, self.usual or self.name, *self.files)
             with one_sentence(folder, self.name):
                 for compare in self.compare:
                     compare(comparison, GoldenFolder(folder))
