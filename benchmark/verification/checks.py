@@ -147,7 +147,7 @@ class Comparison:
         self._tolerances = tolerances or {}
         self._tallies: dict[str, _Tally] = {}
         self._sizes: dict[str, list[NDArray[Any]]] = {}
-        self._where = self._before = ""
+        self.where = self._before = ""
         self.remembers = False
         """Whether sizes of errors are kept, for `moved_by`."""
 
@@ -159,7 +159,7 @@ class Comparison:
             before: What the names of quantities begin with.
         """
         here = copy(self)
-        here._where, here._before = where, self._before + before
+        here.where, here._before = where, self._before + before
         return here
 
     def numbers(
@@ -201,7 +201,7 @@ class Comparison:
         error, tally = float(np.max(size, initial=0.0)), self._kept(quantity, size, tolerance)
         # Written so that NaN replaces every number and no number replaces NaN.
         if not (error <= tally.error or np.isnan(tally.error)):
-            tally.error, tally.worst_in = error, where or self._where
+            tally.error, tally.worst_in = error, where or self.where
 
     def same(self, quantity: str, ours: ArrayLike, golden: ArrayLike, of: Bools | None = None) -> None:
         """Compare what must be equal.
@@ -228,7 +228,7 @@ class Comparison:
         wrong = np.asarray(wrong, np.bool_)
         count, tally = int(np.count_nonzero(wrong)), self._kept(quantity, wrong, 0.0)
         tally.error += count
-        tally.worst_in = (where or self._where) if count else tally.worst_in
+        tally.worst_in = (where or self.where) if count else tally.worst_in
 
     def moved_by(self, other: "Comparison") -> dict[str, float]:
         """How far apart two comparisons of the same network are that differ by rounding alone.

@@ -17,7 +17,7 @@ from benchmark.untrusted.files import one_line
 from benchmark.untrusted.json_text import read_json
 from benchmark.verification.checks import Check, Comparison
 
-_DAMAGED: Final = (LookupError, ValueError, TypeError, AttributeError, ArithmeticError, RuntimeError)
+_DAMAGED: Final = (LookupError, ValueError, TypeError, AttributeError, ArithmeticError, RuntimeError, MemoryError)
 """What code meets that takes a damaged set, or one of another kind, for a whole one."""
 
 
@@ -107,6 +107,11 @@ class GoldenFolder:
             # NaN and infinity are all that Python reads and JSON has no words for.
             json.dumps(value, allow_nan=False)
         return value
+
+    def nearby(self, name: str, *, gaps: bool = False) -> Any:
+        """As `facts`, of a file in the folder or else in the one above."""
+        folder = self if self.has(name) else GoldenFolder(self.path.parent)
+        return folder.facts(name, gaps=gaps)
 
     def has(self, name: str) -> bool:
         """Whether there is such a file."""
