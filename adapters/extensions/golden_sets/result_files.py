@@ -87,9 +87,7 @@ def _samples(folder: GoldenFolder, stored: GoldenArrays) -> RecordedSamples:
     )
 
 
-def _truths(
-    folder: GoldenFolder, samples: RecordedSamples, index: NDArray[np.int64]
-) -> dict[str, list[SampleTruth]]:
+def _truths(folder: GoldenFolder, samples: RecordedSamples, index: NDArray[np.int64]) -> dict[str, list[SampleTruth]]:
     found = {}
     for scene in sorted(set(samples.scenes)):
         path = folder.path.resolve().parent / PROTOCOLS_SET / f"{scene}.npz"

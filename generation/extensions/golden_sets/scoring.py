@@ -101,11 +101,12 @@ def _compare_reading(
         tie[candidate, step] = touching_tie(box, frame.around.boxes[step][present], reading)
     compare_but_ties(comparison, f"collision, {reading}", differs, tie, excused)
     sure = ~tie.any(axis=1)
-    comparison.numbers(
-        f"collision term, {reading}", terms.cr[sure], stored.floats(f"paper_cr_{reading}", count)[sure]
-    )
+    comparison.numbers(f"collision term, {reading}", terms.cr[sure], stored.floats(f"paper_cr_{reading}", count)[sure])
     sure &= road_sure
-    wanted, drawn = stored.floats(f"paper_final_{reading}", count), stored.floats("paper_init_score_uniform_0_1e-3", count)
+    wanted, drawn = (
+        stored.floats(f"paper_final_{reading}", count),
+        stored.floats("paper_init_score_uniform_0_1e-3", count),
+    )
     for start, quantity in ((np.zeros(count), "final score"), (drawn, "final score with its random start")):
         ours = final_scores(terms, start, hyper)
         comparison.numbers(f"{quantity}, {reading}", ours[sure], (wanted + start)[sure])

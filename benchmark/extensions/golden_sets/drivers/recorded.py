@@ -84,9 +84,7 @@ def _compare_outcome(comparison: Comparison, ours: Outcome, golden: dict[str, An
     if contact is None or theirs is None:
         return
     comparison.verdicts("time of contact", differ(contact.time, theirs["time"]))
-    comparison.verdicts(
-        "who is hit, and how", [contact.agent != theirs["agent"], contact.kind.value != theirs["type"]]
-    )
+    comparison.verdicts("who is hit, and how", [contact.agent != theirs["agent"], contact.kind.value != theirs["type"]])
     speeds = ("ego_speed", "other_speed", "impact_speed")
     comparison.numbers(
         "speeds at contact (m/s)", [getattr(contact, name) for name in speeds], [theirs[name] for name in speeds]

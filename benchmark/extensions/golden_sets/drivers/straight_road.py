@@ -25,6 +25,7 @@ MODELS: Final = {
 }
 """Names of the official models."""
 
+
 def drivers_of(stored: GoldenArrays) -> tuple[Driver, ...]:
     """The drivers that the array ``models`` names."""
     return tuple(MODELS[name] for name in stored.texts("models"))
