@@ -63,7 +63,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "severity": "benchmark.extensions.golden_sets.severity:GOLDEN",
         "realism": "benchmark.extensions.golden_sets.realism:GOLDEN",
         "infos": "benchmark.extensions.infos.verification:verify_infos",
-        "neuroncap": "benchmark.extensions.neuroncap.verification:verify_neuroncap",
+        "neuroncap": "benchmark.extensions.neuroncap.verification:GOLDEN",
         "model": "adapters.extensions.golden_sets.models:verify_model",
     },
     "golden set of a renderer": {
