@@ -51,7 +51,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     "check": {"publishing": "leaderboard.extensions.publishing.checking:check_publishable"},
     # From the bytes of a member of a package of splits to the same bytes, or `InputError`.
     "package": {"rules": "benchmark.extensions.challenge.rules:checked_rules"},
-    # From a folder of golden numbers to checks.
+    # `GoldenSet`, but for ``model``: from a model and a folder of golden numbers to checks.
     "golden set": {
         "physics": "generation.extensions.golden_sets.physics:GOLDEN",
         "scoring": "generation.extensions.golden_sets.scoring:GOLDEN",

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from benchmark.geometry import Bools, Floats, wrap_angle
+from benchmark.geometry import Bools, wrap_angle
 from benchmark.report.table import table_of
 from benchmark.report.words import counted
 
@@ -189,7 +189,7 @@ class Comparison:
             difference = np.asarray(ours, np.float64) - np.asarray(golden, np.float64)
             self.errors(quantity, wrap_angle(difference) if angle else difference, tolerance, where=where)
 
-    def series(self, quantity: str, ours: Floats, golden: Floats) -> bool:
+    def series(self, quantity: str, ours: NDArray[Any], golden: NDArray[Any]) -> bool:
         """Compare numbers of which all are wrong where there are more or fewer; whether there are as many."""
         alike = ours.shape == golden.shape
         self.errors(quantity, ours - golden if alike else np.full(max(1, golden.size), np.inf))

@@ -230,15 +230,13 @@ def _compare(comparison: Comparison, golden: ParitySet, frame: int, name: str, q
         sampled = f"{name}{SAMPLED}" in stored.names
         kept = slice(None, None, layout.stride if sampled else 1)
         numbers = stored.floats(f"{name}{SAMPLED}", len(flat[kept])) if sampled else stored.floats(name, *layout.shape)
-    whole = None
+    whole = spread = None
     if f"{name}{STATISTICS}" in stored.names and not quantity.equal:
         statistics, all_of_it = stored.floats(f"{name}{STATISTICS}", 3), values.astype(np.float64)
         own = np.array([all_of_it.mean(), all_of_it.std(), np.abs(all_of_it).max(initial=0.0)]) - statistics
         few: Floats = own if quantity.tolerance.share < 1 else own[:0]
-        whole = Whole(own[:2] if len(few) else own, few, float(statistics[1]) or 1.0)
+        whole = Whole(own[:2] if len(few) else own, few, spread := float(statistics[1]) or 1.0)
     hanging = quantity.undecided
     if hanging is not None:
         hanging = np.repeat(hanging, values.size // len(hanging))[kept] if len(hanging) else np.zeros(0, np.bool_)
-    compare_tensor(
-        comparison, name, quantity, (flat[kept], numbers.reshape(-1)), whole, whole and whole.spread, hanging
-    )
+    compare_tensor(comparison, name, quantity, (flat[kept], numbers.reshape(-1)), whole, spread, hanging)

@@ -21,7 +21,6 @@ from adapters.networks.sparse.selection import (
     select_plan,
 )
 
-
 OTHER_ROWS: Final = "all rows, and the largest number, where most count above (of their spread)"
 OTHERS: Final = 0.05
 """For the rows that are left, of the spread."""

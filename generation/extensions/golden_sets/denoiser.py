@@ -2,7 +2,6 @@
 
 from typing import Final
 
-import numpy as np
 import torch
 
 from benchmark.verification.checks import Comparison

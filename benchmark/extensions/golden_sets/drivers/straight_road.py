@@ -77,8 +77,8 @@ def compare_straight(comparison: Comparison, folder: GoldenFolder) -> None:
         at = comparison.at("", f"straight, {driver}: ")
         for quantity, (ours, golden) in numbers.items():
             at.numbers(quantity, ours[:, row], golden[:, row])
-        for quantity, (ours, golden) in equal.items():
-            at.same(quantity, ours[:, row], golden[:, row])
+        for quantity, (found, wanted) in equal.items():
+            at.same(quantity, found[:, row], wanted[:, row])
     for quantity, scores in (("cfs", runs.critical), ("pfs", runs.proactive)):
         comparison.numbers(f"straight, fsm: {quantity}", scores, stored.floats(quantity, cases, steps - 1))
     if Driver.CC in drivers:

@@ -57,7 +57,7 @@ def _compare_plan(comparison: Comparison, group: str, plan: str, scenes: list[Ju
             # Nothing can be said of a plan without a complete sample, and then there is no rate.
             if protocol != "uniad" and not complete.any():
                 continue
-            ours = [found[column][horizon].value for horizon in HORIZONS]
+            ours = np.array([found[column][horizon].value for horizon in HORIZONS], np.float64)
             quantity = f"{protocol} rates, {group}: {column}" + (" (m)" if column == "l2" else "")
             comparison.numbers(quantity, ours, _averaged(protocol, golden, complete), where=f"plan {plan}")
 

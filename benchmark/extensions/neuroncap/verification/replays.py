@@ -133,7 +133,7 @@ class _Replay:
 
     def _compare_step(self, world: World, number: int, driven: int) -> None:
         if number >= len(self._post_times) or (world.last is not None and driven >= len(self._states)):
-            self._comparison.verdicts("steps", bool(True))
+            self._comparison.verdicts("steps", True)
             return
         state = world.state
         self._comparison.verdicts("times", bool(state.time_us != self._post_times[number]))
