@@ -190,7 +190,7 @@ def one_sentence(path: Path, kind: str) -> Iterator[None]:
     try:
         yield
     except _DAMAGED as error:
-        what = f"{type(error).__name__}: {one_line(error)}"
+        what = f"{type(error).__name__}: {one_line(' '.join(str(error).split()))}"
         raise InputError(f"{path} is no golden set of {kind}, or damaged ({what}): get it again") from error
 
 
