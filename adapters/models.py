@@ -229,7 +229,7 @@ _VAD: Final = Network(
     config="adapters.networks.vad.config:VADConfig.base",
     example="adapters.networks.vad.planner:example_frame",
     published_normalisation="bgr-mean",
-    verify="adapters.extensions.golden_sets.vad:verify_vad",
+    verify="adapters.extensions.golden_sets.vad:GOLDEN",
     as_published={"can-after": {}},
 )
 _SPARSE: Final = Network(
@@ -237,7 +237,7 @@ _SPARSE: Final = Network(
     config="adapters.networks.sparse.config:SparseConfig.sparsedrive",
     example="adapters.networks.sparse.planner:example_frame",
     published_normalisation="rgb-mean-std",
-    verify="adapters.extensions.golden_sets.sparse:verify_sparse",
+    verify="adapters.extensions.golden_sets.sparse:GOLDEN",
     clustered=True,
     as_published={"memory": {"memory_crosses_scenes": True}},
 )
@@ -253,7 +253,7 @@ _UNIAD: Final = Network(
     published_normalisation="bgr-mean",
     settings={"solver": "newton", "stores_anchors": True},
     fitted=True,
-    verify="adapters.extensions.golden_sets.uniad:verify_uniad",
+    verify="adapters.extensions.golden_sets.uniad:GOLDEN",
     renamed=((r"\.conv(\d)_offset\.", r".conv\1.conv_offset."),),
     # Left over from a rewrite of the official code, whose authors say that nothing reads them.
     ignored=(

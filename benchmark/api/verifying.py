@@ -36,7 +36,7 @@ def verify(what: str, golden: Path | None = None, model: str | None = None, *, n
     if what not in known:
         others = ", ".join(name for name in known if name != "model")
         raise InputError(f"cannot verify {what!r}; what has golden numbers is {others} and model")
-    checks: list[Check] = from_extension("golden set", what)(golden)
+    checks: list[Check] = from_extension("golden set", what).verify(golden)
     return checks
 
 

@@ -1,30 +1,36 @@
-"""Tracks of encounters in golden sets."""
+"""Encounters in golden sets: their tracks, and what hangs on the last bit."""
+
+import re
+from collections.abc import Mapping
+from typing import Any, Final
 
 import numpy as np
 
-from benchmark.errors import InputError
 from benchmark.interactions.tracks import STEP_S, Tracks
 from benchmark.verification.golden import GoldenArrays
 
+SAME_TIME_S: Final = 1e-9
 
-class TrackArrays(GoldenArrays):
-    """Arrays of one file with the tracks of encounters."""
 
-    def encounter(self, name: str, category: str) -> Tracks:
-        """The two tracks of an encounter, 10 Hz.
+def encounter(stored: GoldenArrays, facts: Mapping[str, Any]) -> Tracks:
+    """The two tracks of an encounter, 10 Hz, which facts name."""
+    name = facts["name"]
+    ego = stored.floats(f"{name}/ego", None, 5)
+    other, valid = stored.floats(f"{name}/other", len(ego), 5), stored.verdicts(f"{name}/valid", len(ego))
+    return Tracks(STEP_S * np.arange(len(ego)), ego, other[None], valid[None], (facts["category"],))
 
-        Args:
-            name: Of the encounter.
-            category: Of the other.
 
-        Returns:
-            The tracks.
+def fragile(facts: Mapping[str, Any], *names: str) -> bool:
+    """Whether a value is marked as one that changes when its inputs move a little, and so is to be left out.
 
-        Raises:
-            InputError: If they are not there.
-        """
-        ego = self.floats(f"{name}/ego", None, 5)
-        if len(ego) < 2:
-            raise InputError(f"{self.path}: {name} has fewer than two frames; get the set again")
-        other, valid = self.floats(f"{name}/other", len(ego), 5), self.verdicts(f"{name}/valid", len(ego))
-        return Tracks(STEP_S * np.arange(len(ego)), ego, other[None], valid[None], (category,))
+    Args:
+        facts: Of which ``fragile`` is true, or a list that has one of the names in it, alone or at the end of a path.
+        names: Of the value; none for all of the facts.
+    """
+    marked = facts.get("fragile", False)
+    return marked if isinstance(marked, bool) else any(re.split(r"[/.: ]", each)[-1] in names for each in marked)
+
+
+def differ(ours: float | None, golden: float | None) -> bool:
+    """Whether two times differ; absent ones are the same."""
+    return ours is not golden if ours is None or golden is None else abs(ours - golden) > SAME_TIME_S

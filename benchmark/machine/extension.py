@@ -51,19 +51,19 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     "check": {"publishing": "leaderboard.extensions.publishing.checking:check_publishable"},
     # From the bytes of a member of a package of splits to the same bytes, or `InputError`.
     "package": {"rules": "benchmark.extensions.challenge.rules:checked_rules"},
-    # From a folder of golden numbers to checks.
+    # `GoldenSet`, but for ``model``: from a model and a folder of golden numbers to checks.
     "golden set": {
-        "physics": "generation.extensions.golden_sets.physics:verify_physics",
-        "scoring": "generation.extensions.golden_sets.scoring:verify_scoring",
-        "denoiser": "generation.extensions.golden_sets.denoiser:verify_denoiser",
-        "protocols": "benchmark.extensions.golden_sets.protocols:verify_protocols",
-        "pdm": "benchmark.extensions.golden_sets.pdm:verify_pdm",
-        "results": "adapters.extensions.golden_sets.result_files:verify_results",
-        "drivers": "benchmark.extensions.golden_sets.drivers:verify_drivers",
-        "severity": "benchmark.extensions.golden_sets.severity:verify_severity",
-        "realism": "benchmark.extensions.golden_sets.realism:verify_realism",
-        "infos": "benchmark.extensions.infos.verification:verify_infos",
-        "neuroncap": "benchmark.extensions.neuroncap.verification:verify_neuroncap",
+        "physics": "generation.extensions.golden_sets.physics:GOLDEN",
+        "scoring": "generation.extensions.golden_sets.scoring:GOLDEN",
+        "denoiser": "generation.extensions.golden_sets.denoiser:GOLDEN",
+        "protocols": "benchmark.extensions.golden_sets.protocols:GOLDEN",
+        "pdm": "benchmark.extensions.golden_sets.pdm:GOLDEN",
+        "results": "adapters.extensions.golden_sets.result_files:GOLDEN",
+        "drivers": "benchmark.extensions.golden_sets.drivers:GOLDEN",
+        "severity": "benchmark.extensions.golden_sets.severity:GOLDEN",
+        "realism": "benchmark.extensions.golden_sets.realism:GOLDEN",
+        "infos": "benchmark.extensions.infos.verification:GOLDEN",
+        "neuroncap": "benchmark.extensions.neuroncap.verification:GOLDEN",
         "model": "adapters.extensions.golden_sets.models:verify_model",
     },
     "golden set of a renderer": {

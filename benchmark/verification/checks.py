@@ -1,11 +1,13 @@
 """What `challenger-bench verify` compares and prints: one line per quantity, the largest error and what is allowed."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from benchmark.geometry import Bools, wrap_angle
 from benchmark.report.table import table_of
@@ -135,20 +137,37 @@ class _Tally:
 
 
 class Comparison:
-    """Gathers the errors of quantities over files and batches into one `Check` each, in order of first mention."""
+    """Gathers the errors of quantities over files and batches into one `Check` each, in order of first mention.
 
-    def __init__(self) -> None:
+    Args:
+        tolerances: Largest error by quantity; a name may be a pattern, of which the first that fits counts.
+    """
+
+    def __init__(self, tolerances: Mapping[str, float] | None = None) -> None:
+        self._tolerances = tolerances or {}
         self._tallies: dict[str, _Tally] = {}
         self._sizes: dict[str, list[NDArray[Any]]] = {}
+        self.where = self._before = ""
         self.remembers = False
         """Whether sizes of errors are kept, for `moved_by`."""
+
+    def at(self, where: str, before: str = "") -> "Comparison":
+        """This comparison, for one file or batch.
+
+        Args:
+            where: Its name, told in the note of a quantity that has its largest error there.
+            before: What the names of quantities begin with.
+        """
+        here = copy(self)
+        here.where, here._before = where, self._before + before
+        return here
 
     def numbers(
         self,
         quantity: str,
-        ours: NDArray[Any],
-        golden: NDArray[Any],
-        tolerance: float,
+        ours: ArrayLike,
+        golden: ArrayLike,
+        tolerance: float | None = None,
         *,
         angle: bool = False,
         where: str = "",
@@ -159,38 +178,57 @@ class Comparison:
             quantity: Name, with unit.
             ours: Any shape.
             golden: The same shape.
-            tolerance: Largest difference that is allowed, the same in every call for the quantity.
+            tolerance: Largest difference that is allowed, where the table does not have the quantity.
             angle: Whether they are radians and a full turn makes no difference.
-            where: File or batch, named in the note if it has the largest error.
+            where: As of `at`.
         """
         if np.shape(ours) != np.shape(golden):
             raise ValueError(f"{quantity}: shapes {np.shape(ours)} and {np.shape(golden)}")
         # Equal infinities would give NaN, and different ones are meant to.
         with np.errstate(invalid="ignore"):
             difference = np.asarray(ours, np.float64) - np.asarray(golden, np.float64)
-            size = np.abs(wrap_angle(difference) if angle else difference)
-        self._keep(quantity, size)
-        self._worst(quantity, float(size.max(initial=0.0)), size.size, tolerance, where)
+            self.errors(quantity, wrap_angle(difference) if angle else difference, tolerance, where=where)
 
-    def errors(self, quantity: str, sizes: NDArray[Any], tolerance: float, *, where: str = "") -> None:
+    def series(self, quantity: str, ours: NDArray[Any], golden: NDArray[Any]) -> bool:
+        """Compare numbers of which all are wrong where there are more or fewer; whether there are as many."""
+        alike = ours.shape == golden.shape
+        self.errors(quantity, ours - golden if alike else np.full(max(1, golden.size), np.inf))
+        return alike
+
+    def errors(self, quantity: str, sizes: ArrayLike, tolerance: float | None = None, *, where: str = "") -> None:
         """Take the sizes of errors that were computed elsewhere; arguments as in `numbers`."""
-        self._keep(quantity, np.abs(sizes))
-        self._worst(quantity, float(np.max(np.abs(sizes), initial=0.0)), np.size(sizes), tolerance, where)
+        size = np.abs(np.asarray(sizes))
+        error, tally = float(np.max(size, initial=0.0)), self._kept(quantity, size, tolerance)
+        # Written so that NaN replaces every number and no number replaces NaN.
+        if not (error <= tally.error or np.isnan(tally.error)):
+            tally.error, tally.worst_in = error, where or self.where
 
-    def verdicts(self, quantity: str, wrong: Bools, *, where: str = "") -> None:
+    def same(self, quantity: str, ours: ArrayLike, golden: ArrayLike, of: Bools | None = None) -> None:
+        """Compare what must be equal.
+
+        Args:
+            quantity: Name.
+            ours: Any shape.
+            golden: The same shape.
+            of: Which are compared, along the first axes.
+        """
+        if np.shape(ours) != np.shape(golden):
+            raise ValueError(f"{quantity}: shapes {np.shape(ours)} and {np.shape(golden)}")
+        wrong = np.asarray(np.asarray(ours) != np.asarray(golden))
+        self.verdicts(quantity, wrong if of is None else wrong[of])
+
+    def verdicts(self, quantity: str, wrong: Bools | bool | list[bool], *, where: str = "") -> None:
         """Count wrong verdicts; none is allowed.
 
         Args:
             quantity: Name.
             wrong: Any shape, one for each verdict compared.
-            where: File or batch, named in the note if it is the last one with wrong verdicts.
+            where: As of `at`; told if it is the last one with wrong verdicts.
         """
-        self._keep(quantity, np.asarray(wrong, np.bool_))
-        tally = self._tallies.setdefault(quantity, _Tally(0.0))
-        count = int(np.count_nonzero(wrong))
+        wrong = np.asarray(wrong, np.bool_)
+        count, tally = int(np.count_nonzero(wrong)), self._kept(quantity, wrong, 0.0)
         tally.error += count
-        tally.count += int(np.size(wrong))
-        tally.worst_in = where if count else tally.worst_in
+        tally.worst_in = (where or self.where) if count else tally.worst_in
 
     def moved_by(self, other: "Comparison") -> dict[str, float]:
         """How far apart two comparisons of the same network are that differ by rounding alone.
@@ -212,13 +250,9 @@ class Comparison:
             moved[quantity] = _apart(sizes, others) if alike else float("inf")
         return moved
 
-    def _keep(self, quantity: str, sizes: NDArray[Any]) -> None:
-        if self.remembers:
-            self._sizes.setdefault(quantity, []).append(np.array(sizes))
-
     def note(self, quantity: str, text: str) -> None:
         """Add to the note of a quantity that has been compared."""
-        self._tallies[quantity].notes.append(text)
+        self._tallies[self._before + quantity].notes.append(text)
 
     def checks(self) -> list[Check]:
         """One for each quantity; where a failed one is largest is the first thing in its note."""
@@ -226,12 +260,21 @@ class Comparison:
         for quantity, tally in self._tallies.items():
             check = Check(quantity, tally.error, tally.tolerance, tally.count)
             place = [f"worst in {tally.worst_in}"] if tally.worst_in and not check.ok else []
-            found.append(Check(quantity, tally.error, tally.tolerance, tally.count, "; ".join([*place, *tally.notes])))
+            found.append(replace(check, note="; ".join([*place, *tally.notes])))
         return found
 
-    def _worst(self, quantity: str, error: float, count: int, tolerance: float, where: str) -> None:
-        tally = self._tallies.setdefault(quantity, _Tally(tolerance))
-        # Written so that NaN replaces every number and no number replaces NaN.
-        if not (error <= tally.error or np.isnan(tally.error)):
-            tally.error, tally.worst_in = error, where
-        tally.count += count
+    def _kept(self, quantity: str, sizes: NDArray[Any], tolerance: float | None) -> _Tally:
+        """What is known about a quantity, of which some more is compared now."""
+        quantity = self._before + quantity
+        if self.remembers:
+            self._sizes.setdefault(quantity, []).append(np.array(sizes))
+        if quantity not in self._tallies:
+            self._tallies[quantity] = _Tally(self._allowed(quantity) if tolerance is None else tolerance)
+        self._tallies[quantity].count += sizes.size
+        return self._tallies[quantity]
+
+    def _allowed(self, quantity: str) -> float:
+        fits = (limit for name, limit in self._tolerances.items() if fnmatchcase(quantity, name))
+        limit = next(fits, None)
+        assert limit is not None, f"the table of quantities has no {quantity}"
+        return limit

@@ -1,7 +1,11 @@
-"""Reading golden sets: directories of numbers that a stranger made, so everything about them is checked."""
+"""Golden sets: the one form in which a family of golden numbers is declared, and the one reader of their files."""
 
+import json
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +15,183 @@ from benchmark.geometry import Bools, Floats
 from benchmark.untrusted.arrays import read_npz
 from benchmark.untrusted.files import one_line
 from benchmark.untrusted.json_text import read_json
+from benchmark.verification.checks import Check, Comparison
+
+_DAMAGED: Final = (LookupError, ValueError, TypeError, AttributeError, ArithmeticError, RuntimeError, MemoryError)
+"""What code meets that takes a damaged set, or one of another kind, for a whole one."""
+
+
+class GoldenArrays:
+    """The arrays of one npz file, each of the kind and the shape that is asked for, or an `InputError`.
+
+    Attributes:
+        path: The file.
+        names: All arrays in it.
+    """
+
+    def __init__(self, path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+        self.path, self._arrays = path, arrays
+        self.names = frozenset(arrays)
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a file; an `InputError` if it is absent, truncated, no npz file, or holds pickled objects."""
+        try:
+            arrays = read_npz(path)
+        except (OSError, ValueError) as error:
+            raise damaged(path, f"{one_line(error)}; a whole npz file without pickled objects is wanted") from error
+        if not arrays:
+            raise damaged(path, "it holds no arrays")
+        return cls(path, arrays)
+
+    def floats(self, name: str, *shape: int | None, gaps: bool = False) -> Floats:
+        """Numbers in double precision, of which verdicts are 0 and 1.
+
+        Args:
+            name: Of the array.
+            shape: Length of each axis, ``None`` for any.
+            gaps: Whether NaN and infinity may be among them.
+        """
+        array = np.asarray(self._taken(name, "fiub", shape), np.float64)
+        if not gaps and not np.isfinite(array).all():
+            raise damaged(self.path, f"array {name} has NaN or infinity in it")
+        return array
+
+    def integers(self, name: str, *shape: int | None) -> NDArray[np.int64]:
+        """Whole numbers."""
+        return np.asarray(self._taken(name, "iu", shape), np.int64)
+
+    def verdicts(self, name: str, *shape: int | None) -> Bools:
+        """Booleans."""
+        return np.asarray(self._taken(name, "b", shape), np.bool_)
+
+    def texts(self, name: str, length: int | None = None) -> list[str]:
+        """Names."""
+        return [str(text) for text in self._taken(name, "U", (length,))]
+
+    def columns(self, name: str, *wanted: str) -> list[int]:
+        """Where named columns are in an array of names."""
+        labels = self.texts(name)
+        return [labels.index(label) for label in wanted]
+
+    def _taken(self, name: str, kinds: str, shape: tuple[int | None, ...]) -> NDArray[Any]:
+        array = self._arrays.get(name)
+        if array is None:
+            raise damaged(self.path, f"no array {name}")
+        fits = array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape))
+        if array.dtype.kind not in kinds or not fits:
+            raise damaged(self.path, f"array {name} of {array.dtype} has the shape {array.shape}")
+        return array
+
+
+@dataclass(frozen=True, slots=True)
+class GoldenFolder:
+    """The files of a set.
+
+    Attributes:
+        path: The folder.
+    """
+
+    path: Path
+
+    def arrays(self, name: str) -> GoldenArrays:
+        """The arrays of a file."""
+        return GoldenArrays.read(self.path / name)
+
+    def facts(self, name: str, *, gaps: bool = False) -> Any:
+        """What a JSON file says; ``gaps`` as of `GoldenArrays.floats`."""
+        value = read_json(self.path / name)
+        if not value:
+            raise damaged(self.path / name, "it says nothing")
+        if not gaps:
+            # NaN and infinity are all that Python reads and JSON has no words for.
+            json.dumps(value, allow_nan=False)
+        return value
+
+    def nearby(self, name: str, *, gaps: bool = False) -> Any:
+        """As `facts`, of a file in the folder or else in the one above."""
+        folder = self if self.has(name) else GoldenFolder(self.path.parent)
+        return folder.facts(name, gaps=gaps)
+
+    def has(self, name: str) -> bool:
+        """Whether there is such a file."""
+        return (self.path / name).is_file()
+
+    def named(self, pattern: str) -> list[Path]:
+        """Files of a pattern, in order of their names."""
+        return sorted(self.path.glob(pattern))
+
+
+@dataclass(frozen=True, slots=True)
+class GoldenSet:
+    """One family of golden numbers, as `challenger-bench verify` runs it.
+
+    Attributes:
+        name: What it is about, as `verify` is told.
+        files: What a set holds; a name may be a pattern.
+        compare: Each reads of the folder, works our values out, and compares them; in this order.
+        quantities: Largest error by quantity, whose name may be a pattern; verdicts must be equal and have none.
+        built_in: The set in the package.
+        made_here: Stands for the set in the package where there is none.
+        usual: Usual name of a folder that holds such a set, if not the name.
+        holds: What a set is, where there is neither, for the message.
+    """
+
+    name: str
+    files: tuple[str, ...]
+    compare: tuple[Callable[[Comparison, GoldenFolder], None], ...]
+    quantities: Mapping[str, float] = field(default_factory=dict)
+    built_in: Path | None = None
+    made_here: Callable[[Comparison], None] | None = None
+    usual: str = ""
+    holds: str = "golden numbers"
+
+    def verify(self, golden: Path | None = None) -> list[Check]:
+        """Compare our values with a set.
+
+        Args:
+            golden: Its folder; the set in the package by default.
+
+        Returns:
+            One check for each quantity, over all files.
+
+        Raises:
+            InputError: If the folder holds no such set, or a damaged one.
+        """
+        comparison, folder = Comparison(self.quantities), golden or self.built_in
+        if folder is None and self.made_here is not None:
+            self.made_here(comparison)
+        elif folder is None:
+            raise InputError(f"verify {self.name} needs --golden, a directory of {self.holds}; none is built in")
+        else:
+            golden_directory(folder, self.usual or self.name, *self.files)
+            with one_sentence(folder, self.name):
+                for compare in self.compare:
+                    compare(comparison, GoldenFolder(folder))
+        return comparison.checks()
+
+
+def damaged(path: Path, what: str) -> InputError:
+    """The one sentence on a file or folder that is not what it should be."""
+    return InputError(f"{path} is no golden set of this kind, or damaged ({what}): get it again")
+
+
+@contextmanager
+def one_sentence(path: Path, kind: str) -> Iterator[None]:
+    """Whatever fails within the context because a set is damaged, or of another kind, ends as one sentence.
+
+    Args:
+        path: Of the set.
+        kind: What the set should be about.
+
+    Yields:
+        Nothing.
+    """
+    try:
+        yield
+    except _DAMAGED as error:
+        what = f"{type(error).__name__}: {one_line(' '.join(str(error).split()))}"
+        raise InputError(f"{path} is no golden set of {kind}, or damaged ({what}): get it again") from error
 
 
 def golden_directory(golden: Path, kind: str, *names: str) -> Path:
@@ -35,134 +216,3 @@ def golden_directory(golden: Path, kind: str, *names: str) -> Path:
             advice = f"did you mean {golden / kind}?" if below else f"a set of this kind holds {', '.join(names)}"
             raise InputError(f"the golden set {golden} has no {name}; {advice}")
     return golden
-
-
-def readable_set(golden: Path, kind: str, *names: str) -> Path:
-    """A directory of npz and JSON files that can all be read, so that nothing is computed for a damaged set.
-
-    Args:
-        golden: The directory.
-        kind: As in `golden_directory`.
-        names: Files that must be in it; a name may be a pattern.
-
-    Returns:
-        The directory.
-
-    Raises:
-        InputError: If it is absent, lacks a file, or a file cannot be read.
-    """
-    golden_directory(golden, kind, *names)
-    for path in sorted({path for name in names for path in golden.glob(name)}):
-        if path.suffix == ".json":
-            read_json(path)
-        else:
-            GoldenArrays.read(path)
-    return golden
-
-
-class GoldenArrays:
-    """The arrays of one npz file, each checked when it is taken.
-
-    Attributes:
-        path: The file.
-        names: All arrays in it.
-    """
-
-    def __init__(self, path: Path, arrays: dict[str, NDArray[Any]]) -> None:
-        self.path, self._arrays = path, arrays
-        self.names = frozenset(arrays)
-
-    @classmethod
-    def read(cls, path: Path) -> Self:
-        """Read a file.
-
-        Args:
-            path: An npz file.
-
-        Returns:
-            Its arrays.
-
-        Raises:
-            InputError: If it is absent, truncated, not an npz file, or holds pickled objects.
-        """
-        try:
-            arrays = read_npz(path)
-        except (OSError, ValueError) as error:
-            if _is_single_array(path):
-                raise InputError(f"{path} holds a single array and is not an npz file; numpy.savez makes one") from None
-            raise InputError(
-                f"cannot read golden numbers from {path} ({one_line(error)}); it must be a whole npz file without "
-                "pickled objects, fetch or make it again"
-            ) from error
-        return cls(path, arrays)
-
-    def floats(self, name: str, *shape: int | None) -> Floats:
-        """An array of finite numbers in double precision.
-
-        Args:
-            name: Its name.
-            shape: Length of each axis, ``None`` for any.
-
-        Returns:
-            The array.
-
-        Raises:
-            InputError: If it is absent, not numeric, of another shape, or has NaN or infinity in it.
-        """
-        array = self._taken(name, "fiu", "numbers", shape)
-        if not np.isfinite(array).all():
-            raise InputError(f"array {name} in {self.path} has NaN or infinity in it; fetch or make the file again")
-        return np.asarray(array, np.float64)
-
-    def integers(self, name: str, *shape: int | None) -> NDArray[np.int64]:
-        """An array of whole numbers; arguments and errors as in `floats`."""
-        return np.asarray(self._taken(name, "iu", "whole numbers", shape), np.int64)
-
-    def verdicts(self, name: str, *shape: int | None) -> Bools:
-        """An array of booleans; arguments and errors as in `floats`."""
-        return np.asarray(self._taken(name, "b", "booleans", shape), np.bool_)
-
-    def texts(self, name: str, length: int | None = None) -> list[str]:
-        """Names; arguments and errors as in `floats`."""
-        return [str(text) for text in self._taken(name, "U", "names", (length,))]
-
-    def columns(self, name: str, *wanted: str) -> list[int]:
-        """Where named columns are.
-
-        Args:
-            name: Array of column names.
-            wanted: Names that must be in it.
-
-        Returns:
-            Their indices.
-
-        Raises:
-            InputError: If the array or a column is absent.
-        """
-        labels = self._taken(name, "U", "names", (None,)).tolist()
-        for label in wanted:
-            if label not in labels:
-                raise InputError(f"array {name} in {self.path} names no column {label}; make the file again with it")
-        return [labels.index(label) for label in wanted]
-
-    def _taken(self, name: str, kinds: str, meaning: str, shape: tuple[int | None, ...]) -> NDArray[Any]:
-        if name not in self._arrays:
-            raise InputError(f"{self.path} has no array {name}; it is not a golden file of this kind, or not all of it")
-        array = self._arrays[name]
-        if array.dtype.kind not in kinds:
-            raise InputError(f"array {name} in {self.path} holds {array.dtype}, not {meaning}; make the file again")
-        fits = array.ndim == len(shape) and all(
-            want in (None, have) for want, have in zip(shape, array.shape, strict=True)
-        )
-        if not fits:
-            wanted = " x ".join("any" if length is None else str(length) for length in shape) or "one number"
-            raise InputError(f"array {name} in {self.path} has shape {array.shape}, not {wanted}; make the file again")
-        return array
-
-
-def _is_single_array(path: Path) -> bool:
-    try:
-        with path.open("rb") as stream:
-            return stream.read(6) == b"\x93NUMPY"
-    except OSError:
-        return False

@@ -8,19 +8,13 @@ import hashlib
 import math
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from benchmark.errors import InputError
-from benchmark.machine.storage import read_json
-from benchmark.records.store import validated
-
 _Value = TypeVar("_Value")
-_Recipe = TypeVar("_Recipe", bound="WeightsRecipe")
 
 
 def _expression(text: str) -> str:
@@ -82,52 +76,17 @@ class WeightsRecipe(BaseModel):
         return state
 
 
-def read_recipe(path: Path, kind: type[_Recipe], lacks: str = "does not say how weights are made") -> _Recipe:
-    """The recipe in a golden set.
-
-    Args:
-        path: Its ``manifest.json``.
-        kind: `WeightsRecipe`, or what tells more of a set.
-        lacks: What a manifest of another kind does not do, for the message.
-
-    Returns:
-        The recipe.
-
-    Raises:
-        InputError: If the file is absent, broken or no such manifest.
-    """
-    return validated(
-        kind.model_validate,
-        read_json(path),
-        lambda where, why: f"{path} {lacks}: {where or 'the whole file'}: {why}",
-    )
-
-
-def read_shapes(path: Path) -> dict[str, tuple[int, ...]]:
+def read_shapes(stored: Any) -> dict[str, tuple[int, ...]]:
     """Names and shapes of a network's tensors.
 
     Args:
-        path: A ``keys.json``: ``{name: {"shape": [...]}}``, or ``[[name, shape, type], ...]``.
+        stored: What a ``keys.json`` says: ``{name: {"shape": [...]}}``, or ``[[name, shape, type], ...]``.
 
     Returns:
         Shapes by name, in the order of the file.
-
-    Raises:
-        InputError: If it is absent, broken, or neither of the two.
     """
-    stored = read_json(path)
-    try:
-        pairs = (
-            [(name, entry["shape"]) for name, entry in stored.items()]
-            if isinstance(stored, dict)
-            else [(entry[0], entry[1]) for entry in stored]
-        )
-        return {str(name): tuple(int(length) for length in shape) for name, shape in pairs}
-    except (TypeError, KeyError, IndexError, ValueError) as error:
-        raise InputError(
-            f"{path} does not list names and shapes of tensors; it must hold {{name: {{shape: [...]}}}} or "
-            "[[name, shape, type], ...]"
-        ) from error
+    pairs = [(name, entry["shape"]) for name, entry in stored.items()] if isinstance(stored, dict) else stored
+    return {str(name): tuple(int(length) for length in shape) for name, shape, *_ in pairs}
 
 
 def seeded_normal(name: str, shape: Sequence[int], salt: str) -> NDArray[np.float64]:

@@ -1,38 +1,99 @@
-"""A golden set of a camera network: how its inputs are made, and what the official code made of them."""
+"""Golden sets of camera networks: how their inputs are made, and what the official code made of them."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, TypeVar
+from typing import Annotated, Any, Final, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
-from torch import Tensor
+from torch import Tensor, nn
 
 from adapters.extensions.golden_sets.own_rounding import Run
+from adapters.extensions.golden_sets.tensors import Quantity, Whole, compare_tensor, same_lengths
 from adapters.models import Model, resolve
-from benchmark.errors import InputError
+from benchmark.geometry import Floats
 from benchmark.machine.devices import single_precision
-from benchmark.machine.storage import read_json
-from benchmark.records.store import validated
 from benchmark.verification.checks import Check, Comparison
 from benchmark.verification.filled_networks import fill, same_names_and_shapes
-from benchmark.verification.golden import GoldenArrays, golden_directory
+from benchmark.verification.golden import GoldenArrays, GoldenFolder, golden_directory, one_sentence
 from benchmark.verification.synthetic_weights import WeightsRecipe, read_shapes, seeded_normal
 
 COARSE = 32
 """Pixels along a side of the squares that synthetic images have in common with the published code."""
-LARGEST_IMAGES = 2**27
-"""Numbers in the images of one frame; more than that is a damaged manifest."""
+FILES: Final = ("manifest.json", "inputs.npz", "outputs_frame0.npz")
+SAMPLED: Final = "__sub"
+STATISTICS: Final = "__stats"
+Length = Annotated[int, Field(gt=0, le=4096)]
 
-FRAMES: Final = 1000
-"""More of them are a damaged set."""
 
-T = TypeVar("T")
-Length = Annotated[int, Field(gt=0)]
+class NetworkNumbers(Protocol):
+    """What golden sets of networks have in common."""
+
+    @property
+    def recipe(self) -> WeightsRecipe:
+        """How weights are made."""
+
+    @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of the network's tensors by name."""
+
+
+S = TypeVar("S", bound=NetworkNumbers)
+
+
+@dataclass(frozen=True, slots=True)
+class GoldenNetwork(Generic[S]):
+    """One family of networks and the form of its golden sets, as `challenger-bench verify model` runs it.
+
+    Attributes:
+        read: Reads a set of a model.
+        build: Makes the network that a set is about.
+        compare: Compares a network, already filled, with a set.
+    """
+
+    read: Callable[[GoldenFolder, Model], S]
+    build: Callable[[Model, S], nn.Module]
+    compare: Callable[[Comparison, Any, S], None]
+
+    def verify(self, model: Model, golden: Path, device: str = "cpu", run: Run | None = None) -> list[Check]:
+        """Fill a network for each golden set and compare it.
+
+        Args:
+            model: Whose network.
+            golden: A set's folder, or a model's folder whose sets are all compared.
+            device: What the network runs on.
+            run: How it is run; plainly by default.
+
+        Returns:
+            One check for each quantity; the first alone if names or shapes differ, since weights cannot be filled then.
+
+        Raises:
+            InputError: If a folder holds no such set, or a damaged one.
+        """
+        run = run or Run()
+        comparison = run.comparison
+        for folder in _set_folders(golden):
+            golden_directory(folder, "dev", *FILES)
+            with one_sentence(folder, model.name):
+                found = self.read(GoldenFolder(folder), model)
+                network = self.build(model, found).to(device)
+                if not same_names_and_shapes(comparison, network, found.shapes):
+                    break
+                fill(comparison, network, found.recipe, found.shapes, getattr(found.recipe, "weights_sha256", None))
+                with single_precision(), torch.inference_mode(), run.varied(network):
+                    self.compare(comparison, network, found)
+        return comparison.checks()
+
+
+def _set_folders(golden: Path) -> list[Path]:
+    """A set's folder, or those in a model's folder that hold a set."""
+    if (golden / FILES[0]).exists() or not golden.is_dir():
+        return [golden]
+    return sorted(path.parent for path in golden.glob(f"*/{FILES[0]}")) or [golden]
 
 
 class ImageRecipe(BaseModel):
@@ -56,17 +117,17 @@ class StoredTensor(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
-    shape: list[Length]
-    stride: Length = 1
+    shape: list[Annotated[int, Field(gt=0)]]
+    stride: Annotated[int, Field(gt=0)] = 1
 
 
 class ParityManifest(WeightsRecipe):
-    """The manifest of such a set."""
+    """The manifest of such a set; quantities may have shapes of their own in every frame."""
 
     weights_sha256: str | None = None
     image: ImageRecipe
     scene_tokens: list[str]
-    tensors: dict[str, StoredTensor] = Field(default_factory=dict)
+    tensors: dict[str, StoredTensor | dict[str, StoredTensor]] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,192 +136,107 @@ class ParitySet:
 
     Attributes:
         folder: Where it is.
-        manifest: How weights and images are made, and what is stored.
+        recipe: How weights and images are made, and what is stored.
         shapes: Shapes of the network's tensors by name.
         inputs: Calibration, motion and commands.
         outputs: For each frame, what the official code computed.
     """
 
     folder: Path
-    manifest: ParityManifest
+    recipe: ParityManifest
     shapes: dict[str, tuple[int, ...]]
     inputs: GoldenArrays
     outputs: list[GoldenArrays]
 
     @classmethod
-    def read(cls, folder: Path) -> "ParitySet":
-        """Read a set.
-
-        Args:
-            folder: With ``manifest.json``, ``inputs.npz`` and ``outputs_frame0.npz`` and so on; ``keys.json`` is in it
-                or in the folder above.
-
-        Returns:
-            The set.
-
-        Raises:
-            InputError: If anything in it is absent or damaged.
-        """
-        return read_sets(folder, lambda raw, _: [ParityManifest.model_validate(raw)])[0]
+    def read(cls, folder: GoldenFolder, _model: Model | None = None) -> Self:
+        """Read a set: ``keys.json`` is in its folder or the one above, ``outputs_frame0.npz`` and so on in its own."""
+        outputs = [folder.arrays(f"outputs_frame{at}.npz") for at in range(len(folder.named("outputs_frame*.npz")))]
+        recipe = ParityManifest.model_validate(folder.facts("manifest.json", gaps=True))
+        return cls(folder.path, recipe, read_shapes(folder.nearby("keys.json")), folder.arrays("inputs.npz"), outputs)
 
     def camera_images(self, frame: int, cameras: int) -> Tensor:
-        """As `images`, for a network.
-
-        Args:
-            frame: From 0.
-            cameras: That the network has.
-
-        Returns:
-            (cameras, 3, H, W) float32.
-
-        Raises:
-            InputError: As `images`, and if the set's images are those of another network.
-        """
+        """As `images`, for a network that has so many cameras."""
         images = self.images(frame)
         if images.shape[:2] != (cameras, 3):
-            raise InputError(
-                f"{self.folder / 'manifest.json'} asks for images of shape {tuple(images.shape)}, and the network "
-                f"takes {cameras} cameras with 3 channels; pass the set of this model"
-            )
+            raise ValueError(f"its images are of shape {tuple(images.shape)}, the network has {cameras} cameras")
         return images
 
     def images(self, frame: int) -> Tensor:
-        """Synthetic images: noise per pixel on twice the noise of large squares.
-
-        Args:
-            frame: From 0.
-
-        Returns:
-            (cameras, 3, H, W) float32.
-
-        Raises:
-            InputError: If the set's images are not those of its own checksums, or have an impossible shape.
-        """
-        recipe, path = self.manifest.image, self.folder / "manifest.json"
-        cameras, channels, rows, columns = recipe.shape
-        if rows % COARSE or columns % COARSE or np.prod(recipe.shape, dtype=float) > LARGEST_IMAGES:
-            raise InputError(
-                f"{path} asks for images of shape {recipe.shape}; make the set with rows and columns "
-                f"that are multiples of {COARSE}"
-            )
-        salt, coarse = self.manifest.salt, (cameras, channels, rows // COARSE, columns // COARSE)
+        """(cameras, 3, H, W) synthetic images of a frame: noise per pixel on twice the noise of large squares."""
+        image, salt = self.recipe.image, self.recipe.salt
+        cameras, channels, rows, columns = image.shape
+        coarse = (cameras, channels, rows // COARSE, columns // COARSE)
         squares = np.kron(seeded_normal(f"input:image_coarse:frame{frame}", coarse, salt), np.ones((COARSE, COARSE)))
-        images = seeded_normal(f"input:image:frame{frame}", recipe.shape, salt) + 2 * squares
-        images[:, :, recipe.valid_rows :] = 0
-        single = images.astype(np.float32)
-        return recorded_images(single, recipe.sha256[frame] if len(recipe.sha256) > frame else None, frame, path)
+        images = seeded_normal(f"input:image:frame{frame}", image.shape, salt) + 2 * squares
+        images[:, :, image.valid_rows :] = 0
+        return recorded_images(images.astype(np.float32), image.sha256[frame] if image.sha256 else None, frame)
 
-    def stored(self, quantity: str) -> StoredTensor:
-        """How a quantity is stored.
-
-        Raises:
-            InputError: If the manifest does not say.
-        """
-        if quantity not in self.manifest.tensors:
-            raise InputError(
-                f"{self.folder / 'manifest.json'} does not say how {quantity} is stored; fetch or make the set again"
-            )
-        return self.manifest.tensors[quantity]
+    def stored(self, quantity: str, frame: int) -> StoredTensor:
+        """How a quantity is stored."""
+        layout = self.recipe.tensors[quantity]
+        return layout if isinstance(layout, StoredTensor) else layout[f"frame{frame}"]
 
 
-def read_sets(folder: Path, manifests: Callable[[Any, int], Sequence[ParityManifest]]) -> list[ParitySet]:
-    """A golden set, seen with each of several manifests; outputs are those of all frames in each case.
-
-    Args:
-        folder: As for `ParitySet.read`.
-        manifests: Makes them of the raw manifest and the number of frames.
-
-    Returns:
-        A set for each manifest.
-
-    Raises:
-        InputError: If anything in it is absent or damaged.
-    """
-    golden_directory(folder, "dev", "manifest.json", "inputs.npz", "outputs_frame0.npz")
-    keys, path = keys_file(folder, "beside"), folder / "manifest.json"
-    count = next(n for n in range(1, FRAMES + 1) if n == FRAMES or not (folder / f"outputs_frame{n}.npz").is_file())
-    found = described(path, lambda raw: manifests(raw, count))
-    if len(found[0].scene_tokens) < count:
-        raise InputError(
-            f"{path} names the scenes of {len(found[0].scene_tokens)} frames and there are outputs of {count}; "
-            "fetch or make the set again"
-        )
-    outputs = [GoldenArrays.read(folder / f"outputs_frame{frame}.npz") for frame in range(count)]
-    inputs, shapes = GoldenArrays.read(folder / "inputs.npz"), read_shapes(keys)
-    return [ParitySet(folder, manifest, shapes, inputs, outputs) for manifest in found]
+def built(model: Model, golden: ParitySet) -> nn.Module:
+    """The network that a set is about, whose official files may differ in shapes."""
+    network: nn.Module = resolve(model.net.build)(model.configuration(golden.shapes))
+    return network
 
 
-def described(path: Path, parse: Callable[[Any], T]) -> T:
-    """What a JSON file of a golden set says; an `InputError` where it is not of the form that `parse` wants."""
-    return validated(
-        parse,
-        read_json(path),
-        lambda where, why: f"{path} does not describe a golden set: {where or 'the whole file'}: {why}",
-    )
-
-
-def keys_file(folder: Path, where: str) -> Path:
-    """Names and shapes of a network's tensors: in a set's folder or in the one above, which messages call `where`."""
-    keys = folder / "keys.json" if (folder / "keys.json").is_file() else folder.parent / "keys.json"
-    if not keys.is_file():
-        raise InputError(f"the golden set {folder} has no keys.json in it or {where} it; copy it there")
-    return keys
-
-
-def recorded_images(images: NDArray[np.float32], sha256: str | None, frame: int, path: Path) -> Tensor:
-    """Images as a tensor; an `InputError` if they are not those that a set was made with, where it says."""
+def recorded_images(images: NDArray[np.float32], sha256: str | None, frame: int) -> Tensor:
+    """Images as a tensor, if they are those that a set was made with, where it says."""
     if sha256 is not None and hashlib.sha256(images.tobytes()).hexdigest() != sha256:
-        raise InputError(
-            f"the images of frame {frame} made here are not those whose SHA-256 is in {path}; fetch the set again"
-        )
+        raise ValueError(f"the images of frame {frame} made here are not those whose SHA-256 it has")
     return torch.from_numpy(images)
 
 
-def set_folders(golden: Path) -> list[Path]:
-    """Where the sets are that a golden directory holds.
+def compare_frame(
+    comparison: Comparison, golden: ParitySet, frame: int, ours: Mapping[str, Quantity], elsewhere: tuple[str, ...] = ()
+) -> None:
+    """Compare all stored quantities of one frame.
 
     Args:
-        golden: A set's folder, or a model's folder with sets in it.
-
-    Returns:
-        The folder itself, or those in it that hold a set; itself too where there is none, so that its reader says what
-        is missing.
+        comparison: Gets the errors.
+        golden: The set.
+        frame: Number of the frame.
+        ours: Quantities by the names of the set.
+        elsewhere: What is compared in another place.
     """
-    if (golden / "manifest.json").exists() or not golden.is_dir():
-        return [golden]
-    return sorted(path.parent for path in golden.glob("*/manifest.json")) or [golden]
+    stored, where = golden.outputs[frame], comparison.where
+    names = {name.removesuffix(SAMPLED).removesuffix(STATISTICS) for name in stored.names} - {*elsewhere}
+    known = [name for name in ours if name in names]
+    for name in known:
+        _compare(comparison, golden, frame, name, ours[name])
+    if unknown := sorted(names - ours.keys()):
+        comparison.note(ours[known[0]].title(known[0]), f"not compared in {where}: {', '.join(unknown)}")
 
 
-def compare_sets(
-    model: Model,
-    golden: Path,
-    device: str,
-    read: Callable[[Path], list[ParitySet]],
-    compare: Callable[[Comparison, Any, list[ParitySet]], None],
-    run: Run | None = None,
-) -> list[Check]:
-    """Fill a network for each golden set and compare it; errors as of `verify_model`.
-
-    Args:
-        model: Whose network.
-        golden: A set's folder, or a model's folder whose sets are all compared.
-        device: What the network runs on.
-        read: Reads a set.
-        compare: Compares a network, already filled, with what was read.
-        run: How it is run; plainly by default.
-
-    Returns:
-        One check for each quantity; the first alone if names or shapes differ, since weights cannot be filled then.
-    """
-    run = run or Run()
-    comparison = run.comparison
-    for folder in set_folders(golden):
-        sets = read(folder)
-        shapes, manifest = sets[0].shapes, sets[0].manifest
-        network = resolve(model.net.build)(model.configuration(shapes)).to(device)
-        if not same_names_and_shapes(comparison, network, shapes):
-            break
-        fill(comparison, network, manifest, shapes, manifest.weights_sha256, folder / "manifest.json")
-        with single_precision(), run.varied(network):
-            compare(comparison, network, sets)
-    return comparison.checks()
+def _compare(comparison: Comparison, golden: ParitySet, frame: int, name: str, quantity: Quantity) -> None:
+    stored, values, flat = golden.outputs[frame], quantity.values, quantity.values.reshape(-1)
+    kept: slice | NDArray[np.int64] = slice(None)
+    if quantity.listed:
+        numbers = stored.floats(name, None, *values.shape[1:])
+        if len(numbers) != len(values):
+            where = f"{comparison.where}, where the list has another length"
+            comparison.errors(quantity.title(name), np.inf, quantity.tolerance.allowed, where=where)
+            return
+    else:
+        layout = golden.stored(name, frame)
+        if not same_lengths(values.shape, layout.shape):
+            # How many tracks there are is the network's to say.
+            comparison.errors(f"shape of {name}", np.inf, 0.0)
+            return
+        sampled = f"{name}{SAMPLED}" in stored.names
+        kept = slice(None, None, layout.stride if sampled else 1)
+        numbers = stored.floats(f"{name}{SAMPLED}", len(flat[kept])) if sampled else stored.floats(name, *layout.shape)
+    whole = spread = None
+    if f"{name}{STATISTICS}" in stored.names and not quantity.equal:
+        statistics, all_of_it = stored.floats(f"{name}{STATISTICS}", 3), values.astype(np.float64)
+        own = np.array([all_of_it.mean(), all_of_it.std(), np.abs(all_of_it).max(initial=0.0)]) - statistics
+        few: Floats = own if quantity.tolerance.share < 1 else own[:0]
+        whole = Whole(own[:2] if len(few) else own, few, spread := float(statistics[1]) or 1.0)
+    hanging = quantity.undecided
+    if hanging is not None:
+        hanging = np.repeat(hanging, values.size // len(hanging))[kept] if len(hanging) else np.zeros(0, np.bool_)
+    compare_tensor(comparison, name, quantity, (flat[kept], numbers.reshape(-1)), whole, spread, hanging)

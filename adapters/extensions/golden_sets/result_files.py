@@ -1,87 +1,127 @@
 """`challenger-bench verify results`: result files of planners' repositories against what must come out of them."""
 
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from adapters.extensions.golden_sets.result_file_set import GoldenFile, GoldenResults, read_golden_results
-from adapters.extensions.golden_sets.result_files_made_here import verify_made_here
+from adapters.extensions.golden_sets.result_files_made_here import compare_made_here
 from adapters.result_files.frames import ego_waypoints, lidar_waypoints
 from adapters.result_files.importing import ImportedPlans, import_results
 from adapters.result_files.recognition import recognise
+from adapters.result_files.samples import RecordedSamples
 from benchmark.constants import PLAN_STEPS
 from benchmark.errors import InputError
+from benchmark.extensions.golden_sets.protocols.golden_set import truths_of
 from benchmark.geometry import Floats
 from benchmark.protocols import PROTOCOLS
 from benchmark.truth import SampleTruth
-from benchmark.verification.checks import Check, Comparison
-from benchmark.verification.golden import GoldenArrays
+from benchmark.verification.checks import Comparison
+from benchmark.verification.golden import GoldenArrays, GoldenFolder, GoldenSet
 
-L2_M: Final = 1e-4
-SECONDS: Final = 10.0
-"""What a refusal may take."""
+FACTS, MANIFEST, PROTOCOLS_SET = "facts.npz", "manifest.json", "protocols"
 _REFUSALS: Final = "refusals by category"
 
 
-def verify_results(golden: Path | None = None) -> list[Check]:
-    """Read every file of a set and compare formats, samples, plans, verdicts and refusals.
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """What an importer must know, and what happened.
 
-    Args:
-        golden: Folder of the set; by default files of every format are written here and read back.
-
-    Returns:
-        One check for each quantity, over all files.
-
-    Raises:
-        InputError: If the set cannot be used.
+    Attributes:
+        samples: For the importer.
+        index_in_scene: (S,) number of the sample in its scene.
+        truths: What happened in each scene, by its name, from the set ``protocols`` beside this one.
     """
-    if golden is None:
-        return verify_made_here()
-    stored = read_golden_results(golden)
-    truths = stored.truths()
-    comparison = Comparison()
-    comparison.verdicts("commands of samples", stored.samples.commands != stored.commands)
-    for file in stored.files:
-        started = time.perf_counter()
+
+    samples: RecordedSamples
+    index_in_scene: NDArray[np.int64]
+    truths: dict[str, list[SampleTruth]]
+
+
+def _compare_files(comparison: Comparison, folder: GoldenFolder) -> None:
+    """Read every file and compare formats, samples, plans, verdicts and refusals."""
+    stored = folder.arrays(FACTS)
+    samples = _samples(folder, stored)
+    index = stored.integers("index_in_scene", len(samples.tokens))
+    known = _Known(samples, index, _truths(folder, samples, index))
+    comparison.same("commands of samples", samples.commands, stored.integers("command", len(samples.tokens)))
+    files = folder.facts(MANIFEST)["files"]
+    if not files:
+        raise ValueError(f"{MANIFEST} lists no files")
+    for said in files:
+        path = _inside(folder, said["path"])
+        started, accepted, at = time.perf_counter(), said["outcome"] == "accept", comparison.at(said["name"])
         try:
-            found = import_results([recognise(file.path)], stored.samples)
+            found = import_results([recognise(path)], samples)
         except InputError as refusal:
-            _compare_refusal(comparison, file, refusal, time.perf_counter() - started)
+            _compare_refusal(at, said, refusal, time.perf_counter() - started)
             continue
-        if file.accepted:
-            comparison.verdicts("files accepted", np.array([False]), where=file.name)
-            _compare_plans(comparison, file, found, stored, truths)
+        if accepted:
+            at.verdicts("files accepted", False)
+            _compare_plans(at, said, found, known, folder.arrays(str(said["expected"])))
         else:
-            comparison.verdicts(_REFUSALS, np.array([True]), where=f"{file.name}, which was accepted")
-    absent = sorted(set(stored.samples.scenes) - set(truths))
-    if absent:
+            at.verdicts(_REFUSALS, True, where=f"{said['name']}, which was accepted")
+    if absent := sorted(set(samples.scenes) - set(known.truths)):
         says = f"no verdicts on {', '.join(absent)}: their objects are in a set protocols beside this one"
         comparison.note("commands of samples", says)
-    return comparison.checks()
 
 
-def _compare_refusal(comparison: Comparison, file: GoldenFile, refusal: InputError, seconds: float) -> None:
+def _samples(folder: GoldenFolder, stored: GoldenArrays) -> RecordedSamples:
+    tokens = stored.texts("token")
+    count = len(tokens)
+    mount = [*stored.floats("lidar_to_ego_translation", 3)[:2], float(stored.floats("lidar_to_ego_yaw"))]
+    return RecordedSamples(
+        name=f"the set {folder.path.name}",
+        tokens=tuple(tokens),
+        scenes=tuple(stored.texts("scene", count)),
+        timestamps_us=stored.integers("timestamp", count),
+        ego_pose=stored.floats("ego_pose", count, 3),
+        lidar_in_ego=np.tile(mount, (count, 1)),
+        future=stored.floats("ego_future_lidar", count, PLAN_STEPS, 3)[..., :2],
+        valid=stored.verdicts("ego_future_valid", count, PLAN_STEPS),
+        by_time=stored.integers("order_infos_timestamp", None),
+        by_table=stored.integers("order_infos_scene", None),
+    )
+
+
+def _truths(folder: GoldenFolder, samples: RecordedSamples, index: NDArray[np.int64]) -> dict[str, list[SampleTruth]]:
+    found = {}
+    for scene in sorted(set(samples.scenes)):
+        path = folder.path.resolve().parent / PROTOCOLS_SET / f"{scene}.npz"
+        if path.is_file():
+            stored = GoldenArrays.read(path)
+            count = len(stored.floats("ego_fut", None, PLAN_STEPS, 3))
+            if count > index[np.array(samples.scenes) == scene].max():
+                found[scene] = truths_of(stored, count)
+    return found
+
+
+def _inside(folder: GoldenFolder, name: str) -> Path:
+    path = folder.path / name
+    if not path.resolve().is_relative_to(folder.path.resolve()):
+        raise ValueError(f"{MANIFEST} names {name}, which leaves the set")
+    return path
+
+
+def _compare_refusal(comparison: Comparison, said: dict[str, Any], refusal: InputError, seconds: float) -> None:
     category = getattr(refusal, "category", "none")
-    if file.accepted:
-        comparison.verdicts("files accepted", np.array([True]), where=f"{file.name}, refused as {category}: {refusal}")
+    where = f"{said['name']}, refused as {category}: {refusal}"
+    if said["outcome"] == "accept":
+        comparison.verdicts("files accepted", True, where=where)
         return
-    wrong = category not in file.categories
-    comparison.verdicts(_REFUSALS, np.array([wrong]), where=f"{file.name}, refused as {category}: {refusal}")
-    comparison.verdicts("refusals in one line", np.array(["\n" in str(refusal)]), where=file.name)
-    comparison.numbers("longest refusal (s)", np.array([seconds]), np.zeros(1), SECONDS, where=file.name)
+    comparison.verdicts(_REFUSALS, category not in (said["category"], *said.get("also_ok", ())), where=where)
+    comparison.verdicts("refusals in one line", "\n" in str(refusal))
+    comparison.errors("longest refusal (s)", seconds)
 
 
 def _compare_plans(
-    comparison: Comparison,
-    file: GoldenFile,
-    imported: ImportedPlans,
-    stored: GoldenResults,
-    truths: dict[str, list[SampleTruth]],
+    comparison: Comparison, said: dict[str, Any], imported: ImportedPlans, known: _Known, expected: GoldenArrays
 ) -> None:
-    found, samples, said = imported.found, stored.samples, file.stored
-    expected = GoldenArrays.read(stored.folder / str(said["expected"]))
+    found, samples = imported.found, known.samples
+    tokens, golden_tokens = [samples.tokens[row] for row in found.rows.tolist()], expected.texts("tokens")
     facts: dict[str, tuple[Any, Any]] = {
         "formats": (imported.format.name, said["format"]),
         "frames": (found.frame.value, said["frame"]),
@@ -91,59 +131,59 @@ def _compare_plans(
         "skipped samples": (set(found.skipped), set(said["skipped"])),
         "duplicates dropped": (found.duplicates, said.get("duplicates_dropped", 0)),
         "mirrored": (found.mirrored, said.get("mirrored_in_file", found.mirrored)),
-        "tokens and their order": ([samples.tokens[row] for row in found.rows.tolist()], expected.texts("tokens")),
+        "tokens and their order": (tokens, golden_tokens),
     }
     for quantity, (ours, golden) in facts.items():
-        comparison.verdicts(quantity, np.array([ours != golden]), where=file.name)
-    if facts["tokens and their order"][0] != facts["tokens and their order"][1]:
+        comparison.verdicts(quantity, ours != golden)
+    if tokens != golden_tokens:
         return
     count = len(found.rows)
-    comparison.verdicts(
-        "complete samples", samples.complete[found.rows] != expected.verdicts("complete", count), where=file.name
-    )
+    comparison.same("complete samples", samples.complete[found.rows], expected.verdicts("complete", count))
     tie = expected.verdicts("heading_tie", count, PLAN_STEPS)[..., None]
-    lidar = lidar_waypoints(found, samples)[:, :PLAN_STEPS]
-    ego = ego_waypoints(found, samples)
+    lidar, ego = lidar_waypoints(found, samples)[:, :PLAN_STEPS], ego_waypoints(found, samples)
     golden_ego = expected.floats("plan_ego", count, PLAN_STEPS, 2)
-    _numbers(comparison, file, "plan", found.waypoints, expected.floats("plan", *found.waypoints.shape))
-    _numbers(comparison, file, "plan_lidar", lidar, expected.floats("plan_lidar", *lidar.shape))
-    _numbers(comparison, file, "plan_ego", np.where(tie, golden_ego, ego), golden_ego)
-    for scene, of_scene in truths.items():
+    plans = {"plan": found.waypoints, "plan_lidar": lidar, "plan_ego": np.where(tie, golden_ego, ego)}
+    for name, waypoints in plans.items():
+        allowed = said["compare"][name]
+        allowed = float(allowed["tolerance"] if isinstance(allowed, dict) else allowed)
+        comparison.numbers(f"{name} (m), to {allowed:g}", waypoints, expected.floats(name, *waypoints.shape), allowed)
+    for scene, truths in known.truths.items():
         here = np.flatnonzero(np.array([samples.scenes[row] == scene for row in found.rows.tolist()]))
         if len(here):
-            chosen = [of_scene[index] for index in stored.index_in_scene[found.rows[here]].tolist()]
-            _compare_verdicts(comparison, f"{file.name}, {scene}", lidar[here], chosen, expected, here)
-
-
-def _numbers(comparison: Comparison, file: GoldenFile, array: str, ours: Floats, golden: Floats) -> None:
-    allowed = file.tolerance(array)
-    comparison.numbers(f"{array} (m), to {allowed:g}", ours, golden, allowed, where=file.name)
+            chosen = [truths[index] for index in known.index_in_scene[found.rows[here]].tolist()]
+            at = comparison.at(f"{said['name']}, {scene}")
+            _compare_verdicts(at, lidar[here], chosen, expected, here)
 
 
 def _compare_verdicts(
-    comparison: Comparison,
-    where: str,
-    plans: Floats,
-    truths: list[SampleTruth],
-    expected: GoldenArrays,
-    here: Any,
+    comparison: Comparison, plans: Floats, truths: list[SampleTruth], expected: GoldenArrays, here: NDArray[np.int64]
 ) -> None:
     """Verdicts of three protocols on the plans of one scene; two of them say nothing of incomplete samples."""
     complete = np.array([truth.complete for truth in truths])
     uniad, vad, sparse = (PROTOCOLS[name].evaluate(truths, plans) for name in ("uniad", "vad", "sparsedrive"))
-    of_vad = PROTOCOLS["vad"].sample_values(vad)
-
-    def golden(name: str, last: int = PLAN_STEPS) -> Floats:
-        return np.asarray(expected.floats(name, None, last)[here])
-
-    flags = {
-        "uniad obj_box_col": uniad.collision != golden("uniad_obj_box_col"),
-        "uniad obj_col": uniad.step("obj_col") != golden("uniad_obj_col"),
-        "vad obj_box_col": (of_vad["collision"] != golden("vad_obj_box_col", 3))[complete],
-        "sparsedrive obj_box_col": (sparse.collision != golden("sd_obj_box_col"))[complete],
+    of_vad, everywhere = PROTOCOLS["vad"].sample_values(vad), np.ones_like(complete)
+    equal = {
+        "uniad obj_box_col": (uniad.collision, "uniad_obj_box_col", everywhere),
+        "uniad obj_col": (uniad.step("obj_col"), "uniad_obj_col", everywhere),
+        "vad obj_box_col": (of_vad["collision"], "vad_obj_box_col", complete),
+        "sparsedrive obj_box_col": (sparse.collision, "sd_obj_box_col", complete),
     }
-    for quantity, wrong in flags.items():
-        comparison.verdicts(quantity, wrong, where=where)
-    comparison.numbers("uniad L2 (m)", uniad.l2, golden("uniad_L2"), L2_M, where=where)
-    comparison.numbers("vad L2 (m)", of_vad["l2"][complete], golden("vad_L2", 3)[complete], L2_M, where=where)
-    comparison.numbers("sparsedrive L2 (m)", sparse.l2[complete], golden("sd_L2")[complete], L2_M, where=where)
+    for quantity, (ours, name, of) in equal.items():
+        comparison.same(quantity, ours, expected.floats(name, None, ours.shape[1])[here], of)
+    near = {
+        "uniad L2 (m)": (uniad.l2, "uniad_L2", everywhere),
+        "vad L2 (m)": (of_vad["l2"], "vad_L2", complete),
+        "sparsedrive L2 (m)": (sparse.l2, "sd_L2", complete),
+    }
+    for quantity, (ours, name, of) in near.items():
+        comparison.numbers(quantity, ours[of], expected.floats(name, None, ours.shape[1])[here][of])
+
+
+GOLDEN: Final = GoldenSet(
+    name="results",
+    usual="result_files",
+    files=(FACTS, MANIFEST),
+    compare=(_compare_files,),
+    quantities={"longest refusal (s)": 10.0, "* L2 (m)": 1e-4},
+    made_here=compare_made_here,
+)

@@ -1,16 +1,15 @@
 """What golden sets of the sparse networks store, from our networks, and how near it must be."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from enum import Enum
-from typing import Any
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from adapters.extensions.golden_sets.sparse_order import Order, Rows
+from adapters.extensions.golden_sets.tensors import Quantity, Tolerance
 from adapters.networks.sparse.boxes import decode_boxes
 from adapters.networks.sparse.model import Memory, SparseNetwork
 from adapters.networks.sparse.noise_schedule import TIMESTEPS
@@ -22,43 +21,24 @@ from adapters.networks.sparse.selection import (
     select_plan,
 )
 
+OTHER_ROWS: Final = "all rows, and the largest number, where most count above (of their spread)"
+OTHERS: Final = 0.05
+"""For the rows that are left, of the spread."""
+SHARE_OF_SPREAD: Final = 1e-3
 
-class Rule(Enum):
-    """How near a quantity must be.
-
-    Attributes:
-        METRES: Within a millimetre.
-        SPREAD: Within a thousandth of the spread of the golden numbers.
-        ROWS: The same for nearly all rows.
-        FORECASTS: The same for most rows. Headings turn points that lie 57 m away, and a metre is a full turn of the
-            sines that the forecasts are read from, so that rounding shows in them.
-        EQUAL: Equal.
-    """
-
-    METRES = "m"
-    SPREAD = "of its spread"
-    ROWS = "of its spread, 97 % of rows"
-    FORECASTS = "of its spread, 95 % of rows"
-    EQUAL = "equal"
-
-
-@dataclass(frozen=True, slots=True)
-class Quantity:
-    """One array of ours.
-
-    Attributes:
-        values: In the golden order of rows, with the axes that the sets have: what a head gives has one more in front.
-        rule: How near it must be.
-    """
-
-    values: NDArray[Any]
-    rule: Rule
+METRES: Final = Tolerance(1e-3, of_spread=False, unit="m")
+SPREAD: Final = Tolerance(SHARE_OF_SPREAD)
+ROWS: Final = Tolerance(SHARE_OF_SPREAD, share=0.97, rows=True, others=OTHER_ROWS, allowed_of_others=OTHERS)
+FORECASTS: Final = replace(ROWS, share=0.95)
+"""Headings turn points that lie 57 m away, and a metre is a full turn of the sines that forecasts are read from."""
+EQUAL: Final = SPREAD
+"""Of whole numbers and verdicts, which must be equal."""
 
 
 def frame_quantities(
     network: SparseNetwork, predictions: SparsePredictions, order: Order, command: int, fresh: bool | None
 ) -> dict[str, Quantity]:
-    """Everything but feature maps that a set may store of a frame.
+    """Everything but feature maps that a set may store of a frame, in the golden order of rows.
 
     Args:
         network: Has computed the frame and remembers it.
@@ -68,7 +48,7 @@ def frame_quantities(
         fresh: Whether what was remembered was used; ``None`` where nothing was.
 
     Returns:
-        Quantities by the names of the sets.
+        Quantities by the names of the sets, with the axes that these have: what a head gives has one more in front.
     """
     found = _stages(predictions, order)
     found |= _planner(predictions, order)
@@ -77,53 +57,53 @@ def frame_quantities(
     if network.memory is not None:
         found |= _remembered(network.memory, len(order.agents))
         if fresh is not None:
-            found["state_det_bank_mask"] = Quantity(np.array([fresh], np.bool_), Rule.EQUAL)
+            found["state_det_bank_mask"] = Quantity(np.array([fresh], np.bool_), EQUAL)
     return found
 
 
 def map_quantities(backbone: list[Tensor], pyramid: list[Tensor]) -> dict[str, Quantity]:
     """Feature maps by the names of the sets."""
-    found = {f"backbone_c{level + 2}": _numbers(features, Rule.SPREAD) for level, features in enumerate(backbone)}
-    return found | {f"fpn_p{level}": _numbers(features, Rule.SPREAD) for level, features in enumerate(pyramid)}
+    found = {f"backbone_c{level + 2}": _numbers(features, SPREAD) for level, features in enumerate(backbone)}
+    return found | {f"fpn_p{level}": _numbers(features, SPREAD) for level, features in enumerate(pyramid)}
 
 
-def _numbers(tensor: Tensor, rule: Rule, rows: Rows | None = None) -> Quantity:
+def _numbers(tensor: Tensor, tolerance: Tolerance, rows: Rows | None = None) -> Quantity:
     values = tensor.detach().cpu().numpy()
-    return Quantity(values if rows is None else values[rows], rule)
+    return Quantity(values if rows is None else values[rows], tolerance)
 
 
-def _batch(tensor: Tensor, rule: Rule, rows: Rows | None = None) -> Quantity:
-    return replace(found := _numbers(tensor, rule, rows), values=found.values[None])
+def _batch(tensor: Tensor, tolerance: Tolerance, rows: Rows | None = None) -> Quantity:
+    return replace(found := _numbers(tensor, tolerance, rows), values=found.values[None])
 
 
 def _stages(predictions: SparsePredictions, order: Order) -> dict[str, Quantity]:
     agents, lines = predictions.agents, predictions.lines
     found = {
-        "det_instance_feature": _batch(agents.features, Rule.ROWS, order.agents),
-        "det_anchor_embed": _batch(agents.embeddings, Rule.ROWS, order.agents),
-        "map_instance_feature": _batch(lines.features, Rule.SPREAD, order.lines),
-        "map_anchor_embed": _batch(lines.embeddings, Rule.SPREAD, order.lines),
+        "det_instance_feature": _batch(agents.features, ROWS, order.agents),
+        "det_anchor_embed": _batch(agents.embeddings, ROWS, order.agents),
+        "map_instance_feature": _batch(lines.features, SPREAD, order.lines),
+        "map_anchor_embed": _batch(lines.embeddings, SPREAD, order.lines),
     }
     for number, (boxes, drawn) in enumerate(zip(agents.stages, lines.stages, strict=True)):
         # Rows find their order behind the first stage.
         rows, line_rows = (order.agents, order.lines) if number else (None, None)
-        found[f"det_cls_{number}"] = _batch(boxes.logits, Rule.ROWS, rows)
-        found[f"det_reg_{number}"] = _batch(boxes.anchors, Rule.ROWS, rows)
+        found[f"det_cls_{number}"] = _batch(boxes.logits, ROWS, rows)
+        found[f"det_reg_{number}"] = _batch(boxes.anchors, ROWS, rows)
         if boxes.qualities is not None:
-            found[f"det_quality_{number}"] = _batch(boxes.qualities, Rule.ROWS, rows)
-        found[f"map_cls_{number}"] = _batch(drawn.logits, Rule.SPREAD, line_rows)
-        found[f"map_reg_{number}"] = _batch(drawn.anchors, Rule.SPREAD, line_rows)
+            found[f"det_quality_{number}"] = _batch(boxes.qualities, ROWS, rows)
+        found[f"map_cls_{number}"] = _batch(drawn.logits, SPREAD, line_rows)
+        found[f"map_reg_{number}"] = _batch(drawn.anchors, SPREAD, line_rows)
     return found
 
 
 def _planner(predictions: SparsePredictions, order: Order) -> dict[str, Quantity]:
     planner = predictions.planner
     return {
-        "motion_cls": _batch(planner.motion_logits, Rule.FORECASTS, order.agents),
-        "motion_reg": _batch(planner.motion_offsets, Rule.FORECASTS, order.agents),
-        "plan_cls": _batch(planner.plan_logits.reshape(1, -1), Rule.SPREAD),
-        "plan_reg": _batch(planner.plan_offsets.flatten(0, 1)[None], Rule.METRES),
-        "plan_status": _batch(planner.status[None], Rule.SPREAD),
+        "motion_cls": _batch(planner.motion_logits, FORECASTS, order.agents),
+        "motion_reg": _batch(planner.motion_offsets, FORECASTS, order.agents),
+        "plan_cls": _batch(planner.plan_logits.reshape(1, -1), SPREAD),
+        "plan_reg": _batch(planner.plan_offsets.flatten(0, 1)[None], METRES),
+        "plan_status": _batch(planner.status[None], SPREAD),
     }
 
 
@@ -138,26 +118,26 @@ def _reported(
     # After a frame that was followed, numbers of rows that changed places are those of the set.
     numbers = predictions.track_ids if network.memory is None else _numbers_of(network.memory, order)
     return {
-        "result_boxes_3d": _numbers(decode_boxes(predictions.agents.anchors)[rows], Rule.ROWS),
+        "result_boxes_3d": _numbers(decode_boxes(predictions.agents.anchors)[rows], ROWS),
         # Scores as they fall: of rows that changed places they are nearly the same, or the order is wrong.
-        "result_scores_3d": _numbers(boxes.scores, Rule.SPREAD),
-        "result_labels_3d": _numbers(boxes.labels, Rule.EQUAL, order.boxes),
-        "result_cls_scores": _numbers(boxes.class_scores, Rule.SPREAD),
-        "result_instance_ids": _numbers(numbers[rows], Rule.EQUAL),
-        "result_trajs_3d": _numbers(forecast_centres(predictions)[rows], Rule.FORECASTS),
-        "result_trajs_score": _numbers(planner.motion_logits[rows].sigmoid(), Rule.FORECASTS),
-        "result_period": _numbers(planner.queue.periods[rows], Rule.EQUAL),
-        "result_anchor_queue": _numbers(past[rows], Rule.ROWS),
-        "result_ego_anchor_queue": _numbers(decode_boxes(planner.queue.ego_boxes.transpose(0, 1)), Rule.SPREAD),
-        "result_ego_period": Quantity(np.array([planner.queue.ego_period]), Rule.EQUAL),
-        "result_map_vectors": _numbers(lines.points, Rule.SPREAD, drawn),
-        "result_map_scores": _numbers(lines.scores, Rule.SPREAD),
-        "result_map_labels": _numbers(lines.labels, Rule.EQUAL, drawn),
-        "result_planning": _numbers(plan.modes, Rule.METRES),
-        "result_planning_score": _numbers(plan.scores, Rule.SPREAD),
-        "result_final_planning": _numbers(plan.plan, Rule.METRES),
-        "final_planning": _numbers(plan.plan, Rule.METRES),
-        "planning_score": _numbers(plan.scores, Rule.SPREAD),
+        "result_scores_3d": _numbers(boxes.scores, SPREAD),
+        "result_labels_3d": _numbers(boxes.labels, EQUAL, order.boxes),
+        "result_cls_scores": _numbers(boxes.class_scores, SPREAD),
+        "result_instance_ids": _numbers(numbers[rows], EQUAL),
+        "result_trajs_3d": _numbers(forecast_centres(predictions)[rows], FORECASTS),
+        "result_trajs_score": _numbers(planner.motion_logits[rows].sigmoid(), FORECASTS),
+        "result_period": _numbers(planner.queue.periods[rows], EQUAL),
+        "result_anchor_queue": _numbers(past[rows], ROWS),
+        "result_ego_anchor_queue": _numbers(decode_boxes(planner.queue.ego_boxes.transpose(0, 1)), SPREAD),
+        "result_ego_period": Quantity(np.array([planner.queue.ego_period]), EQUAL),
+        "result_map_vectors": _numbers(lines.points, SPREAD, drawn),
+        "result_map_scores": _numbers(lines.scores, SPREAD),
+        "result_map_labels": _numbers(lines.labels, EQUAL, drawn),
+        "result_planning": _numbers(plan.modes, METRES),
+        "result_planning_score": _numbers(plan.scores, SPREAD),
+        "result_final_planning": _numbers(plan.plan, METRES),
+        "final_planning": _numbers(plan.plan, METRES),
+        "planning_score": _numbers(plan.scores, SPREAD),
     }
 
 
@@ -173,16 +153,16 @@ def _denoising(predictions: SparsePredictions) -> dict[str, Quantity]:
     if not steps:
         return {}
     found = {
-        "diff_anchor_normalised": _batch(steps["anchors"], Rule.SPREAD),
-        "diff_noise": _batch(steps["noise"], Rule.SPREAD),
-        "diff_noisy_start": _batch(steps["start"], Rule.SPREAD),
+        "diff_anchor_normalised": _batch(steps["anchors"], SPREAD),
+        "diff_noise": _batch(steps["noise"], SPREAD),
+        "diff_noisy_start": _batch(steps["start"], SPREAD),
     }
     for step, timestep in enumerate(TIMESTEPS):
-        found[f"diff_prev_sample_step{step}"] = _numbers(steps[f"sample {step}"], Rule.SPREAD)
-        found[f"diff_timestep_step{step}"] = Quantity(np.array([timestep]), Rule.EQUAL)
+        found[f"diff_prev_sample_step{step}"] = _numbers(steps[f"sample {step}"], SPREAD)
+        found[f"diff_timestep_step{step}"] = Quantity(np.array([timestep]), EQUAL)
         for block in range(2):
-            found[f"diff_refine{block}_reg_step{step}"] = _numbers(steps[f"offsets {block} {step}"], Rule.METRES)
-            found[f"diff_refine{block}_cls_step{step}"] = _numbers(steps[f"logits {block} {step}"], Rule.SPREAD)
+            found[f"diff_refine{block}_reg_step{step}"] = _numbers(steps[f"offsets {block} {step}"], METRES)
+            found[f"diff_refine{block}_cls_step{step}"] = _numbers(steps[f"logits {block} {step}"], SPREAD)
     return found
 
 
@@ -191,14 +171,14 @@ def _remembered(memory: Memory, agents: int) -> dict[str, Quantity]:
     ids = np.full(agents, -1, np.int64)
     ids[: len(tracks.ids)] = tracks.ids.cpu().numpy()
     return {
-        "det_instance_id": _batch(queue.ids, Rule.EQUAL),
-        "state_det_cached_anchor": _batch(memory.agents.anchors, Rule.ROWS),
-        "state_det_confidence": _batch(memory.agents.confidence, Rule.SPREAD),
-        "state_map_cached_anchor": _batch(memory.lines.anchors, Rule.SPREAD),
-        "state_map_confidence": _batch(memory.lines.confidence, Rule.SPREAD),
-        "state_cached_instance_id": Quantity(ids[None], Rule.EQUAL),
-        "state_period": _batch(queue.periods, Rule.EQUAL),
-        "state_ego_period": Quantity(np.array([[queue.ego_period]]), Rule.EQUAL),
-        "state_ego_anchor_last": _batch(queue.ego_boxes[-1], Rule.SPREAD),
-        "state_prev_id": _numbers(tracks.next_id, Rule.EQUAL),
+        "det_instance_id": _batch(queue.ids, EQUAL),
+        "state_det_cached_anchor": _batch(memory.agents.anchors, ROWS),
+        "state_det_confidence": _batch(memory.agents.confidence, SPREAD),
+        "state_map_cached_anchor": _batch(memory.lines.anchors, SPREAD),
+        "state_map_confidence": _batch(memory.lines.confidence, SPREAD),
+        "state_cached_instance_id": Quantity(ids[None], EQUAL),
+        "state_period": _batch(queue.periods, EQUAL),
+        "state_ego_period": Quantity(np.array([[queue.ego_period]]), EQUAL),
+        "state_ego_anchor_last": _batch(queue.ego_boxes[-1], SPREAD),
+        "state_prev_id": _numbers(tracks.next_id, EQUAL),
     }

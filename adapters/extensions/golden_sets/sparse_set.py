@@ -9,12 +9,12 @@ import torch
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter
 from torch import Tensor
 
-from adapters.extensions.golden_sets.parity_set import described, keys_file, recorded_images
+from adapters.extensions.golden_sets.parity_set import recorded_images
+from adapters.models import Model
 from adapters.networks.sparse.config import SparseConfig, image_length_fits
 from adapters.networks.sparse.model import SparseInputs
-from benchmark.errors import InputError
-from benchmark.verification.golden import GoldenArrays, golden_directory
-from benchmark.verification.synthetic_weights import WeightsRecipe, read_recipe, read_shapes, seeded_normal
+from benchmark.verification.golden import GoldenArrays, GoldenFolder
+from benchmark.verification.synthetic_weights import WeightsRecipe, read_shapes, seeded_normal
 
 COARSE = 16
 """Pixels along a side of the squares of synthetic images."""
@@ -104,65 +104,38 @@ class SparseSet:
     calls: list[list[ModuleStatistic]]
 
     @classmethod
-    def read(cls, folder: Path, model: str) -> Self:
-        """Read a set.
-
-        Args:
-            folder: With ``manifest.json``, ``inputs.npz``, ``outputs_frame0.npz`` and so on; ``keys.json`` is in it or
-                in the folder above.
-            model: Whose set it must be.
-
-        Returns:
-            The set.
-
-        Raises:
-            InputError: If anything in it is absent or damaged, or it is of another model.
-        """
-        golden_directory(folder, "dev", "manifest.json", "inputs.npz", "outputs_frame0.npz")
-        manifest = described(folder / "manifest.json", SetManifest.model_validate)
-        if manifest.model != model:
-            raise InputError(f"{folder} is a golden set of {manifest.model}, not of {model}; pass one of {model}")
-        shapes = read_shapes(keys_file(folder, "above"))
+    def read(cls, folder: GoldenFolder, model: Model) -> Self:
+        """Read a set of a model: ``keys.json`` is in its folder or the one above."""
+        manifest = SetManifest.model_validate(folder.facts("manifest.json"))
+        if manifest.model != model.name:
+            raise ValueError(f"it is a golden set of {manifest.model}; pass one of {model.name}")
+        shapes = read_shapes(folder.nearby("keys.json"))
         frames = [f"frame{frame}" for frame in range(manifest.n_frames)]
-        statistics = _by_frame(folder / "stats_full.json", TypeAdapter(dict[str, dict[str, Statistic]]))
-        calls = _by_frame(folder / "trace.json", TypeAdapter(dict[str, list[ModuleStatistic]]))
+        statistics = _by_frame(folder, "stats_full.json", TypeAdapter(dict[str, dict[str, Statistic]]))
+        calls = _by_frame(folder, "trace.json", TypeAdapter(dict[str, list[ModuleStatistic]]))
         return cls(
-            folder,
+            folder.path,
             manifest,
             _recipe(folder, manifest.salt, shapes),
             shapes,
-            GoldenArrays.read(folder / "inputs.npz"),
-            [GoldenArrays.read(folder / f"outputs_{frame}.npz") for frame in frames],
+            folder.arrays("inputs.npz"),
+            [folder.arrays(f"outputs_{frame}.npz") for frame in frames],
             [statistics.get(frame, {}) for frame in frames],
             [calls.get(frame, []) for frame in frames],
         )
 
     def frame(self, frame: int, config: SparseConfig) -> tuple[SparseInputs, Tensor | None]:
-        """Inputs of a frame.
-
-        Args:
-            frame: From 0.
-            config: Of the network that gets them.
-
-        Returns:
-            The inputs, and the noise of the plans where the set has some.
-
-        Raises:
-            InputError: If the set's arrays are damaged or its images cannot be made here.
-        """
+        """Inputs of a frame for a network, and the noise of the plans where the set has some."""
         name, inputs = f"frame{frame}", self.inputs
         cameras, commands = config.cameras, config.commands
         height, width = self.manifest.image_hw
-        sizes = inputs.floats(f"{name}_image_wh", 1, cameras, 2)
         pose = inputs.floats(f"{name}_T_global", 4, 4)
         command = inputs.floats(f"{name}_gt_ego_fut_cmd", 1, commands)[0]
         turn = pose[:3, :3]
-        if (sizes != (width, height)).any():
-            raise InputError(f"{inputs.path} has images of other sizes than {self.folder / 'manifest.json'} says")
+        if (inputs.floats(f"{name}_image_wh", 1, cameras, 2) != (width, height)).any():
+            raise ValueError("inputs.npz has images of other sizes than manifest.json says")
         if not np.allclose(turn @ turn.T, np.eye(3), atol=RIGID) or not np.array_equal(pose[3], (0, 0, 0, 1)):
-            raise InputError(f"array {name}_T_global in {inputs.path} is no pose; fetch or make the file again")
-        if sorted(command) != [0.0] * (commands - 1) + [1.0]:
-            raise InputError(f"array {name}_gt_ego_fut_cmd in {inputs.path} is not one command of {commands}")
+            raise ValueError(f"array {name}_T_global is no pose")
         noise = f"{name}_diffusion_noise"
         drawn = inputs.floats(noise, 1, config.modes, config.steps, 2)[0] if noise in inputs.names else None
         found = SparseInputs(
@@ -184,25 +157,17 @@ class SparseSet:
         images = (squares + 0.5 * seeded_normal(f"input:image:fine:frame{frame}", shape, salt)).astype(np.float32)
         recorded = self.manifest.image_sha256
         wanted = recorded if isinstance(recorded, str) else recorded.get(f"frame{frame}")
-        return recorded_images(images, wanted, frame, self.folder / "manifest.json")
+        return recorded_images(images, wanted, frame)
 
 
-def _by_frame(path: Path, adapter: TypeAdapter[dict[str, T]]) -> dict[str, T]:
+def _by_frame(folder: GoldenFolder, name: str, adapter: TypeAdapter[dict[str, T]]) -> dict[str, T]:
     """What a file says about each frame; nothing where there is no file."""
-    return described(path, adapter.validate_python) if path.is_file() else {}
+    return adapter.validate_python(folder.facts(name)) if folder.has(name) else {}
 
 
-def _recipe(folder: Path, salt: str, shapes: dict[str, tuple[int, ...]]) -> WeightsRecipe:
+def _recipe(folder: GoldenFolder, salt: str, shapes: dict[str, tuple[int, ...]]) -> WeightsRecipe:
     """How weights are made: as the set says, or as the set beside it that has the name of the salt."""
-    home = next((place for place in (folder, folder.parent / salt) if (place / "kept_buffers.npz").is_file()), None)
-    if home is None:
-        raise InputError(
-            f"the golden set {folder} has no kept_buffers.npz, and there is none in {folder.parent / salt}; a set "
-            "without weights of its own needs the one of its salt beside it"
-        )
-    recipe, kept = read_recipe(home / "manifest.json", WeightsRecipe), GoldenArrays.read(home / "kept_buffers.npz")
-    unknown = sorted(kept.names - shapes.keys())
-    if unknown:
-        raise InputError(f"{kept.path} holds {unknown[0]}, which keys.json does not list; fetch the set again")
+    home = folder if folder.has("kept_buffers.npz") else GoldenFolder(folder.path.parent / salt)
+    recipe, kept = WeightsRecipe.model_validate(home.facts("manifest.json")), home.arrays("kept_buffers.npz")
     values = {name: kept.floats(name, *shapes[name]).astype(np.float32) for name in sorted(kept.names)}
     return recipe.model_copy(update={"kept_buffers": values})

@@ -8,7 +8,6 @@ import numpy as np
 from adapters.networks.uniad.collision_optimiser import Solver, move_plan, nearby_cells
 from adapters.networks.uniad.collision_solvers import cost
 from adapters.networks.uniad.frames import UniADPredictions
-from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays
@@ -19,22 +18,12 @@ SAME_COST: Final = 1e-5
 """Stored plans are in single precision."""
 CELLS: Final = "occupied cells that count for the plan"
 COSTS: Final = "cost of the moved plan above the stored one's"
-WHOLE: Final = "sdc_traj behind the network"
+WHOLE: Final = "sdc_traj behind the network (m)"
 LOWEST: Final = "lowest cost above the stored plan's"
 
 
-def compare_optimiser(comparison: Comparison, predictions: UniADPredictions, stored: GoldenArrays, where: str) -> None:
-    """Compare moved plans.
-
-    Args:
-        comparison: Gets the errors.
-        predictions: Of the frame.
-        stored: Its golden numbers; without plans in them nothing is compared.
-        where: The frame, for notes.
-
-    Raises:
-        InputError: If the set's occupancy has another shape than the network's.
-    """
+def compare_optimiser(comparison: Comparison, predictions: UniADPredictions, stored: GoldenArrays) -> None:
+    """Compare moved plans of a frame; without plans in its golden numbers nothing is compared."""
     occupied = predictions.occupancy.occupied.cpu().numpy()
     steps = len(predictions.plan.positions_m)
     if not {"sdc_traj", "sdc_traj_before_optim", "occ_seg_out_bits"} <= stored.names:
@@ -42,48 +31,28 @@ def compare_optimiser(comparison: Comparison, predictions: UniADPredictions, sto
     golden = stored.floats("sdc_traj", 1, steps, 2)[0]
     before = stored.floats("sdc_traj_before_optim", 1, steps, 2)[0]
     bits = stored.floats("occ_seg_out_bits", None)
-    if bits.size * 8 != occupied.size:
-        raise InputError(
-            f"{stored.path} has the occupancy of {bits.size * 8} cells, not {occupied.size}; make it again"
-        )
     stored_cells = np.unpackbits(bits.astype(np.uint8)).reshape(occupied.shape).astype(bool)
-    near = [
-        nearby_cells(place, stored_cells[min(step + 1, len(stored_cells) - 1)]) for step, place in enumerate(before)
-    ]
+    near = [nearby_cells(*each) for each in zip(before, _per_point(stored_cells, before))]
     if "col_optim_cells" in stored.names:
-        counts = stored.floats("col_optim_cells", steps)
-        comparison.verdicts(CELLS, np.array([len(cells) for cells in near]) != counts, where=where)
+        comparison.same(CELLS, [len(cells) for cells in near], stored.floats("col_optim_cells", steps))
     costs = np.array([cost(*each) for each in zip(golden, before, near, strict=True)])
     solvers: list[Solver] = ["newton", "ipopt"] if find_spec("casadi") else ["newton"]
     for solver in solvers:
         moved = move_plan(before, stored_cells, solver)
-        _points(comparison, f"sdc_traj by {solver} from stored occupancy", moved.points, golden, where)
-        comparison.errors(f"{COSTS}, {solver}", np.maximum(moved.costs - costs, 0), SAME_COST, where=where)
+        comparison.numbers(f"sdc_traj by {solver} from stored occupancy (m)", moved.points, golden, SAME_M)
+        comparison.errors(f"{COSTS}, {solver}", np.maximum(moved.costs - costs, 0), SAME_COST)
     lowest = move_plan(before, stored_cells, "lowest")
-    comparison.errors(LOWEST, np.maximum(lowest.costs - costs, 0), SAME_COST, where=where)
-    lower = int(np.count_nonzero(lowest.costs < costs - SAME_COST))
-    if lower:
-        comparison.note(LOWEST, f"lower in {lower} of {steps} points of {where}")
-    _behind_the_network(comparison, predictions, stored_cells, golden, where)
-
-
-def _behind_the_network(
-    comparison: Comparison, predictions: UniADPredictions, stored_cells: Bools, golden: Floats, where: str
-) -> None:
-    """The plan from our own occupancy, but for points near which cells that are too close to call are different."""
-    occupied = predictions.occupancy.occupied.cpu().numpy()
+    comparison.errors(LOWEST, np.maximum(lowest.costs - costs, 0), SAME_COST)
+    if lower := int(np.count_nonzero(lowest.costs < costs - SAME_COST)):
+        comparison.note(LOWEST, f"lower in {lower} of {steps} points of {comparison.where}")
+    # The plan from our own occupancy, but for points near which cells that are too close to call are different.
     plan = predictions.plan.positions_m.double().cpu().numpy()
     pairs = zip(plan, _per_point(occupied, plan), _per_point(stored_cells, plan), strict=True)
     same = np.array([np.array_equal(nearby_cells(at, ours), nearby_cells(at, theirs)) for at, ours, theirs in pairs])
-    _points(comparison, WHOLE, move_plan(plan, occupied).points[same], golden[same], where)
+    comparison.numbers(WHOLE, move_plan(plan, occupied).points[same], golden[same], SAME_M)
     if not same.all():
-        comparison.note(
-            f"{WHOLE} (m)", f"{np.count_nonzero(~same)} points with other occupied cells left out in {where}"
-        )
-
-
-def _points(comparison: Comparison, name: str, ours: Floats, golden: Floats, where: str) -> None:
-    comparison.numbers(f"{name} (m)", ours, golden, SAME_M, where=where)
+        said = f"{np.count_nonzero(~same)} points with other occupied cells left out in {comparison.where}"
+        comparison.note(WHOLE, said)
 
 
 def _per_point(occupied: Bools, plan: Floats) -> list[Bools]:

@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from adapters.extensions.golden_sets.quantities import Quantity, Tolerance
+from adapters.extensions.golden_sets.tensors import Quantity, Tolerance
 from adapters.networks.layers.coders import extent_corners
 from adapters.networks.uniad.frames import UniADPredictions
 from adapters.networks.uniad.map_masks import INSIDE, paste_masks, ranked

@@ -1,7 +1,6 @@
 """What VAD's golden sets store, from a network of ours that is given the same inputs."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -9,18 +8,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from adapters.extensions.golden_sets.own_rounding import Run
-from adapters.extensions.golden_sets.parity_set import ParitySet, compare_sets
-from adapters.extensions.golden_sets.quantities import Quantity, Tolerance, compare_frame, golden_list
+from adapters.extensions.golden_sets.parity_set import GoldenNetwork, ParitySet, built, compare_frame
 from adapters.extensions.golden_sets.taps import tapped
-from adapters.models import Model
+from adapters.extensions.golden_sets.tensors import Quantity, Tolerance
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.predictions import VADPredictions
 from adapters.networks.vad.selection import SelectedBoxes, SelectedLines, select, select_boxes, select_lines
-from benchmark.errors import InputError
 from benchmark.geometry import Bools
-from benchmark.verification.checks import Check, Comparison
+from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays
 
 EXACT: Final = Tolerance(1e-3)
@@ -43,28 +39,13 @@ SAME_M: Final = 1.0
 PARTS: Final = ("motion_decoder", "motion_map_decoder", "ego_agent_decoder", "ego_map_decoder")
 
 
-def verify_vad(model: Model, golden: Path, device: str = "cpu", run: Run | None = None) -> list[Check]:
-    """Compare a VAD with golden sets; arguments and errors as of `verify_model`."""
-    return compare_sets(model, golden, device, lambda folder: [ParitySet.read(folder)], compare_vad, run)
-
-
-def compare_vad(comparison: Comparison, network: VAD, sets: list[ParitySet]) -> None:
-    """Run the frames of a golden set with carried state and compare each.
-
-    Args:
-        comparison: Gets the errors.
-        network: Already filled.
-        sets: The only one.
-
-    Raises:
-        InputError: If the set is damaged or not one of this network.
-    """
-    (golden,) = sets
+def compare_vad(comparison: Comparison, network: VAD, golden: ParitySet) -> None:
+    """Run the frames of a golden set with carried state and compare each."""
     network.reset()
     device = next(network.parameters()).device
     for frame, stored in enumerate(golden.outputs):
         inputs = _inputs(golden, network.config, frame, device)
-        with torch.inference_mode(), tapped(network, "pts_bbox_head", PARTS) as taps:
+        with tapped(network, "pts_bbox_head", PARTS) as taps:
             seen = network.ego_motion(inputs).can_bus
             predictions = network.predict(inputs)
         ours = {name: Quantity.of(tensor, EXACT) for name, tensor in taps.items()}
@@ -74,24 +55,18 @@ def compare_vad(comparison: Comparison, network: VAD, sets: list[ParitySet]) -> 
         ours["plan"] = Quantity.of(select(network.config, predictions, inputs.command).plan, PLAN)
         ours |= _listed_boxes(select_boxes(network.config, predictions), predictions, undecided, stored)
         ours |= _listed_lines(select_lines(network.config, predictions), stored)
-        compare_frame(comparison, golden, stored, ours, f"{golden.folder.name}, frame {frame}")
+        compare_frame(comparison.at(f"{golden.folder.name}, frame {frame}"), golden, frame, ours)
 
 
 def _inputs(golden: ParitySet, config: VADConfig, frame: int, device: torch.device) -> VADInputs:
     """One frame of the set."""
-    images = golden.camera_images(frame, config.cameras)
-    frames = len(golden.outputs)
-    projections = golden.inputs.floats("lidar2img", config.cameras, 4, 4)
-    commands = golden.inputs.floats("ego_fut_cmd", None, config.commands)
-    can_bus = golden.inputs.floats("can_bus", None, 18)
-    if min(len(commands), len(can_bus)) < frames:
-        raise InputError(f"{golden.inputs.path} has inputs of fewer frames than there are outputs; make the set again")
+    inputs = golden.inputs
     return VADInputs(
-        images=images.to(device),
-        lidar2img=torch.from_numpy(projections).to(device),
-        can_bus=torch.from_numpy(can_bus[frame]),
-        command=int(commands[frame].argmax()),
-        scene_token=golden.manifest.scene_tokens[frame],
+        images=golden.camera_images(frame, config.cameras).to(device),
+        lidar2img=torch.from_numpy(inputs.floats("lidar2img", config.cameras, 4, 4)).to(device),
+        can_bus=torch.from_numpy(inputs.floats("can_bus", None, 18)[frame]),
+        command=int(inputs.floats("ego_fut_cmd", None, config.commands)[frame].argmax()),
+        scene_token=golden.recipe.scene_tokens[frame],
     )
 
 
@@ -167,8 +142,8 @@ def _in_golden_order(ours: dict[str, Quantity], stored: GoldenArrays, boxes: str
     if boxes not in stored.names or scores not in stored.names:
         return listed
     own_boxes, own_scores = ours[boxes].values, ours[scores].values
-    golden_boxes = golden_list(stored, boxes, own_boxes.shape[1])
-    golden_scores = golden_list(stored, scores)
+    golden_boxes = stored.floats(boxes, None, own_boxes.shape[1])
+    golden_scores = stored.floats(scores, None)
     if golden_boxes.shape != own_boxes.shape or golden_scores.shape != own_scores.shape:
         return listed
     apart = np.abs(golden_boxes[:, None] - own_boxes[None]).max(-1)
@@ -201,3 +176,6 @@ def _pairs(apart: NDArray[np.float64]) -> tuple[NDArray[np.int64], Bools]:
     paired = order >= 0
     order[~paired] = np.flatnonzero(free)
     return order, paired
+
+
+GOLDEN: Final = GoldenNetwork(ParitySet.read, built, compare_vad)

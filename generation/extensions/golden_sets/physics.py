@@ -1,7 +1,6 @@
 """`challenger-bench verify physics`: the reference's motion model against golden trajectories."""
 
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -9,16 +8,13 @@ from numpy.typing import NDArray
 
 from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleState, simulate
 from benchmark.dynamics.reference_path import WAYPOINTS, reference_path
-from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, to_global
 from benchmark.report.words import counted
-from benchmark.verification.checks import Check, Comparison
-from benchmark.verification.golden import GoldenArrays, golden_directory
+from benchmark.verification.checks import Comparison
+from benchmark.verification.golden import GoldenArrays, GoldenFolder, GoldenSet
 from generation.extensions.golden_sets.built_in import BUILT_IN
 from generation.extensions.golden_sets.degenerate import STEPS, compare_degenerate
 
-TOLERANCE: Final = 1e-6
-"""Metres, radians and the units made of them and frames, for well-conditioned candidates in double precision."""
 SOON_FRAMES: Final = 13
 """Frames over which the sets say how sensitive the others are."""
 SOON_TOLERANCE_M: Final = 1e-3
@@ -36,23 +32,11 @@ class _Group:
     length_m: float
 
 
-def verify_physics(golden: Path | None = None) -> list[Check]:
-    """Compare `MotionModel.reference` with a golden set.
-
-    Args:
-        golden: Directory with ``physics.npz`` and, optionally, ``physics_degenerate.npz``; the built-in set by default.
-
-    Returns:
-        One check for each quantity.
-
-    Raises:
-        InputError: If the set cannot be used.
-    """
-    folder = golden_directory(golden or BUILT_IN / "physics", "physics", "physics.npz")
-    stored = GoldenArrays.read(folder / "physics.npz")
+def _compare_candidates(comparison: Comparison, folder: GoldenFolder) -> None:
+    """Compare `MotionModel.reference`."""
+    stored = folder.arrays("physics.npz")
     waypoints = stored.floats("waypoints_local", None, WAYPOINTS, 3)
     groups = _groups(stored, len(waypoints))
-    comparison = Comparison()
     # What overflows is not finite, and then fails by itself.
     with np.errstate(over="ignore", invalid="ignore"):
         motion = _simulate(waypoints, groups)
@@ -60,23 +44,18 @@ def verify_physics(golden: Path | None = None) -> list[Check]:
         _compare_ill_conditioned(comparison, stored, motion)
         _compare_paths(comparison, stored, waypoints, groups)
         _compare_broken_candidates(comparison, waypoints, groups[0])
-        if (folder / "physics_degenerate.npz").is_file():
-            compare_degenerate(comparison, GoldenArrays.read(folder / "physics_degenerate.npz"))
-    return comparison.checks()
+        compare_degenerate(comparison, folder)
 
 
 def _groups(stored: GoldenArrays, candidates: int) -> list[_Group]:
     """The initial states that have candidates."""
     columns = stored.columns("group_columns", "rear_x", "rear_y", "rear_heading", "speed_per_step", "length")
-    rows = stored.floats("groups", None, None)
-    number = stored.integers("group", candidates)
-    if not candidates or max(columns) >= rows.shape[1] or number.min() < 0 or number.max() >= len(rows):
-        raise InputError(f"the groups in {stored.path} do not fit its candidates; make the file again")
+    rows, number = stored.floats("groups", None, None), stored.integers("group", candidates)
     found = []
     for index in np.unique(number):
         x, y, heading, speed, length = rows[index, columns]
         if not length > 0.0:
-            raise InputError(f"group {index} in {stored.path} has length {length:g} m; make the file again")
+            raise ValueError(f"group {index} has length {length:g} m")
         state = VehicleState(np.array([x, y, heading]), float(speed))
         found.append(_Group(np.flatnonzero(number == index), state, float(length)))
     return found
@@ -97,24 +76,24 @@ def _compare_motion(comparison: Comparison, stored: GoldenArrays, motion: Simula
     """The well-conditioned candidates over all frames."""
     count = len(motion.center)
     good = stored.verdicts("well_conditioned", count)
-    center = stored.floats("center_pose", count, STEPS + 1, 3)[good]
-    state = stored.floats("state", count, STEPS + 1, None)
+    center = stored.floats("center_pose", count, STEPS + 1, 3)
     at = stored.columns("state_columns", "x_rear", "y_rear", "heading", "velocity_x", "accel_x", "steering_angle")
-    commands = stored.floats("commands", count, STEPS, None)
-    command_at = stored.columns("command_columns", "acceleration", "steering_rate")
-    if max(at) >= state.shape[2] or max(command_at) >= commands.shape[2]:
-        raise InputError(f"state or commands in {stored.path} have fewer columns than names; make the file again")
-    state, commands = state[good][..., at], commands[good][..., command_at]
-    ours, ours_state, ours_commands = motion.center[good], motion.states[good], motion.commands[good]
-    comparison.numbers("centre position (m)", ours[..., :2], center[..., :2], TOLERANCE)
-    comparison.numbers("centre heading (rad)", ours[..., 2], center[..., 2], TOLERANCE, angle=True)
-    comparison.numbers("rear axle position (m)", ours_state[..., :2], state[..., :2], TOLERANCE)
-    comparison.numbers("rear axle heading (rad)", ours_state[..., 2], state[..., 2], TOLERANCE, angle=True)
-    comparison.numbers("speed (m/frame)", ours_state[..., 3], state[..., 3], TOLERANCE)
-    comparison.numbers("acceleration (m/frame^2)", ours_state[..., 4], state[..., 4], TOLERANCE)
-    comparison.numbers("steering angle (rad)", ours_state[..., 5], state[..., 5], TOLERANCE)
-    comparison.numbers("commanded acceleration (m/frame^2)", ours_commands[..., 0], commands[..., 0], TOLERANCE)
-    comparison.numbers("commanded steering rate (rad/frame)", ours_commands[..., 1], commands[..., 1], TOLERANCE)
+    state = stored.floats("state", count, STEPS + 1, None)[..., at]
+    at = stored.columns("command_columns", "acceleration", "steering_rate")
+    commands = stored.floats("commands", count, STEPS, None)[..., at]
+    numbers = {
+        "centre position (m)": (motion.center[..., :2], center[..., :2]),
+        "centre heading (rad)": (motion.center[..., 2], center[..., 2]),
+        "rear axle position (m)": (motion.states[..., :2], state[..., :2]),
+        "rear axle heading (rad)": (motion.states[..., 2], state[..., 2]),
+        "speed (m/frame)": (motion.states[..., 3], state[..., 3]),
+        "acceleration (m/frame^2)": (motion.states[..., 4], state[..., 4]),
+        "steering angle (rad)": (motion.states[..., 5], state[..., 5]),
+        "commanded acceleration (m/frame^2)": (motion.commands[..., 0], commands[..., 0]),
+        "commanded steering rate (rad/frame)": (motion.commands[..., 1], commands[..., 1]),
+    }
+    for name, (ours, golden) in numbers.items():
+        comparison.numbers(name, ours[good], golden[good], angle="heading" in name)
     comparison.note(
         "centre position (m)", f"{np.count_nonzero(good)} of {counted(count, 'candidate')} are well-conditioned"
     )
@@ -132,7 +111,7 @@ def _compare_ill_conditioned(comparison: Comparison, stored: GoldenArrays, motio
     comparison.verdicts("other candidates that are not finite", ~np.isfinite(motion.center[other]).all(axis=(1, 2)))
     if soon.any():
         quantity = f"centre position of others, first {SOON_FRAMES} frames (m)"
-        comparison.numbers(quantity, motion.center[soon, frames, :2], center[soon, frames, :2], SOON_TOLERANCE_M)
+        comparison.numbers(quantity, motion.center[soon, frames, :2], center[soon, frames, :2])
         comparison.note(quantity, counted(int(np.count_nonzero(soon)), "candidate"))
     free = other & ~soon
     if free.any():
@@ -151,19 +130,19 @@ def _compare_paths(comparison: Comparison, stored: GoldenArrays, waypoints: Floa
     path = reference_path(waypoints[..., :2], dt=1.0, frames_per_waypoint=5, smooth=False)
     speed = stored.floats("velocity_profile", count, STEPS)
     curvature = stored.floats("curvature_profile", count, STEPS)
-    comparison.numbers("speed profile (m/frame)", path.speed.T[good], speed[good], TOLERANCE)
-    comparison.numbers("curvature profile (rad/m)", path.curvature.T[good], curvature[good], TOLERANCE)
+    comparison.numbers("speed profile (m/frame)", path.speed.T[good], speed[good])
+    comparison.numbers("curvature profile (rad/m)", path.curvature.T[good], curvature[good])
     local = stored.floats("reference_local", count, STEPS + 1, 3)
     distinct = _has_direction(local)
     position, heading = path.position.transpose(2, 0, 1), path.heading.T
-    comparison.numbers("reference position (m)", position, local[..., :2], TOLERANCE)
+    comparison.numbers("reference position (m)", position, local[..., :2])
     placed = stored.floats("reference_global", count, STEPS + 1, 3)
     for group in groups:
         there = to_global(position[group.members], group.state.pose)
-        comparison.numbers("reference position, global (m)", there, placed[group.members][..., :2], TOLERANCE)
+        comparison.numbers("reference position, global (m)", there, placed[group.members][..., :2])
     if distinct.any():
         quantity = "reference heading (rad)"
-        comparison.numbers(quantity, heading[distinct], local[distinct][:, 2], TOLERANCE, angle=True)
+        comparison.numbers(quantity, heading[distinct], local[distinct][:, 2], angle=True)
         left_out = np.count_nonzero(~distinct)
         if left_out:
             comparison.note(quantity, f"{left_out} poses without displacement left out: signs of zero decide there")
@@ -185,4 +164,18 @@ def _compare_broken_candidates(comparison: Comparison, waypoints: Floats, group:
     beside = simulate(broken, group.state, group.length_m, steps=STEPS, model=model)
     comparison.verdicts("candidates with NaN or infinity that are kept", beside.finite[:2])
     quantity = "neighbours of NaN and infinity (m)"
-    comparison.numbers(quantity, beside.center[2:][alone.finite[2:]], alone.center[2:][alone.finite[2:]], 0.0)
+    comparison.numbers(quantity, beside.center[2:][alone.finite[2:]], alone.center[2:][alone.finite[2:]])
+
+
+GOLDEN: Final = GoldenSet(
+    name="physics",
+    files=("physics.npz",),
+    compare=(_compare_candidates,),
+    quantities={
+        f"centre position of others, first {SOON_FRAMES} frames (m)": SOON_TOLERANCE_M,
+        "neighbours of NaN and infinity (m)": 0.0,
+        # Metres, radians and the units made of them and frames, for well-conditioned candidates in double precision.
+        "*": 1e-6,
+    },
+    built_in=BUILT_IN / "physics",
+)

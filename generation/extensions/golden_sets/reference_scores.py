@@ -10,11 +10,11 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, boxes_overlap
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays
 from generation.extensions.golden_sets.scored_frame import golden_raster
+from generation.extensions.golden_sets.ties import compare_but_ties, on_raster_tie
 from generation.search.hyperparameters import HyperParameters
 from generation.search.reference_scoring import (
     INFLATION,
@@ -27,10 +27,14 @@ from generation.search.reference_scoring import (
 )
 from generation.search.scoring import Surroundings, final_scores
 
-ROAD_TOLERANCE: Final = 2e-6
-COLLISION_TOLERANCE: Final = 1.4e-6
-CHALLENGE_TOLERANCE: Final = 2e-5
-FINAL_TOLERANCE: Final = 5 * ROAD_TOLERANCE + 10 * COLLISION_TOLERANCE + CHALLENGE_TOLERANCE
+_ROAD, _COLLISION, _CHALLENGE = 2e-6, 1.4e-6, 2e-5
+FINAL_TOLERANCE: Final = 5 * _ROAD + 10 * _COLLISION + _CHALLENGE
+QUANTITIES: Final = {
+    "reference: drivable area term": _ROAD,
+    "reference: collision term": _COLLISION,
+    "reference: challenge": _CHALLENGE,
+    "reference: final score": FINAL_TOLERANCE,
+}
 SCORE_TIE: Final = 2 * FINAL_TOLERANCE
 CELL_TIE: Final = 1e-2
 """Cells from a border: coordinates of some 1,000 m have 6e-5 m in single precision and go through two inverses."""
@@ -62,53 +66,34 @@ def compare_reference(comparison: Comparison, stored: GoldenArrays, excused: dic
         comparison: Takes the results.
         stored: A file with ``ref_*`` arrays.
         excused: Verdicts on a tie are counted here, by quantity.
-
-    Raises:
-        InputError: If arrays are absent or do not fit each other.
     """
-    frame, where = _read(stored), stored.path.name
-    count = len(frame.center)
+    frame = _read(stored)
+    count, hyper = len(frame.center), HyperParameters.reference()
     terms = reference_terms(frame.center, frame.size, frame.around)
     contacts = reference_collisions(frame.center, frame.size, frame.around)
     road = _compare_road(comparison, stored, frame, terms, excused)
     free = _compare_contacts(comparison, stored, frame, contacts, excused)
-    comparison.numbers(
-        "reference: drivable area term",
-        terms.dac[road],
-        stored.floats("ref_dac", count)[road],
-        ROAD_TOLERANCE,
-        where=where,
-    )
-    comparison.numbers(
-        "reference: collision term",
-        terms.cr[free],
-        stored.floats("ref_cr", count)[free],
-        COLLISION_TOLERANCE,
-        where=where,
-    )
-    challenge, golden = terms.challenges([terms])[0], stored.floats("ref_ac", count)
-    comparison.numbers("reference: challenge", challenge[free], golden[free], CHALLENGE_TOLERANCE, where=where)
-    sure, hyper = road & free, HyperParameters.reference()
-    ours = final_scores(terms, np.full(count, hyper.init_least), hyper)[sure]
-    wanted = stored.floats("ref_final_without_noise", count)[sure]
-    comparison.numbers("reference: final score", ours, wanted, FINAL_TOLERANCE, where=where)
+    scores, both = final_scores(terms, np.full(count, hyper.init_least), hyper), road & free
+    numbers = {
+        "drivable area term": (terms.dac, "ref_dac", road),
+        "collision term": (terms.cr, "ref_cr", free),
+        "challenge": (terms.challenges([terms])[0], "ref_ac", free),
+        "final score": (scores, "ref_final_without_noise", both),
+    }
+    for quantity, (ours, name, sure) in numbers.items():
+        comparison.numbers(quantity, ours[sure], stored.floats(name, count)[sure])
+    wanted, ours = stored.floats("ref_final_without_noise", count)[both], scores[both]
     order = np.argsort(wanted, kind="stable")
-    behind = np.maximum.accumulate(ours[order]) > ours[order] + SCORE_TIE
-    comparison.verdicts("reference: ranking", behind, where=where)
-    start = stored.floats("ref_final_with_noise", count)[sure] - wanted
+    comparison.verdicts("ranking", np.maximum.accumulate(ours[order]) > ours[order] + SCORE_TIE)
+    start = stored.floats("ref_final_with_noise", count)[both] - wanted
     noise = (start < -FINAL_TOLERANCE) | (start > MOST_START + FINAL_TOLERANCE)
-    comparison.verdicts("reference: random start outside 0 to 0.001", noise, where=where)
+    comparison.verdicts("random start outside 0 to 0.001", noise)
 
 
 def _read(stored: GoldenArrays) -> _Frame:
     center = stored.floats("candidates", None, None, 3)
     boxes = stored.floats("ref_boxes_x_y_z_w_l_h_yawmm", None, None, 7)
-    poses, row = len(stored.verdicts("ref_col", None, len(center))), int(stored.integers("ref_adv_row"))
-    if not (poses <= center.shape[1] and len(boxes) == poses and 0 <= row < boxes.shape[1] - 1):
-        raise InputError(
-            f"{stored.path} has {center.shape[1]} poses, reference boxes at {len(boxes)}, verdicts at {poses}, or no "
-            f"row {row} among {boxes.shape[1]} boxes; make the file again"
-        )
+    poses, row = len(boxes), int(stored.integers("ref_adv_row"))
     affine = stored.floats("raster_affine_global_to_index", 2, 3)
     others = np.delete(boxes, row, axis=1)[..., [0, 1, 4, 3, 6]]
     others[..., 4] = -others[..., 4] - 0.5 * np.pi
@@ -124,26 +109,20 @@ def _compare_road(
     comparison: Comparison, stored: GoldenArrays, frame: _Frame, terms: ReferenceTerms, excused: dict[str, int]
 ) -> Bools:
     """Points off the road; gives back which candidates have no verdict that a tie excuses."""
-    count, poses = frame.center.shape[:2]
-    center_off = stored.integers("ref_out_of_road_center", count, poses) != 0
-    corners_off = stored.integers("ref_corners_out_count", count, poses)
-    sure = np.ones(count, dtype=np.bool_)
+    shape = frame.center.shape[:2]
+    center_off = stored.integers("ref_out_of_road_center", *shape) != 0
+    corners_off = stored.integers("ref_corners_out_count", *shape)
+    sure = np.ones(len(frame.center), dtype=np.bool_)
     for quantity, differs, points in (
-        ("reference: centre off the road", terms.center_off_road != center_off, frame.center[..., None, :2]),
-        ("reference: corners off the road", terms.corners_off != corners_off, corner_points(frame.center, frame.size)),
+        ("centre off the road", terms.center_off_road != center_off, frame.center[..., None, :2]),
+        ("corners off the road", terms.corners_off != corners_off, corner_points(frame.center, frame.size)),
     ):
         tie = differs.copy()
-        tie[differs] = _near_a_border(points[differs], frame.affine).any(axis=-1)
-        _verdicts(comparison, quantity, differs, tie, excused, stored.path.name)
+        # Single precision may put a point into the neighbouring cell.
+        tie[differs] = on_raster_tie(points[differs], frame.affine, CELL_TIE).any(axis=-1)
+        compare_but_ties(comparison, quantity, differs, tie, excused)
         sure &= ~tie.any(axis=1)
     return sure
-
-
-def _near_a_border(points: Floats, affine: Floats) -> Bools:
-    """(...) whether single precision may put a point into the neighbouring cell."""
-    coordinate = points @ affine[:, :2].T + affine[:, 2]
-    from_border = np.abs(coordinate - np.floor(coordinate) - 0.5)
-    return np.asarray((from_border <= CELL_TIE).any(axis=-1))
 
 
 def _compare_contacts(
@@ -153,22 +132,21 @@ def _compare_contacts(
     count, poses = frame.center.shape[:2]
     sure = np.ones(count, dtype=np.bool_)
     for quantity, ours, name in (
-        ("reference: nearer than half the short edges", contacts.sure, "ref_must_col"),
-        ("reference: collision", contacts.collision, "ref_col"),
+        ("nearer than half the short edges", contacts.sure, "ref_must_col"),
+        ("collision", contacts.collision, "ref_col"),
     ):
         differs = ours != stored.verdicts(name, poses, count).T
         tie = differs.copy()
         for candidate, pose in np.argwhere(differs):
             tie[candidate, pose] = _touches_barely(frame, candidate, pose)
-        _verdicts(comparison, quantity, differs, tie, excused, stored.path.name)
+        compare_but_ties(comparison, quantity, differs, tie, excused)
         sure &= ~tie.any(axis=1)
     differs = contacts.hits_ego != stored.verdicts("ref_ego_col", count)
     tie = differs.copy()
     for candidate in np.flatnonzero(differs):
         tie[candidate] = any(_touches_barely(frame, candidate, pose) for pose in range(min(poses, SOON_POSES)))
-    _verdicts(comparison, "reference: meets the ego", differs, tie, excused, stored.path.name)
-    other_tests = np.array([contacts.tests != int(stored.integers("ref_n_polygon_tests"))])
-    comparison.verdicts("reference: how many boxes are intersected", other_tests, where=stored.path.name)
+    compare_but_ties(comparison, "meets the ego", differs, tie, excused)
+    comparison.same("how many boxes are intersected", contacts.tests, stored.integers("ref_n_polygon_tests"))
     return np.asarray(sure & ~tie)
 
 
@@ -185,11 +163,3 @@ def _touches_barely(frame: _Frame, candidate: int, pose: int) -> bool:
         np.array([x, y, *(INFLATION * frame.size + 2.0 * slack), yaw]) for slack in (TOUCH_TIE_M, -TOUCH_TIE_M)
     )
     return bool((boxes_overlap(wide, others) != boxes_overlap(narrow, others)).any())
-
-
-def _verdicts(
-    comparison: Comparison, quantity: str, differs: Bools, tie: Bools, excused: dict[str, int], where: str
-) -> None:
-    """Count the verdicts that differ and have no tie to excuse it."""
-    comparison.verdicts(quantity, (differs & ~tie)[~tie], where=where)
-    excused[quantity] = excused.get(quantity, 0) + int(np.count_nonzero(tie))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats, boxes_overlap
+from benchmark.verification.checks import Comparison
 from generation.search.hyperparameters import CollisionReading
 
 TIE: Final = 1e-9
@@ -17,19 +18,20 @@ RANK_TIE: Final = 1e-9
 """Final scores nearer than this may change places."""
 
 
-def on_raster_tie(points: Floats, global_to_index: Floats) -> Bools:
+def on_raster_tie(points: Floats, global_to_index: Floats, tie: float = TIE) -> Bools:
     """Whether points lie on the border between two cells, so that rounding decides which one they are in.
 
     Args:
         points: (..., 2) metres, global.
         global_to_index: (2, 3) affine map to raster coordinates, which are rounded to the nearest integer.
+        tie: Cells.
 
     Returns:
-        (...) whether a coordinate is within `TIE` of a half integer.
+        (...) whether a coordinate is within the tie of a half integer.
     """
     coordinate = points @ global_to_index[:, :2].T + global_to_index[:, 2]
     from_border = np.abs(coordinate - np.floor(coordinate) - 0.5)
-    return np.asarray((from_border <= TIE).any(axis=-1))
+    return np.asarray((from_border <= tie).any(axis=-1))
 
 
 def touching_tie(box: Floats, others: Floats, reading: CollisionReading) -> bool:
@@ -78,3 +80,11 @@ def out_of_order(ours: Floats, golden: Floats, tie: float) -> NDArray[np.bool_]:
     wrong = np.zeros(len(order), np.bool_)
     wrong[order] = ~(highest_so_far[clearly_lower] < ours)
     return wrong
+
+
+def compare_but_ties(
+    comparison: Comparison, quantity: str, differs: Bools, tie: Bools, excused: dict[str, int]
+) -> None:
+    """Count the verdicts that differ and have no tie to excuse it; ``excused`` counts the others, by quantity."""
+    comparison.verdicts(quantity, (differs & ~tie)[~tie])
+    excused[quantity] = excused.get(quantity, 0) + int(np.count_nonzero(tie))

@@ -1,92 +1,61 @@
 """Drivers along recorded paths against a second implementation of the specification."""
 
-from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from benchmark.errors import InputError
-from benchmark.extensions.golden_sets.drivers.straight_road import DriverArrays
-from benchmark.geometry import Floats
 from benchmark.interactions.driving import Rung, Situation, drive
+from benchmark.interactions.golden import differ, encounter, fragile
 from benchmark.interactions.outcomes import Outcome, Surroundings
 from benchmark.interactions.reaction import Driver
 from benchmark.interactions.sight import first_visible
 from benchmark.interactions.tracks import Tracks
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden_facts import GoldenFacts
+from benchmark.verification.golden import GoldenArrays, GoldenFolder
 
-TOLERANCE: Final = 1e-6
-_SAME_TIME_S: Final = 1e-9
 _ADVERSARY_ONLY: Final = "_adversary_only"
 _ADDED: Final = "vehicle.car"
 """Category of the adversaries that are added to recorded scenes."""
 
 
-def compare_encounters(comparison: Comparison, folder: Path) -> None:
-    """Encounters of two tracks.
-
-    Args:
-        comparison: Takes the errors.
-        folder: The set.
-
-    Raises:
-        InputError: If the files cannot be used.
-    """
-    stored = DriverArrays.read(folder / "encounters.npz")
-    for facts in GoldenFacts.read_list(folder / "encounters.json"):
-        name = facts.text("name")
-        outcomes = _driven(facts, stored.encounter(name, facts.text("category")), None)
-        for driver, outcome in outcomes.items():
-            golden = facts.inner("drivers").inner(driver)
-            if golden.fragile():
+def compare_encounters(comparison: Comparison, folder: GoldenFolder) -> None:
+    """Compare encounters of two tracks."""
+    stored = folder.arrays("encounters.npz")
+    for facts in folder.facts("encounters.json"):
+        name = facts["name"]
+        at = comparison.at(name, "encounters: ")
+        for driver, outcome in _driven(facts, encounter(stored, facts), None).items():
+            if fragile(facts["drivers"][driver]):
                 continue
-            _compare_outcome(comparison, "encounters", outcome, golden, name)
+            _compare_outcome(at, outcome, facts["drivers"][driver])
             for quantity in ("speed", "station"):
-                theirs = stored.floats(f"{name}/{driver}/{quantity}", None)
-                _series(comparison, f"encounters: {quantity}", getattr(outcome, quantity), theirs, name)
+                at.series(quantity, getattr(outcome, quantity), stored.floats(f"{name}/{driver}/{quantity}", None))
             unsafe = stored.verdicts(f"{name}/{driver}/unsafe", None)
+            # A run that ends at another step is wrong as a whole.
             same = len(unsafe) == len(outcome.unsafe)
-            wrong = outcome.unsafe != unsafe if same else np.ones(len(unsafe), np.bool_)
-            comparison.verdicts("encounters: unsafe steps", wrong, where=name)
+            at.verdicts("unsafe steps", outcome.unsafe != unsafe if same else np.ones(len(unsafe), np.bool_))
 
 
-def compare_scenes(comparison: Comparison, folder: Path) -> None:
-    """Whole scenes with an adversary each.
-
-    Args:
-        comparison: Takes the errors.
-        folder: The set.
-
-    Raises:
-        InputError: If the files cannot be used.
-    """
-    stored = DriverArrays.read(folder / "scenes.npz")
-    for facts in GoldenFacts.read_list(folder / "scenes.json"):
-        scene, kind, adversary = facts.text("scene"), facts.text("adversary"), facts.whole("index")
-        where, tracks = f"{scene} {kind}", _scene_tracks(stored, scene, kind)
-        if not 0 <= adversary < len(tracks):
-            raise InputError(f"{facts.path}: {where} has no object {adversary}; get the set again")
+def compare_scenes(comparison: Comparison, folder: GoldenFolder) -> None:
+    """Compare whole scenes with an adversary each."""
+    stored = folder.arrays("scenes.npz")
+    for facts in folder.facts("scenes.json"):
+        adversary, tracks = facts["index"], _scene_tracks(stored, facts["scene"], facts["adversary"])
+        at = comparison.at(f"{facts['scene']} {facts['adversary']}", "scenes: ")
         seen = first_visible(tracks, adversary, tracks.grid())
-        golden_seen = facts.number("first_visible") if facts.known("first_visible") else None
-        comparison.verdicts("scenes: first visible", _differ(seen, golden_seen), where=where)
+        at.verdicts("first visible", differ(seen, facts["first_visible"]))
         for driver, outcome in _driven(facts, tracks, adversary).items():
-            golden = facts.inner("drivers").inner(driver)
-            if golden.fragile():
+            golden = facts["drivers"][driver]
+            if fragile(golden):
                 continue
-            _compare_outcome(comparison, "scenes", outcome, golden, where)
-            station = np.array([outcome.station[-1]])
-            comparison.numbers("scenes: last station (m)", station, golden.numbers("end_station")[None], TOLERANCE)
-            steps = np.array([np.count_nonzero(outcome.unsafe) != golden.whole("unsafe_steps")])
-            comparison.verdicts("scenes: unsafe steps", steps, where=where)
-            reason = golden.whole("first_reason") if golden.known("first_reason") else None
-            comparison.verdicts("scenes: reason", np.array([outcome.reason != reason]), where=where)
+            _compare_outcome(at, outcome, golden)
+            comparison.numbers("scenes: last station (m)", outcome.station[-1], golden["end_station"])
+            at.verdicts("unsafe steps", bool(np.count_nonzero(outcome.unsafe) != golden["unsafe_steps"]))
+            at.verdicts("reason", outcome.reason != golden["first_reason"])
 
 
-def _scene_tracks(stored: DriverArrays, scene: str, kind: str) -> Tracks:
+def _scene_tracks(stored: GoldenArrays, scene: str, kind: str) -> Tracks:
     seconds = stored.floats(f"{scene}/seconds", None)
-    if len(seconds) < 2 or (np.diff(seconds) <= 0).any():
-        raise InputError(f"{stored.path}: the times of {scene} do not rise; get the set again")
     frames = len(seconds)
     agents, added = stored.floats(f"{scene}/agents", None, frames, 5), stored.floats(f"{scene}/{kind}", frames, 5)
     valid = stored.verdicts(f"{scene}/valid", len(agents), frames)
@@ -95,55 +64,31 @@ def _scene_tracks(stored: DriverArrays, scene: str, kind: str) -> Tracks:
         ego=stored.floats(f"{scene}/ego", frames, 5),
         agents=np.concatenate([agents, added[None]]),
         valid=np.concatenate([valid, np.ones((1, frames), np.bool_)]),
-        categories=(*stored.words(f"{scene}/categories", len(agents)), _ADDED),
+        categories=(*stored.texts(f"{scene}/categories", len(agents)), _ADDED),
     )
 
 
-def _driven(facts: GoldenFacts, tracks: Tracks, adversary: int | None) -> dict[str, Outcome]:
-    names = list(facts.inner("drivers"))
-    try:
-        rungs = [Rung(Driver(name.removesuffix(_ADVERSARY_ONLY)), name.endswith(_ADVERSARY_ONLY)) for name in names]
-    except ValueError as error:
-        raise InputError(
-            f"{facts.path}: {facts.where} has a driver that is not known ({error}); known are {', '.join(Driver)}"
-        ) from None
+def _driven(facts: dict[str, Any], tracks: Tracks, adversary: int | None) -> dict[str, Outcome]:
+    names = facts["drivers"]
+    rungs = [Rung(Driver(name.removesuffix(_ADVERSARY_ONLY)), name.endswith(_ADVERSARY_ONLY)) for name in names]
     situation = Situation.of(tracks, adversary=adversary)
-    surroundings = Surroundings.of(situation)
-    return dict(zip(names, map(surroundings.outcome, drive(situation, rungs))))
+    return dict(zip(names, map(Surroundings.of(situation).outcome, drive(situation, rungs))))
 
 
-def _compare_outcome(comparison: Comparison, family: str, ours: Outcome, golden: GoldenFacts, where: str) -> None:
-    met = golden.known("contact")
-    comparison.verdicts(f"{family}: survives", np.array([ours.survives == met]), where=where)
-    reacted = golden.number("reacted") if golden.known("reacted") else None
-    comparison.verdicts(f"{family}: first unsafe step", _differ(ours.reacted, reacted), where=where)
-    slowest = np.array([ours.speed.min()])
-    comparison.numbers(f"{family}: slowest (m/s)", slowest, golden.numbers("min_speed")[None], TOLERANCE, where=where)
-    beyond = np.array([ours.beyond_end != golden.flag("beyond_end")])
-    comparison.verdicts(f"{family}: past the recorded path", beyond, where=where)
-    if ours.contact is None or not met:
+def _compare_outcome(comparison: Comparison, ours: Outcome, golden: dict[str, Any]) -> None:
+    contact, theirs = ours.contact, golden["contact"]
+    comparison.verdicts("survives", ours.survives == (theirs is not None))
+    comparison.verdicts("first unsafe step", differ(ours.reacted, golden["reacted"]))
+    comparison.numbers("slowest (m/s)", ours.speed.min(), golden["min_speed"])
+    comparison.verdicts("past the recorded path", ours.beyond_end != golden["beyond_end"])
+    if contact is None or theirs is None:
         return
-    contact, theirs = ours.contact, golden.inner("contact")
-    comparison.verdicts(f"{family}: time of contact", _differ(contact.time, theirs.number("time")), where=where)
-    wrong = [contact.agent != theirs.whole("agent"), contact.kind.value != theirs.text("type")]
-    comparison.verdicts(f"{family}: who is hit, and how", np.array(wrong), where=where)
-    speeds = np.array([contact.ego_speed, contact.other_speed, contact.impact_speed])
-    golden_speeds = np.array([theirs.number(name) for name in ("ego_speed", "other_speed", "impact_speed")])
-    comparison.numbers(f"{family}: speeds at contact (m/s)", speeds, golden_speeds, TOLERANCE, where=where)
-    boxes = np.array([contact.ego, contact.other])
-    golden_boxes = np.array([theirs.numbers("ego_box", 5), theirs.numbers("other_box", 5)])
-    comparison.numbers(f"{family}: place of contact (m)", boxes[:, :4], golden_boxes[:, :4], TOLERANCE, where=where)
-    headings = (boxes[:, 4], golden_boxes[:, 4])
-    comparison.numbers(f"{family}: headings at contact (rad)", *headings, TOLERANCE, angle=True, where=where)
-
-
-def _series(comparison: Comparison, quantity: str, ours: Floats, golden: Floats, where: str) -> None:
-    """A run that ends at another step is wrong as a whole."""
-    error = np.abs(ours - golden) if ours.shape == golden.shape else np.full(golden.shape, np.inf)
-    comparison.errors(quantity, error, TOLERANCE, where=where)
-
-
-def _differ(ours: float | None, golden: float | None) -> "np.ndarray[tuple[int], np.dtype[np.bool_]]":
-    if ours is None or golden is None:
-        return np.array([ours is not golden])
-    return np.array([abs(ours - golden) > _SAME_TIME_S])
+    comparison.verdicts("time of contact", differ(contact.time, theirs["time"]))
+    comparison.verdicts("who is hit, and how", [contact.agent != theirs["agent"], contact.kind.value != theirs["type"]])
+    speeds = ("ego_speed", "other_speed", "impact_speed")
+    comparison.numbers(
+        "speeds at contact (m/s)", [getattr(contact, name) for name in speeds], [theirs[name] for name in speeds]
+    )
+    boxes, golden_boxes = np.array([contact.ego, contact.other]), np.array([theirs["ego_box"], theirs["other_box"]])
+    comparison.numbers("place of contact (m)", boxes[:, :4], golden_boxes[:, :4])
+    comparison.numbers("headings at contact (rad)", boxes[:, 4], golden_boxes[:, 4], angle=True)

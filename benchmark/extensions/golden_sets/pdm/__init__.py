@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from benchmark.constants import EGO_WHEELBASE_M
-from benchmark.extensions.golden_sets.pdm.golden_set import GoldenScene, golden_scenes
+from benchmark.extensions.golden_sets.pdm.golden_set import GoldenScene
 from benchmark.extensions.golden_sets.pdm.verdicts import ModeComparison, compare_filter
 from benchmark.geometry import Floats, to_global, wrap_angle
 from benchmark.pdm.comfort import history_rows
@@ -18,71 +18,52 @@ from benchmark.pdm.definition import HEADING, STATE_COLUMNS, STATES
 from benchmark.pdm.motion import interpolated, reference_of, tracked
 from benchmark.pdm.road import footprints
 from benchmark.pdm.traffic import at_states, touching_at_start
-from benchmark.verification.checks import Check, Comparison
-
-__all__ = ["BUILT_IN", "verify_pdm"]
+from benchmark.verification.checks import Comparison
+from benchmark.verification.golden import GoldenFolder, GoldenSet
 
 BUILT_IN: Final = Path(__file__).parent / "golden" / "pdm"
 """The golden set in the package, in the same form as any other."""
-STATES_TOLERANCE, TOLERANCE = 1e-9, 1e-8
-SHORT_SAMPLES: Final = (0, 6)
+SHORT_SAMPLES: Final = [0, 6]
 """Samples that the set has with a shorter wheelbase too."""
 
 
-def verify_pdm(golden: Path | None = None) -> list[Check]:
-    """Compare the PDM sub-scores with a golden set: objects, motions, areas, events, sub-scores, totals.
-
-    Args:
-        golden: Directory of golden numbers; the built-in set by default.
-
-    Returns:
-        One check for each quantity, over all files.
-
-    Raises:
-        InputError: If the set cannot be used.
-    """
-    comparison = Comparison()
-    for path in golden_scenes(BUILT_IN if golden is None else golden):
-        scene = GoldenScene(path)
-        _compare_inputs(comparison, scene)
-        _compare_motions(comparison, scene)
+def _compare_scenes(comparison: Comparison, folder: GoldenFolder) -> None:
+    """Compare objects, motions, areas, events, sub-scores, totals."""
+    for path in folder.named("*.npz"):
+        scene, at = GoldenScene(folder.arrays(path.name)), comparison.at(path.name)
+        _compare_inputs(at, scene)
+        _compare_motions(at, scene)
         for mode in ("lqr", "direct"):
             stored = scene.by_plan(f"{mode}_states", STATES, STATE_COLUMNS)
-            ModeComparison(comparison, scene, mode, mode).compare(stored)
+            ModeComparison(at.at(path.name, f"{mode}: "), scene, mode).compare(stored)
         own = tracked(scene.plans.reshape(-1, *scene.plans.shape[2:]), np.repeat(scene.now, scene.count, axis=0))
         own = own.reshape(scene.samples, scene.count, STATES, STATE_COLUMNS)
-        scores = ModeComparison(comparison, scene, "lqr", "from plans").compare(own)
-        compare_filter(comparison, scene, own, scores)
-    return comparison.checks()
+        scores = ModeComparison(at.at(path.name, "from plans: "), scene, "lqr").compare(own)
+        compare_filter(at, scene, own, scores)
 
 
 def _compare_inputs(comparison: Comparison, scene: GoldenScene) -> None:
     """Objects at 10 Hz, which of them go, and the rows of history."""
-    stored, where = scene.stored, scene.name
-    traffic = at_states(scene.key_frames)
+    stored, traffic = scene.stored, at_states(scene.key_frames)
     count = len(traffic.present)
     box = stored.floats("obj_box", count, STATES, 3)
-    comparison.verdicts("objects present", traffic.present != stored.verdicts("obj_valid", count, STATES), where=where)
-    comparison.numbers("object position (m)", traffic.box[..., :2], box[..., :2], TOLERANCE, where=where)
-    comparison.numbers("object heading (rad)", traffic.box[..., 4], box[..., 2], TOLERANCE, angle=True, where=where)
+    comparison.same("objects present", traffic.present, stored.verdicts("obj_valid", count, STATES))
+    comparison.numbers("object position (m)", traffic.box[..., :2], box[..., :2])
+    comparison.numbers("object heading (rad)", traffic.box[..., 4], box[..., 2], angle=True)
     velocity = stored.floats("obj_velocity", count, STATES, 2)
-    comparison.numbers("object velocity (m/s)", traffic.velocity, velocity, TOLERANCE, where=where)
-    removed = touching_at_start(traffic, footprints(scene.now)) != stored.verdicts("obj_removed", count)
-    comparison.verdicts("objects removed", removed, where=where)
+    comparison.numbers("object velocity (m/s)", traffic.velocity, velocity)
+    removed = touching_at_start(traffic, footprints(scene.now))
+    comparison.same("objects removed", removed, stored.verdicts("obj_removed", count))
     rows = stored.floats("history_rows", scene.samples, None, STATE_COLUMNS)
-    ours = history_rows(scene.history)
-    comparison.numbers("history", ours, rows, TOLERANCE, where=where)
+    comparison.numbers("history", history_rows(scene.history), rows)
 
 
 def _compare_motions(comparison: Comparison, scene: GoldenScene) -> None:
     """Interpolated plans, profiles and tracked states."""
-    stored, where, shape = scene.stored, scene.name, (scene.samples, scene.count)
     plans, now = scene.plans.reshape(-1, *scene.plans.shape[2:]), np.repeat(scene.now, scene.count, axis=0)
     poses, golden = interpolated(plans), scene.by_plan("plan_states", STATES, 3).reshape(-1, STATES, 3)
-    heading = poses[..., 2] + now[:, None, HEADING]
-    position = to_global(poses[..., :2], now[:, None, :3])
-    comparison.numbers("plan position (m)", position, golden[..., :2], TOLERANCE, where=where)
-    comparison.numbers("plan heading (rad)", heading, golden[..., 2], TOLERANCE, angle=True, where=where)
+    comparison.numbers("plan position (m)", to_global(poses[..., :2], now[:, None, :3]), golden[..., :2])
+    comparison.numbers("plan heading (rad)", poses[..., 2] + now[:, None, HEADING], golden[..., 2], angle=True)
     path = reference_of(plans)
     profiles = {
         "speed profile (m/s)": (path.speed, "velocity"),
@@ -90,19 +71,26 @@ def _compare_motions(comparison: Comparison, scene: GoldenScene) -> None:
     }
     for name, (ours, kind) in profiles.items():
         official = scene.by_plan(f"lqr_{kind}_profile", STATES - 1)
-        comparison.numbers(name, ours.T.reshape(*shape, -1), official, TOLERANCE, where=where)
-    _compare_states(comparison, "", tracked(plans, now), scene.by_plan("lqr_states", STATES, STATE_COLUMNS), where)
+        comparison.numbers(name, ours.T.reshape(official.shape), official)
+    _compare_states(comparison, "", tracked(plans, now), scene.by_plan("lqr_states", STATES, STATE_COLUMNS))
     if scene.samples <= max(SHORT_SAMPLES):
         return
-    some = list(SHORT_SAMPLES)
-    short = stored.floats("lqr_states_short_wheelbase", len(some), scene.count, STATES, STATE_COLUMNS)
-    plans, now = scene.plans[some].reshape(-1, *scene.plans.shape[2:]), np.repeat(scene.now[some], scene.count, axis=0)
-    ours = tracked(plans, now, wheelbase_m=EGO_WHEELBASE_M)
-    _compare_states(comparison, ", short wheelbase", ours, short, where)
+    shape = (len(SHORT_SAMPLES), scene.count, STATES, STATE_COLUMNS)
+    plans = scene.plans[SHORT_SAMPLES].reshape(-1, *scene.plans.shape[2:])
+    ours = tracked(plans, np.repeat(scene.now[SHORT_SAMPLES], scene.count, axis=0), wheelbase_m=EGO_WHEELBASE_M)
+    _compare_states(comparison, ", short wheelbase", ours, scene.stored.floats("lqr_states_short_wheelbase", *shape))
 
 
-def _compare_states(comparison: Comparison, called: str, ours: Floats, golden: Floats, where: str) -> None:
-    theirs = golden.reshape(ours.shape)
-    difference = np.abs(ours - theirs)
-    difference[..., HEADING] = np.abs(wrap_angle(ours[..., HEADING] - theirs[..., HEADING]))
-    comparison.errors(f"states (11 columns){called}", difference, STATES_TOLERANCE, where=where)
+def _compare_states(comparison: Comparison, called: str, ours: Floats, golden: Floats) -> None:
+    difference = ours - golden.reshape(ours.shape)
+    difference[..., HEADING] = wrap_angle(difference[..., HEADING])
+    comparison.errors(f"states (11 columns){called}", difference)
+
+
+GOLDEN: Final = GoldenSet(
+    name="pdm",
+    files=("*.npz",),
+    compare=(_compare_scenes,),
+    quantities={"states (11 columns)*": 1e-9, "*: HC extremes": 2e-8, "*": 1e-8},
+    built_in=BUILT_IN,
+)

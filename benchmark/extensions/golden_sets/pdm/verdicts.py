@@ -3,7 +3,6 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmark.extensions.golden_sets.pdm.golden_set import GoldenScene
 from benchmark.geometry import Floats
@@ -17,7 +16,6 @@ from benchmark.verification.checks import Comparison
 
 APART: Final = 5
 """States between the two samples of a pair."""
-TOLERANCE, EXTREMES_TOLERANCE = 1e-8, 2e-8
 VERDICTS: Final = ("nc", "dac", "ddc", "ttc", "lk", "hc")
 
 
@@ -28,11 +26,10 @@ class ModeComparison:
         comparison: Gathers the errors.
         scene: The golden scene.
         mode: ``lqr`` or ``direct``: whose official answers.
-        label: What the checks are called by.
     """
 
-    def __init__(self, comparison: Comparison, scene: GoldenScene, mode: str, label: str) -> None:
-        self.comparison, self.scene, self.mode, self.label = comparison, scene, mode, label
+    def __init__(self, comparison: Comparison, scene: GoldenScene, mode: str) -> None:
+        self.comparison, self.scene, self.mode = comparison, scene, mode
 
     def compare(self, states: Floats) -> list[SubScores]:
         """Compare all plans of all samples.
@@ -45,8 +42,8 @@ class ModeComparison:
         """
         scene, found = self.scene, []
         differences, ec = comfort_of_pairs(scene, states)
-        self._numbers("EC differences", differences, scene.by_plan(f"{self.mode}_ec_rms", 4))
-        self._verdicts("EC", ec, scene.by_plan(f"{self.mode}_ec"))
+        self.comparison.numbers("EC differences", differences, scene.by_plan(f"{self.mode}_ec_rms", 4))
+        self.comparison.same("EC", ec, scene.by_plan(f"{self.mode}_ec"))
         for sample in range(scene.samples):
             plans = judged(states[sample], np.zeros(scene.count, np.int64), surroundings(scene, sample))
             self._events(sample, plans)
@@ -57,57 +54,53 @@ class ModeComparison:
     def _official(self, sample: int, name: str, *shape: int) -> Floats:
         return np.asarray(self.scene.by_plan(f"{self.mode}_{name}", *shape)[sample])
 
-    def _numbers(self, name: str, ours: Floats, theirs: Floats, tolerance: float = TOLERANCE) -> None:
-        self.comparison.numbers(f"{self.label}: {name}", ours, theirs, tolerance, where=self.scene.name)
-
-    def _verdicts(self, name: str, ours: NDArray[np.generic], theirs: NDArray[np.generic]) -> None:
-        self.comparison.verdicts(f"{self.label}: {name}", np.asarray(ours != theirs), where=self.scene.name)
-
     def _events(self, sample: int, plans: Judged) -> None:
         """Areas at every state, and every contact with what was made of it."""
-        where, flags = plans.where, self.scene.flags_by_plan
+        where, flags, same = plans.where, self.scene.flags_by_plan, self.comparison.same
         areas = np.stack([where.multiple_lanes, where.non_drivable, where.oncoming], axis=-1)
-        self._verdicts("areas", areas, flags(f"{self.mode}_areas", STATES, 3)[sample])
+        same("areas", areas, flags(f"{self.mode}_areas", STATES, 3)[sample])
         crossing = np.stack([where.center_in_intersection, where.axle_in_intersection], axis=-1)
-        self._verdicts("in intersection", crossing, flags(f"{self.mode}_in_intersection", STATES, 2)[sample])
+        same("in intersection", crossing, flags(f"{self.mode}_in_intersection", STATES, 2)[sample])
         for name, events in (("nc", plans.collisions.events), ("ttc", plans.near_misses.events)):
             official = self.scene.stored.integers(f"{self.mode}_{name}_events", None, events.shape[1] + 1)
             theirs = official[official[:, 0] == sample, 1:]
-            same = set(map(tuple, events.tolist())) ^ set(map(tuple, theirs.tolist()))
-            wrong = np.arange(max(len(events), len(theirs), 1)) < len(same)
-            self.comparison.verdicts(f"{self.label}: {name.upper()} events", wrong, where=self.scene.name)
+            other = set(map(tuple, events.tolist())) ^ set(map(tuple, theirs.tolist()))
+            wrong = np.arange(max(len(events), len(theirs), 1)) < len(other)
+            self.comparison.verdicts(f"{name.upper()} events", wrong)
 
     def _sub_scores(self, sample: int, plans: Judged) -> None:
+        same, numbers, course = self.comparison.same, self.comparison.numbers, plans.course
         for name in VERDICTS:
-            self._verdicts(name.upper(), getattr(plans.scores, name), self._official(sample, name))
+            same(name.upper(), getattr(plans.scores, name), self._official(sample, name))
         steps = self.scene.stored.integers
         shape = (self.scene.samples, self.scene.count)
-        self._verdicts("collision step", plans.collisions.step, steps(f"{self.mode}_collision_step", *shape)[sample])
-        self._verdicts("TTC step", plans.near_misses.step, steps(f"{self.mode}_ttc_step", *shape)[sample])
+        same("collision step", plans.collisions.step, steps(f"{self.mode}_collision_step", *shape)[sample])
+        same("TTC step", plans.near_misses.step, steps(f"{self.mode}_ttc_step", *shape)[sample])
         checks = self.scene.flags_by_plan(f"{self.mode}_hc_checks", 6)[sample]
-        self._verdicts("HC tests", comfort_checks(plans.extremes), checks)
-        extremes = self._official(sample, "hc_extremes", 6, 2)
-        self._numbers("HC extremes", plans.extremes, extremes, EXTREMES_TOLERANCE)
-        course = plans.course
-        self._numbers("progress (m)", course.progress_m, self._official(sample, "progress_m"))
-        self._numbers("wrong way (m)", course.wrong_way_m, self._official(sample, "ddc_max_m"))
+        same("HC tests", comfort_checks(plans.extremes), checks)
+        numbers("HC extremes", plans.extremes, self._official(sample, "hc_extremes", 6, 2))
+        numbers("progress (m)", course.progress_m, self._official(sample, "progress_m"))
+        numbers("wrong way (m)", course.wrong_way_m, self._official(sample, "ddc_max_m"))
         apart = offsets(plans.states, self.scene.route)
-        self._numbers("distance from route (m)", apart, self._official(sample, "lk_offset_m", STATES))
+        numbers("distance from route (m)", apart, self._official(sample, "lk_offset_m", STATES))
 
     def _totals(self, sample: int, plans: Judged, ec: Floats) -> SubScores:
         shape, recorded = self.scene.count, self.scene.recorded
         progress_m = np.repeat(plans.course.progress_m[recorded], shape)
         multiplier = np.repeat(plans.scores.multiplier[recorded], shape)
-        self._numbers("reference progress (m)", progress_m, self._official(sample, "reference_progress_m"))
-        self._numbers("reference multiplier", multiplier, self._official(sample, "reference_multiplier"))
         scores = beside(plans, progress_m, multiplier)
-        self._numbers("EP", scores.ep, self._official(sample, "ep"))
-        self._numbers("EP alone", plans.scores.ep, self._official(sample, "ep_alone"))
-        self._numbers("multiplier", scores.multiplier, self._official(sample, "multiplier"))
-        self._numbers("score without EC", scores.score_without_ec, self._official(sample, "score_without_ec"))
-        alone = self._official(sample, "score_without_ec_alone")
-        self._numbers("score without EC, alone", plans.scores.score_without_ec, alone)
-        self._numbers("score", scores.score(ec), self._official(sample, "score"))
+        ours = {
+            "reference progress (m)": (progress_m, "reference_progress_m"),
+            "reference multiplier": (multiplier, "reference_multiplier"),
+            "EP": (scores.ep, "ep"),
+            "EP alone": (plans.scores.ep, "ep_alone"),
+            "multiplier": (scores.multiplier, "multiplier"),
+            "score without EC": (scores.score_without_ec, "score_without_ec"),
+            "score without EC, alone": (plans.scores.score_without_ec, "score_without_ec_alone"),
+            "score": (scores.score(ec), "score"),
+        }
+        for name, (values, array) in ours.items():
+            self.comparison.numbers(name, values, self._official(sample, array))
         return scores
 
 
@@ -126,13 +119,12 @@ def compare_filter(comparison: Comparison, scene: GoldenScene, states: Floats, s
         human = human_scores(judged(recorded, np.zeros(1, np.int64), surroundings(scene, sample)))
         for name in FILTERED:
             official = scene.stored.floats(f"human_{name}", scene.samples)[sample]
-            comparison.verdicts("recorded driver", getattr(human, name) != official, where=scene.name)
+            comparison.verdicts("recorded driver", getattr(human, name) != official)
         filtered = ours.forgiving(human.zeros())
         columns = {f"filtered {name}": getattr(filtered, name) for name in FILTERED}
         columns |= {"filtered multiplier": filtered.multiplier, "filtered score": filtered.score(ec[sample])}
         for name, values in columns.items():
-            official = scene.by_plan(name.replace(" ", "_"))[sample]
-            comparison.numbers(name, values, official, TOLERANCE, where=scene.name)
+            comparison.numbers(name, values, scene.by_plan(name.replace(" ", "_"))[sample])
 
 
 def comfort_of_pairs(scene: GoldenScene, states: Floats) -> tuple[Floats, Floats]:
@@ -145,15 +137,7 @@ def comfort_of_pairs(scene: GoldenScene, states: Floats) -> tuple[Floats, Floats
 
 
 def surroundings(scene: GoldenScene, sample: int) -> Surroundings:
-    """What the plans of one sample are judged by.
-
-    Args:
-        scene: The golden scene.
-        sample: Which of its samples.
-
-    Returns:
-        One sample's surroundings.
-    """
+    """What the plans of one sample of a scene are judged by."""
     frames = scene.key_frames
     start, stop = int(frames.offsets[sample]), int(frames.offsets[sample + 1])
     some = slice(start, stop)

@@ -3,64 +3,76 @@
 from pathlib import Path
 from typing import Final
 
-from benchmark.extensions.golden_sets.protocols.aggregate_file import FurtherAggregates
-from benchmark.extensions.golden_sets.protocols.aggregates import Aggregates
-from benchmark.extensions.golden_sets.protocols.golden_set import GoldenScene, golden_inputs, read_golden_scene, remarks
+from benchmark.extensions.golden_sets.protocols.aggregate_file import compare_rate_file
+from benchmark.extensions.golden_sets.protocols.aggregates import Judged, compare_rates
+from benchmark.extensions.golden_sets.protocols.golden_set import golden_inputs, read_golden_scene, remarks
 from benchmark.extensions.golden_sets.protocols.official import compare_official
 from benchmark.extensions.golden_sets.protocols.official_more import compare_further, judged_further
 from benchmark.extensions.golden_sets.protocols.polygons import compare_polygons
-from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes
-from benchmark.verification.checks import Check, Comparison
-
-__all__ = ["BUILT_IN", "verify_protocols"]
+from benchmark.protocols import PROTOCOLS, STANDARD
+from benchmark.verification.checks import Comparison
+from benchmark.verification.golden import GoldenFolder, GoldenSet
 
 BUILT_IN: Final = Path(__file__).parent / "golden" / "protocols"
 """The golden set in the package, in the same form as any other."""
 
 
-def verify_protocols(golden: Path | None = None) -> list[Check]:
-    """Compare every protocol with a golden set: each sample, plan and step, and the rates over all of them.
+def _compare_scenes(comparison: Comparison, folder: GoldenFolder) -> None:
+    """Compare each sample, plan and step, and the rates over all of them.
 
     A set is of one of two forms, which may be mixed: with verdicts of the protocols that every run is judged by, or
-    with roads and the past beside the boxes and verdicts of the further ones.
-
-    Args:
-        golden: Directory of golden numbers; the built-in set by default. Scenes may lack the verdicts of exact polygons
-            (``NAME_exact.npz``), which the notes say; inputs and official verdicts belong together.
-
-    Returns:
-        One check for each quantity, over all files.
-
-    Raises:
-        InputError: If the set cannot be used.
+    with roads and the past beside the boxes and verdicts of the further ones. Scenes may lack the verdicts of exact
+    polygons (``NAME_exact.npz``), which the notes say; inputs and official verdicts belong together.
     """
-    paths = golden_inputs(BUILT_IN if golden is None else golden)
-    comparison, aggregates, further = Comparison(), Aggregates(), FurtherAggregates()
-    with_roads: set[str] = set()
+    paths = golden_inputs(folder)
+    judged, further = list[Judged](), list[Judged]()
     for path in paths:
         scene = read_golden_scene(path)
+        at = comparison.at(scene.name)
         if scene.with_roads:
             outcomes = judged_further(scene)
-            compare_further(comparison, scene, outcomes)
-            further.add(scene, outcomes)
-            with_roads.add(scene.name)
-        else:
-            outcomes = _judged(scene)
-            compare_official(comparison, scene, outcomes)
-            if scene.exact is not None:
-                compare_polygons(comparison, scene, outcomes["exact"])
-            aggregates.add(scene, outcomes)
-    aggregates.compare(comparison)
-    further.compare(comparison, paths[0].parent)
-    for text in remarks(paths, with_roads):
+            compare_further(at, scene, outcomes)
+            further.append((scene, outcomes))
+            continue
+        plans = [scene.plans[:, plan] for plan in range(len(scene.plan_names))]
+        outcomes = {name: [PROTOCOLS[name].evaluate(scene.truths, each) for each in plans] for name in STANDARD}
+        compare_official(at, scene, outcomes)
+        if scene.exact is not None:
+            compare_polygons(at, scene, scene.exact, outcomes["exact"])
+        judged.append((scene, outcomes))
+    compare_rates(comparison, judged)
+    compare_rate_file(comparison, folder, further)
+    for text in remarks(folder, paths, {scene.name for scene, _ in further}):
         comparison.note(comparison.checks()[0].quantity, text)
     for check in comparison.checks():
         if check.quantity.endswith("(m)") and check.quantity.split()[0] in STANDARD:
             comparison.note(check.quantity, "the golden numbers are single precision")
-    return comparison.checks()
 
 
-def _judged(scene: GoldenScene) -> dict[str, list[Outcomes]]:
-    """Verdicts on each plan of the protocols that every run is judged by."""
-    plans = [scene.plans[:, plan] for plan in range(len(scene.plan_names))]
-    return {name: [PROTOCOLS[name].evaluate(scene.truths, each) for each in plans] for name in STANDARD}
+GOLDEN: Final = GoldenSet(
+    name="protocols",
+    files=("*_official.npz",),
+    compare=(_compare_scenes,),
+    quantities={
+        # The file has four decimals of per cent and metres, and some single precision.
+        "* rates: *": 6e-5,
+        "* rates, means: *": 6e-5,
+        # As certain as the single precision of its terms lets a mean be.
+        "* rates, *: l2 (m)": 1e-6,
+        "* rates, *": 1e-9,
+        "exact heading (rad)": 1e-6,
+        "uniad L2 (m)": 1e-5,
+        "vad L2 at 1, 2, 3 s (m)": 1e-5,
+        "sparsedrive L2 (m)": 1e-5,
+        "diffusiondrive L2 (m)": 1e-5,
+        "omnidrive* L2 at 1, 2, 3 s (m)": 1e-9,
+        # Waypoints in single precision: of plans, and by way of global coordinates.
+        "omnidrive plan of the rear axle (m)": 2e-7,
+        "omnidrive recorded path (m)": 2e-4,
+        "bev-planner recorded path (m)": 1e-5,
+        # Shares of steps, and displacements or means of them, where the official code adds in single precision.
+        "bev-planner boundary_col at 1, 2, 3 s": 1e-7,
+        "*": 2e-5,
+    },
+    built_in=BUILT_IN,
+)

@@ -1,22 +1,17 @@
 """Rates over all scenes of a set against its ``aggregate.json``, which has four decimals of per cent and metres."""
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 
-from benchmark.errors import InputError
-from benchmark.extensions.golden_sets.protocols.golden_set import GoldenScene
-from benchmark.geometry import Floats
-from benchmark.machine.storage import read_json
+from benchmark.extensions.golden_sets.protocols.aggregates import Judged, joined
 from benchmark.metrics.rates import HORIZONS, rates
-from benchmark.protocols import PROTOCOLS, Outcomes
+from benchmark.protocols import PROTOCOLS
 from benchmark.verification.checks import Comparison
+from benchmark.verification.golden import GoldenFolder
 
 AGGREGATE: Final = "aggregate.json"
-ROUNDING: Final = 6e-5
-"""Half of the last decimal, and some single precision."""
 _Table = tuple[str, str | None, str, str]
 _TABLES: Final[tuple[_Table, ...]] = (
     ("stp3", None, "stp3", "stp3"),
@@ -38,77 +33,35 @@ _MEANS: Final = {"collision": "collision_mean", "l2": "l2_mean"}
 """Columns of the one protocol that has two tables."""
 
 
-class FurtherAggregates:
-    """Gathers scenes, then compares the rates over all but those with a ghost on the recorded path."""
+def compare_rate_file(comparison: Comparison, folder: GoldenFolder, judged: list[Judged]) -> None:
+    """Compare the rates of every plan over all scenes with roads but those with a ghost on the recorded path.
 
-    def __init__(self) -> None:
-        self._scenes: list[tuple[GoldenScene, Mapping[str, list[Outcomes]]]] = []
+    Without the file nothing is compared, nor with another number of samples, which is what a set with files left out
+    has.
+    """
+    judged = [(scene, outcomes) for scene, outcomes in judged if not scene.name.startswith("gtcol")]
+    if not judged or not folder.has(AGGREGATE):
+        return
+    stored = folder.facts(AGGREGATE)["protocols"]
+    for name, kind, protocol, whose in _TABLES:
+        table = stored[name] if kind is None else {"samples": stored[name]["samples"], **stored[name][kind]}
+        means = kind == "running_mean" and protocol == "opendrivevla"
+        _compare_table(comparison, judged, table, protocol, whose, means=means)
 
-    def add(self, scene: GoldenScene, outcomes: Mapping[str, list[Outcomes]]) -> None:
-        """Take a scene.
 
-        Args:
-            scene: A scene with roads.
-            outcomes: Verdicts on each plan, by protocol.
-        """
-        if not scene.name.startswith("gtcol"):
-            self._scenes.append((scene, outcomes))
-
-    def compare(self, comparison: Comparison, folder: Path) -> None:
-        """Compare the rates of every plan.
-
-        Args:
-            comparison: Where the errors go.
-            folder: Directory of the set; without the file nothing is compared, nor with another number of samples,
-                which is what a set with files left out has.
-
-        Raises:
-            InputError: If the file is damaged.
-        """
-        if not self._scenes or not (folder / AGGREGATE).is_file():
+def _compare_table(
+    comparison: Comparison, judged: list[Judged], table: Mapping[str, Any], protocol: str, whose: str, *, means: bool
+) -> None:
+    names = [scene.name for scene, _ in judged for _ in scene.truths]
+    for at, plan in enumerate(judged[0][0].plan_names):
+        together = joined([outcomes[whose][at] for _, outcomes in judged])
+        if int(together.counted.sum()) != table.get("samples", table.get("counted")):
             return
-        stored = read_json(folder / AGGREGATE)
-        try:
-            for name, kind, protocol, whose in _TABLES:
-                table = stored["protocols"][name]
-                if kind is not None:
-                    table = {"samples": table["samples"], **table[kind]}
-                means = kind == "running_mean" and protocol == "opendrivevla"
-                self._compare_table(comparison, table, protocol, whose, means=means)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InputError(
-                f"{folder / AGGREGATE} lacks rates of a protocol or has them in another form; fetch it again or leave "
-                "it away"
-            ) from error
-
-    def _compare_table(
-        self, comparison: Comparison, table: Mapping[str, Any], protocol: str, whose: str, *, means: bool
-    ) -> None:
-        names = [scene.name for scene, _ in self._scenes for _ in scene.truths]
-        for at, plan in enumerate(self._scenes[0][0].plan_names):
-            judged = _joined([outcomes[whose][at] for _, outcomes in self._scenes])
-            if int(judged.counted.sum()) != table.get("samples", table.get("counted")):
-                return
-            found = rates(PROTOCOLS[protocol], judged, names)
-            for array, column in _COLUMNS.items():
-                if array not in table:
-                    continue
+        found = rates(PROTOCOLS[protocol], together, names)
+        for array, column in _COLUMNS.items():
+            if array in table:
                 chosen = found[_MEANS[column] if means else column]
-                scale = 1.0 if column == "l2" else 100.0
+                scale, unit = (1.0, "m") if column == "l2" else (100.0, "%")
                 ours = scale * np.array([chosen[horizon].value for horizon in HORIZONS[:3]], np.float64)
-                wanted: Floats = np.array(table[array][plan], np.float64)
-                unit = "m" if column == "l2" else "%"
                 quantity = f"{whose} rates{', means' if means else ''}: {column} ({unit})"
-                comparison.numbers(quantity, ours, wanted, ROUNDING, where=f"plan {plan}")
-
-
-def _joined(parts: Sequence[Outcomes]) -> Outcomes:
-    """Verdicts of several scenes one after the other."""
-    return Outcomes(
-        collision=np.concatenate([part.collision for part in parts]),
-        l2=np.concatenate([part.l2 for part in parts]),
-        valid=np.concatenate([part.valid for part in parts]),
-        counted=np.concatenate([part.counted for part in parts]),
-        steps={name: np.concatenate([part.steps[name] for part in parts]) for name in parts[0].steps},
-        facts={name: tuple(fact for part in parts for fact in part.facts[name]) for name in parts[0].facts},
-    )
+                comparison.numbers(quantity, ours, table[array][plan], where=f"plan {plan}")

@@ -1,6 +1,6 @@
 """Rates of whole sets against official values of each sample, averaged as each official code averages."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -8,15 +8,11 @@ import numpy as np
 from benchmark.constants import HORIZON_STEPS
 from benchmark.extensions.golden_sets.protocols.golden_set import GoldenScene
 from benchmark.extensions.golden_sets.protocols.official import complete_samples
-from benchmark.geometry import Floats
+from benchmark.geometry import Bools, Floats
 from benchmark.metrics.rates import HORIZONS, rates
 from benchmark.protocols import PROTOCOLS, Outcomes
 from benchmark.verification.checks import Comparison
 
-COLLISION: Final = 1e-9
-"""Allowed error of a collision rate."""
-L2_M: Final = 1e-6
-"""Allowed error of a mean displacement, which is as certain as the single precision of its terms lets it be."""
 _COLUMNS: Final = {
     ("uniad", "collision"): "uniad_obj_box_col",
     ("uniad", "obj_col"): "uniad_obj_col",
@@ -34,43 +30,25 @@ _COLUMNS: Final = {
 """Protocol and column of ours, and the array of official per-sample values."""
 
 
-class Aggregates:
-    """Gathers scenes, then compares the rates over all of them; scenes with a ghost on the recorded path apart."""
-
-    def __init__(self) -> None:
-        self._scenes: dict[str, list[tuple[GoldenScene, Mapping[str, list[Outcomes]]]]] = {}
-
-    def add(self, scene: GoldenScene, outcomes: Mapping[str, list[Outcomes]]) -> None:
-        """Take a scene.
-
-        Args:
-            scene: The scene.
-            outcomes: For each protocol its verdicts on each plan.
-        """
-        group = "ghost scenes" if scene.name.startswith("gtcol") else "scenes"
-        self._scenes.setdefault(group, []).append((scene, outcomes))
-
-    def compare(self, comparison: Comparison) -> None:
-        """Compare the rates of every plan over the scenes that have it.
-
-        Args:
-            comparison: Where the errors go.
-
-        Raises:
-            InputError: If an array of official values is absent, damaged or of the wrong shape.
-        """
-        for group, scenes in self._scenes.items():
-            for plan in sorted({name for scene, _ in scenes for name in scene.plan_names}):
-                _compare_plan(comparison, group, plan, [part for part in scenes if plan in part[0].plan_names])
+Judged = tuple[GoldenScene, Mapping[str, list[Outcomes]]]
+"""A scene, and for each protocol its verdicts on each plan."""
 
 
-def _compare_plan(
-    comparison: Comparison, group: str, plan: str, scenes: list[tuple[GoldenScene, Mapping[str, list[Outcomes]]]]
-) -> None:
+def compare_rates(comparison: Comparison, judged: list[Judged]) -> None:
+    """Compare the rates of every plan over the scenes that have it, those with a ghost on the recorded path apart."""
+    groups: dict[str, list[Judged]] = {}
+    for part in judged:
+        groups.setdefault("ghost scenes" if part[0].name.startswith("gtcol") else "scenes", []).append(part)
+    for group, scenes in groups.items():
+        for plan in sorted({name for scene, _ in scenes for name in scene.plan_names}):
+            _compare_plan(comparison, group, plan, [part for part in scenes if plan in part[0].plan_names])
+
+
+def _compare_plan(comparison: Comparison, group: str, plan: str, scenes: list[Judged]) -> None:
     names = [scene.name for scene, _ in scenes for _ in scene.truths]
     complete = np.concatenate([complete_samples(scene) for scene, _ in scenes])
     for protocol in sorted({name for name, _ in _COLUMNS}, key=list(PROTOCOLS).index):
-        judged = _joined([outcomes[protocol][scene.plan_names.index(plan)] for scene, outcomes in scenes])
+        judged = joined([outcomes[protocol][scene.plan_names.index(plan)] for scene, outcomes in scenes])
         found = rates(PROTOCOLS[protocol], judged, names)
         for column in (column for name, column in _COLUMNS if name == protocol):
             golden = np.concatenate(
@@ -79,11 +57,9 @@ def _compare_plan(
             # Nothing can be said of a plan without a complete sample, and then there is no rate.
             if protocol != "uniad" and not complete.any():
                 continue
-            wanted = _averaged(protocol, golden, complete)
             ours = np.array([found[column][horizon].value for horizon in HORIZONS], np.float64)
             quantity = f"{protocol} rates, {group}: {column}" + (" (m)" if column == "l2" else "")
-            tolerance = L2_M if column == "l2" else COLLISION
-            comparison.numbers(quantity, ours, wanted, tolerance, where=f"plan {plan}")
+            comparison.numbers(quantity, ours, _averaged(protocol, golden, complete), where=f"plan {plan}")
 
 
 def _official(scene: GoldenScene, protocol: str, column: str) -> Floats:
@@ -92,7 +68,7 @@ def _official(scene: GoldenScene, protocol: str, column: str) -> Floats:
     return scene.official.floats(_COLUMNS[protocol, column], *scene.plans.shape[:2], last)
 
 
-def _averaged(protocol: str, values: Floats, complete: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Floats:
+def _averaged(protocol: str, values: Floats, complete: Bools) -> Floats:
     """The numbers that the official code prints at 1, 2 and 3 s, and their mean."""
     if protocol == "uniad":
         at_horizon = values.mean(axis=0)[[count - 1 for count in HORIZON_STEPS.values()]]
@@ -104,7 +80,7 @@ def _averaged(protocol: str, values: Floats, complete: np.ndarray[tuple[int], np
     return np.append(at_horizon, at_horizon.mean())
 
 
-def _joined(parts: list[Outcomes]) -> Outcomes:
+def joined(parts: Sequence[Outcomes]) -> Outcomes:
     """Verdicts of several scenes one after the other."""
     return Outcomes(
         collision=np.concatenate([part.collision for part in parts]),
@@ -112,4 +88,5 @@ def _joined(parts: list[Outcomes]) -> Outcomes:
         valid=np.concatenate([part.valid for part in parts]),
         counted=np.concatenate([part.counted for part in parts]),
         steps={name: np.concatenate([part.steps[name] for part in parts]) for name in parts[0].steps},
+        facts={name: tuple(fact for part in parts for fact in part.facts[name]) for name in parts[0].facts},
     )

@@ -1,22 +1,20 @@
 """Golden files of the protocols: scenes as plain arrays, plans, and what the official code says about them."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from benchmark.constants import FARTHEST_WAYPOINT_M, LIDAR_FROM_REAR_AXLE_M, PLAN_STEPS
-from benchmark.errors import InputError
-from benchmark.extensions.golden_sets.protocols.arrays import ProtocolArrays
+from benchmark.constants import LIDAR_FROM_REAR_AXLE_M, PLAN_STEPS
 from benchmark.extensions.golden_sets.protocols.given_roads import read_roads
 from benchmark.geometry import Floats
-from benchmark.machine.storage import file_sha256, read_json
+from benchmark.machine.storage import file_sha256
 from benchmark.planning import Command
 from benchmark.report.words import counted
 from benchmark.truth import SampleTruth
-from benchmark.verification.golden import golden_directory
+from benchmark.verification.golden import GoldenArrays, GoldenFolder
 
 _KEYFRAMES: Final = PLAN_STEPS + 1
 PAST: Final = "past_frames"
@@ -35,7 +33,6 @@ class GoldenScene:
         truths: S samples.
         plans: (S, P, 6, 2) waypoints in the lidar frame, metres.
         plan_names: P names.
-        official: What the official code says.
         inputs: What the samples were made from.
         official: What the official code says.
         exact: What exact polygons say, if the set has that.
@@ -46,57 +43,27 @@ class GoldenScene:
     truths: tuple[SampleTruth, ...]
     plans: Floats
     plan_names: tuple[str, ...]
-    inputs: ProtocolArrays
-    official: ProtocolArrays
-    exact: ProtocolArrays | None
+    inputs: GoldenArrays
+    official: GoldenArrays
+    exact: GoldenArrays | None
     with_roads: bool
 
 
-def golden_inputs(golden: Path) -> list[Path]:
-    """The files of a set that hold scenes and plans.
-
-    Args:
-        golden: Directory of the set.
-
-    Returns:
-        Paths by name.
-
-    Raises:
-        InputError: If the directory is absent, holds no such set, or a file of verdicts has no inputs beside it.
-    """
-    folder = golden_directory(golden, "protocols", f"*{_OFFICIAL}.npz")
+def golden_inputs(folder: GoldenFolder) -> list[Path]:
+    """The files of a set that hold scenes and plans, each of which has verdicts beside it."""
     endings = (_OFFICIAL, _EXACT)
-    judged = {path.stem.removesuffix(end) for end in endings for path in folder.glob(f"*{end}.npz")}
-    scenes = {path.stem for path in folder.glob("*.npz") if not path.stem.endswith(endings)}
-    for name in sorted(judged | scenes):
-        for needed in (f"{name}.npz", f"{name}{_OFFICIAL}.npz"):
-            if not (folder / needed).is_file():
-                raise InputError(
-                    f"the golden set {folder} has no {needed}; a scene needs NAME.npz and NAME{_OFFICIAL}.npz"
-                )
-    return [folder / f"{name}.npz" for name in sorted(scenes)]
+    scenes = {path.stem.removesuffix(end) for end in ("", *endings) for path in folder.named(f"*{end}.npz")}
+    names = sorted(name for name in scenes if not name.endswith(endings))
+    for name in (each for stem in names for each in (f"{stem}.npz", f"{stem}{_OFFICIAL}.npz")):
+        if not folder.has(name):
+            raise ValueError(f"it has no {name}")
+    return [folder.path / f"{name}.npz" for name in names]
 
 
 def read_golden_scene(path: Path) -> GoldenScene:
-    """Read a scene.
-
-    Args:
-        path: One of `golden_inputs`.
-
-    Returns:
-        The scene.
-
-    Raises:
-        InputError: If a file is damaged or its arrays do not fit together.
-    """
-    stored = ProtocolArrays.read(path)
+    """The scene of one of `golden_inputs`."""
+    stored = GoldenArrays.read(path)
     plans = stored.floats("plans", None, None, PLAN_STEPS, 2)
-    if not plans.size:
-        raise InputError(f"{path} has no samples or no plans; leave it out of the set")
-    _refuse_far(stored, "plans", plans)
-    names = stored.labels("plan_names", plans.shape[1])
-    if len(set(names)) < len(names):
-        raise InputError(f"plan_names in {path} has a name twice; give each plan its own")
     exact = path.with_stem(path.stem + _EXACT)
     with_roads = PAST in stored.names
     truths = truths_of(stored, len(plans))
@@ -104,20 +71,16 @@ def read_golden_scene(path: Path) -> GoldenScene:
         name=path.stem,
         truths=tuple(_with_past_and_roads(stored, truths) if with_roads else truths),
         plans=plans,
-        plan_names=tuple(names),
+        plan_names=tuple(stored.texts("plan_names", plans.shape[1])),
         inputs=stored,
-        official=ProtocolArrays.read(path.with_stem(path.stem + _OFFICIAL)),
-        exact=ProtocolArrays.read(exact) if exact.is_file() else None,
+        official=GoldenArrays.read(path.with_stem(path.stem + _OFFICIAL)),
+        exact=GoldenArrays.read(exact) if exact.is_file() else None,
         with_roads=with_roads,
     )
 
 
-def _with_past_and_roads(stored: ProtocolArrays, truths: list[SampleTruth]) -> list[SampleTruth]:
-    """Samples with what the further protocols ask for beside boxes: poses, who was seen before, and roads.
-
-    Raises:
-        InputError: If an array is absent, damaged, or does not fit the others.
-    """
+def _with_past_and_roads(stored: GoldenArrays, truths: list[SampleTruth]) -> list[SampleTruth]:
+    """Samples with what the further protocols ask for beside boxes: poses, who was seen before, and roads."""
     samples = len(truths)
     before = stored.integers(PAST, samples)
     now = stored.floats("ego_pose", samples, 3)
@@ -144,65 +107,36 @@ def _held(now: Floats, poses: Floats, truth: SampleTruth) -> Floats:
     return np.where(truth.ego_future_valid[:, None], poses, poses[last - 1] if last else now)
 
 
-def remarks(paths: Iterable[Path], with_roads: Collection[str] = ()) -> list[str]:
+def remarks(folder: GoldenFolder, paths: list[Path], with_roads: Collection[str]) -> list[str]:
     """What a reader should know about the files of a set.
 
     Args:
+        folder: The set.
         paths: All of `golden_inputs`.
         with_roads: Names of those of the form that has no exact verdicts.
 
     Returns:
         Short texts: files without exact verdicts, files that the manifest lists and the folder lacks, files that are
         not those the manifest describes.
-
-    Raises:
-        InputError: If the manifest is not readable.
     """
-    scenes = list(paths)
-    found = [counted(len(scenes), "file")]
-    without = [path.stem for path in scenes if not path.with_stem(path.stem + _EXACT).is_file()]
-    without = [name for name in without if name not in with_roads]
-    if without:
+    found = [counted(len(paths), "file")]
+    names = [path.stem for path in paths if path.stem not in with_roads]
+    if without := [name for name in names if not folder.has(f"{name}{_EXACT}.npz")]:
         found.append(f"no exact verdicts for {', '.join(without)}")
-    folder = scenes[0].parent
-    if not (folder / _MANIFEST).is_file():
+    if not folder.has(_MANIFEST):
         return [*found, f"no {_MANIFEST}"]
-    manifest = read_json(folder / _MANIFEST)
-    files = manifest.get("files") if isinstance(manifest, dict) else None
-    if not isinstance(files, dict):
-        raise InputError(f"{folder / _MANIFEST} lists no files; make it again or leave it away")
-    absent = sorted(name for name in files if not (folder / name).is_file())
-    if absent:
-        found.append(f"{len(absent)} more in {_MANIFEST} are not there")
-    changed = [name for name in sorted(files) if name not in absent and _differs(folder / name, files[name])]
-    if changed:
+    files = folder.facts(_MANIFEST)["files"]
+    there = {name: facts for name, facts in sorted(files.items()) if folder.has(name)}
+    if len(there) < len(files):
+        found.append(f"{len(files) - len(there)} more in {_MANIFEST} are not there")
+    sums = {name: facts["sha256"] for name, facts in there.items() if "sha256" in facts}
+    if changed := [name for name, wanted in sums.items() if file_sha256(folder.path / name) != wanted]:
         found.append(f"not as {_MANIFEST} describes them: {', '.join(changed)}")
     return found
 
 
-def _differs(path: Path, facts: Any) -> bool:
-    wanted = facts.get("sha256") if isinstance(facts, dict) else None
-    return wanted is not None and file_sha256(path) != wanted
-
-
-def _refuse_far(stored: ProtocolArrays, name: str, values: Floats) -> None:
-    if np.abs(values).max(initial=0.0) > FARTHEST_WAYPOINT_M:
-        raise InputError(f"array {name} in {stored.path} has numbers beyond 10 km, which are no metres; make it again")
-
-
-def truths_of(stored: ProtocolArrays, samples: int) -> list[SampleTruth]:
-    """Samples as the protocols take them; where they are in the world does not matter to any.
-
-    Args:
-        stored: Arrays of a file of inputs.
-        samples: How many samples it has.
-
-    Returns:
-        The samples.
-
-    Raises:
-        InputError: If an array is absent, damaged, or does not fit the others.
-    """
+def truths_of(stored: GoldenArrays, samples: int) -> list[SampleTruth]:
+    """The samples of a file of inputs as the protocols take them; where they are in the world matters to none."""
     future = stored.floats("ego_fut", samples, PLAN_STEPS, 3)
     valid = stored.verdicts("ego_fut_valid", samples, PLAN_STEPS)
     commands = stored.integers("command", samples)
@@ -211,19 +145,10 @@ def truths_of(stored: ProtocolArrays, samples: int) -> list[SampleTruth]:
     pose = stored.floats("obj_box", count, _KEYFRAMES, 3)
     annotated = stored.verdicts("obj_annotated", count, _KEYFRAMES)
     points = stored.verdicts("obj_has_points", count, _KEYFRAMES) & annotated
-    kinds, labels = stored.integers("obj_class", count), stored.labels("class_names")
+    kinds, labels = stored.integers("obj_class", count), stored.texts("class_names")
     offset = stored.integers("obj_offset", samples + 1)
-    if offset[0] != 0 or offset[-1] != count or (np.diff(offset) < 0).any():
-        raise InputError(f"obj_offset in {stored.path} does not divide its {count} objects; make the file again")
-    if count and (kinds.min() < 0 or kinds.max() >= len(labels) or size.min() <= 0):
-        raise InputError(f"{stored.path} has objects without a name in class_names or without a size; make it again")
-    for name, values in {"ego_fut": future, "obj_box": pose, "obj_size": size}.items():
-        _refuse_far(stored, name, values)
-    if (valid[:, 1:] & ~valid[:, :-1]).any() or not np.isin(commands, list(Command)).all():
-        raise InputError(f"{stored.path} has futures with gaps in ego_fut_valid or an unknown command; make it again")
-    boxes = np.concatenate(
-        [pose[..., :2], np.broadcast_to(size[:, None], (count, _KEYFRAMES, 2)), pose[..., 2:]], axis=-1
-    )
+    sizes = np.broadcast_to(size[:, None], (count, _KEYFRAMES, 2))
+    boxes = np.concatenate([pose[..., :2], sizes, pose[..., 2:]], axis=-1)
     return [
         SampleTruth(
             scene=stored.path.stem,

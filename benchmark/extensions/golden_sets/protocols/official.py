@@ -10,11 +10,11 @@ from benchmark.constants import PLAN_STEPS
 from benchmark.extensions.golden_sets.protocols.golden_set import GoldenScene
 from benchmark.geometry import Bools, Floats
 from benchmark.protocols import PROTOCOLS, Outcomes, raster
+from benchmark.protocols.raster import CELLS
 from benchmark.protocols.stacked import StackedTruths, stack
 from benchmark.verification.checks import Comparison
+from benchmark.verification.golden import GoldenArrays
 
-L2_M: Final = 1e-5
-"""Allowed error of one displacement: the golden ones are single precision, up to about 100 m."""
 _TABLES: Final = {"vad": "vad", "vad-23": "vad23"}
 """Protocol and prefix of its arrays, for both category tables."""
 
@@ -24,6 +24,24 @@ def complete_samples(scene: GoldenScene) -> Bools:
     return np.array([truth.complete for truth in scene.truths], dtype=np.bool_)
 
 
+def compare_equal(
+    comparison: Comparison,
+    stored: GoldenArrays,
+    ours: Mapping[str, tuple[NDArray[Any], str]],
+    of: Bools | None = None,
+) -> None:
+    """Compare what must be equal.
+
+    Args:
+        comparison: Where the errors go.
+        stored: Golden arrays; verdicts may be stored as numbers.
+        ours: By quantity our values, and the array of golden ones.
+        of: Samples that are compared.
+    """
+    for quantity, (values, array) in ours.items():
+        comparison.same(quantity, values, stored.floats(array, *values.shape), of)
+
+
 def compare_official(comparison: Comparison, scene: GoldenScene, outcomes: Mapping[str, list[Outcomes]]) -> None:
     """Compare all four protocols, VAD with both category tables.
 
@@ -31,17 +49,13 @@ def compare_official(comparison: Comparison, scene: GoldenScene, outcomes: Mappi
         comparison: Where the errors go.
         scene: The scene.
         outcomes: For each protocol its verdicts on each of the P plans.
-
-    Raises:
-        InputError: If an array of verdicts is absent, damaged or of the wrong shape.
     """
     stacked, complete = stack(scene.truths), complete_samples(scene)
-    counted = scene.official.verdicts("sample_valid", len(scene.truths))
-    comparison.verdicts("samples that count", counted != complete, where=scene.name)
-    _compare_uniad(comparison, scene, outcomes["uniad"], stacked)
-    _compare_vad(comparison, scene, outcomes, stacked, complete)
+    compare_equal(comparison, scene.official, {"samples that count": (complete, "sample_valid")})
+    _compare_uniad(comparison, scene.official, outcomes["uniad"], stacked)
+    _compare_vad(comparison, scene.official, outcomes, stacked, complete)
     for name in ("sparsedrive", "diffusiondrive"):
-        _compare_polygons(comparison, scene, name, outcomes[name], complete)
+        _compare_polygons(comparison, scene.official, name, outcomes[name], complete)
 
 
 def drawn(name: str, truths: StackedTruths) -> NDArray[np.uint8]:
@@ -55,8 +69,7 @@ def drawn(name: str, truths: StackedTruths) -> NDArray[np.uint8]:
         (S, 6, 200, 200) ones where occupied.
     """
     definition = PROTOCOLS[name]
-    if not isinstance(definition, raster.RasterProtocol):
-        raise ValueError(f"protocol {name} draws no raster")
+    assert isinstance(definition, raster.RasterProtocol)
     objects, steps = np.nonzero(definition.counted_objects(truths))
     polygons = definition.drawn_polygons(definition.drawn_boxes(truths, objects, steps))
     samples = len(truths.ego_future)
@@ -64,93 +77,87 @@ def drawn(name: str, truths: StackedTruths) -> NDArray[np.uint8]:
     return grids.reshape(samples, PLAN_STEPS, *grids.shape[1:])
 
 
-def _compare_uniad(comparison: Comparison, scene: GoldenScene, judged: list[Outcomes], stacked: StackedTruths) -> None:
-    official, where = scene.official, scene.name
-    shape = scene.plans.shape[:3]
+def stored_rasters(stored: GoldenArrays, name: str, samples: int) -> NDArray[np.uint8]:
+    """(S, 6, 200, 200) ones where occupied, which are stored eight cells to the byte."""
+    packed = stored.integers(name, samples, PLAN_STEPS, CELLS * CELLS // 8).astype(np.uint8)
+    return np.unpackbits(packed, axis=-1).reshape(samples, PLAN_STEPS, CELLS, CELLS)
+
+
+def _compare_uniad(
+    comparison: Comparison, official: GoldenArrays, judged: list[Outcomes], stacked: StackedTruths
+) -> None:
     # The official raster past the end of a scene is full, so both flags are up there; ours say nothing there.
-    past_end = ~stacked.ego_future_valid
-    flags = {
-        "before the mask": (
-            _steps(judged, "before_mask") | past_end[:, None],
-            official.verdicts("uniad_raw_box", *shape),
-        ),
-        "of the recorded ego": (judged[0].step("recorded") | past_end, official.verdicts("uniad_gt_box", *_row(shape))),
-        "obj_box_col": (_collisions(judged), official.flags("uniad_obj_box_col", *shape)),
-        "obj_col": (_steps(judged, "obj_col"), official.flags("uniad_obj_col", *shape)),
-    }
-    for quantity, (ours, golden) in flags.items():
-        comparison.verdicts(f"uniad {quantity}", ours != golden, where=where)
-    displacement = official.floats("uniad_L2", *shape)
-    comparison.numbers("uniad L2 (m)", _displacements(judged), displacement, L2_M, where=where)
     seen = stacked.ego_future_valid
-    stored = official.rasters("uniad_seg_bits", len(scene.truths))
-    comparison.verdicts("uniad raster cells", drawn("uniad", stacked)[seen] != stored[seen], where=where)
+    ours = {
+        "uniad before the mask": (on_all(judged, "before_mask") | ~seen[:, None], "uniad_raw_box"),
+        "uniad of the recorded ego": (judged[0].step("recorded") | ~seen, "uniad_gt_box"),
+        "uniad obj_box_col": (on_all(judged), "uniad_obj_box_col"),
+        "uniad obj_col": (on_all(judged, "obj_col"), "uniad_obj_col"),
+    }
+    compare_equal(comparison, official, ours)
+    compare_l2(comparison, official, "uniad L2 (m)", judged, "uniad_L2", np.ones(len(seen), np.bool_))
+    stored = stored_rasters(official, "uniad_seg_bits", len(seen))
+    comparison.same("uniad raster cells", drawn("uniad", stacked), stored, seen)
 
 
 def _compare_vad(
     comparison: Comparison,
-    scene: GoldenScene,
+    official: GoldenArrays,
     outcomes: Mapping[str, list[Outcomes]],
     stacked: StackedTruths,
     complete: Bools,
 ) -> None:
-    official, where, judged = scene.official, scene.name, outcomes["vad"]
-    shape = scene.plans.shape[:3]
-    flags = {
-        "before the mask": (_steps(judged, "before_mask"), official.verdicts("vad_raw_box", *shape)),
-        "of the recorded ego": (judged[0].step("recorded"), official.verdicts("vad_gt_box", *_row(shape))),
-        "obj_box_col": (_collisions(judged), official.flags("vad_step_obj_box_col", *shape)),
-        "obj_col": (_steps(judged, "obj_col"), official.flags("vad_step_obj_col", *shape)),
+    judged = outcomes["vad"]
+    ours = {
+        "vad before the mask": (on_all(judged, "before_mask"), "vad_raw_box"),
+        "vad of the recorded ego": (judged[0].step("recorded"), "vad_gt_box"),
+        "vad obj_box_col": (on_all(judged), "vad_step_obj_box_col"),
+        "vad obj_col": (on_all(judged, "obj_col"), "vad_step_obj_col"),
     }
-    for quantity, (ours, golden) in flags.items():
-        comparison.verdicts(f"vad {quantity}", (ours != golden)[complete], where=where)
+    compare_equal(comparison, official, ours, complete)
     for name, prefix in _TABLES.items():
-        values = [PROTOCOLS[name].sample_values(plan) for plan in outcomes[name]]
-        for column, array in {"collision": "obj_box_col", "obj_col": "obj_col"}.items():
-            wanted = official.floats(f"{prefix}_{array}", *shape[:2], 3)
-            found = np.stack([value[column] for value in values], axis=1)
-            comparison.verdicts(f"{name} {array} at 1, 2, 3 s", (found != wanted)[complete], where=where)
+        values = at_horizons(name, outcomes[name])
+        shares = {
+            f"{name} obj_box_col at 1, 2, 3 s": (values["collision"], f"{prefix}_obj_box_col"),
+            f"{name} obj_col at 1, 2, 3 s": (values["obj_col"], f"{prefix}_obj_col"),
+        }
+        compare_equal(comparison, official, shares, complete)
         if name == "vad":
-            wanted = official.floats("vad_L2", *shape[:2], 3)
-            found = np.stack([value["l2"] for value in values], axis=1)
-            quantity = "vad L2 at 1, 2, 3 s (m)"
-            comparison.numbers(quantity, found[complete], wanted[complete], L2_M, where=where)
-    stored = official.rasters("vad_seg_bits", len(scene.truths))
-    comparison.verdicts("vad raster cells", drawn("vad", stacked) != stored, where=where)
+            golden = official.floats("vad_L2", *values["l2"].shape)
+            comparison.numbers("vad L2 at 1, 2, 3 s (m)", values["l2"][complete], golden[complete])
+    stored = stored_rasters(official, "vad_seg_bits", len(complete))
+    comparison.same("vad raster cells", drawn("vad", stacked), stored)
 
 
 def _compare_polygons(
-    comparison: Comparison, scene: GoldenScene, name: str, judged: list[Outcomes], complete: Bools
+    comparison: Comparison, official: GoldenArrays, name: str, judged: list[Outcomes], complete: Bools
 ) -> None:
     """SparseDrive or DiffusionDrive, whose evaluation is the same and which share their golden arrays."""
-    official, where = scene.official, scene.name
-    shape = scene.plans.shape[:3]
-    recorded = judged[0].step("recorded")
-    flags = {
-        "before the mask": (_steps(judged, "before_mask"), official.verdicts("sd_raw_box", *shape)),
-        "of the recorded ego": (recorded, official.verdicts("sd_gt_box", *_row(shape))),
-        "obj_box_col": (_collisions(judged), official.flags("sd_obj_box_col", *shape)),
-        "obj_col": (np.broadcast_to(recorded[:, None], shape), official.flags("sd_obj_col", *shape)),
+    recorded, collisions = judged[0].step("recorded"), on_all(judged)
+    ours = {
+        f"{name} before the mask": (on_all(judged, "before_mask"), "sd_raw_box"),
+        f"{name} of the recorded ego": (recorded, "sd_gt_box"),
+        f"{name} obj_box_col": (collisions, "sd_obj_box_col"),
+        f"{name} obj_col": (np.broadcast_to(recorded[:, None], collisions.shape), "sd_obj_col"),
     }
-    for quantity, (ours, golden) in flags.items():
-        comparison.verdicts(f"{name} {quantity}", (ours != golden)[complete], where=where)
-    displacement = official.floats("sd_L2", *shape)
-    ours = _displacements(judged)
-    comparison.numbers(f"{name} L2 (m)", ours[complete], displacement[complete], L2_M, where=where)
+    compare_equal(comparison, official, ours, complete)
+    compare_l2(comparison, official, f"{name} L2 (m)", judged, "sd_L2", complete)
 
 
-def _row(shape: tuple[int, ...]) -> tuple[int, int]:
-    """Shape of what is the same for all plans."""
-    return shape[0], shape[2]
+def compare_l2(
+    comparison: Comparison, official: GoldenArrays, quantity: str, judged: list[Outcomes], array: str, of: Bools
+) -> None:
+    """Compare displacements at the steps, of some samples."""
+    ours = np.stack([outcomes.l2 for outcomes in judged], axis=1)
+    comparison.numbers(quantity, ours[of], official.floats(array, *ours.shape)[of])
 
 
-def _steps(judged: list[Outcomes], column: str) -> NDArray[Any]:
-    return np.stack([outcomes.step(column) for outcomes in judged], axis=1)
+def on_all(judged: list[Outcomes], column: str | None = None) -> NDArray[Any]:
+    """(S, P, 6) verdicts on all plans: collisions, or a further column."""
+    return np.stack([one.collision if column is None else one.step(column) for one in judged], axis=1)
 
 
-def _collisions(judged: list[Outcomes]) -> Bools:
-    return np.stack([outcomes.collision for outcomes in judged], axis=1)
-
-
-def _displacements(judged: list[Outcomes]) -> Floats:
-    return np.stack([outcomes.l2 for outcomes in judged], axis=1)
+def at_horizons(name: str, judged: list[Outcomes]) -> dict[str, Floats]:
+    """(S, P, 3) each column of the values at 1, 2 and 3 s."""
+    found = [PROTOCOLS[name].sample_values(one) for one in judged]
+    return {column: np.stack([one[column] for one in found], axis=1) for column in found[0]}

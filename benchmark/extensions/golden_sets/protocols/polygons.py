@@ -7,6 +7,7 @@ import numpy as np
 
 from benchmark.constants import PLAN_STEPS
 from benchmark.extensions.golden_sets.protocols.golden_set import GoldenScene
+from benchmark.extensions.golden_sets.protocols.official import compare_equal
 from benchmark.geometry import Bools, Floats
 from benchmark.protocols import PROTOCOLS, Outcomes
 from benchmark.protocols.exact import INSTANTS_PER_STEP, contacts, ego_boxes, footprints_between
@@ -14,36 +15,30 @@ from benchmark.protocols.sparsedrive import waypoint_contacts
 from benchmark.protocols.stacked import StackedTruths, stack
 from benchmark.truth import SampleTruth
 from benchmark.verification.checks import Comparison
+from benchmark.verification.golden import GoldenArrays
 
-HEADING_RAD: Final = 1e-6
-"""Allowed error of a heading: the golden ones are single precision."""
 _INSTANTS: Final = PLAN_STEPS * INSTANTS_PER_STEP
 _FROZEN: Final = ("all", "uniad", "vad")
 """Object sets for which the verdicts with a frozen heading are stored too."""
 
 
-def compare_polygons(comparison: Comparison, scene: GoldenScene, judged: list[Outcomes]) -> None:
+def compare_polygons(comparison: Comparison, scene: GoldenScene, exact: GoldenArrays, judged: list[Outcomes]) -> None:
     """Compare contacts at the waypoints and every 0.1 s, of plans and of the recorded ego, and headings of plans.
 
     Args:
         comparison: Where the errors go.
-        scene: A scene that has exact verdicts.
+        scene: The scene.
+        exact: Its exact verdicts.
         judged: What ``exact`` says about each of the P plans.
-
-    Raises:
-        InputError: If an array of verdicts is absent, damaged or of the wrong shape.
     """
-    assert scene.exact is not None
-    exact, where = scene.exact, scene.name
     stacked, shape = stack(scene.truths), scene.plans.shape[:3]
     steps = exact.verdicts("cont_all", *shape[:2], _INSTANTS).reshape(*shape, INSTANTS_PER_STEP).any(axis=-1)
-    ours = np.stack([outcomes.collision for outcomes in judged], axis=1)
-    comparison.verdicts("exact collision", ours != steps, where=where)
+    comparison.same("exact collision", np.stack([outcomes.collision for outcomes in judged], axis=1), steps)
     for objects, present in object_sets(stacked).items():
-        _compare_set(comparison, scene, stacked, objects, present)
+        _compare_set(comparison, scene, exact, stacked, objects, present)
     heading = exact.floats("heading", *shape[:2], PLAN_STEPS + 1)[..., 1:]
     ours = np.stack([PROTOCOLS["exact"].headings(scene.plans[:, plan]) for plan in range(shape[1])], axis=1)
-    comparison.numbers("exact heading (rad)", ours, heading, HEADING_RAD, angle=True, where=where)
+    comparison.numbers("exact heading (rad)", ours, heading, angle=True)
 
 
 def object_sets(truths: StackedTruths) -> dict[str, Bools]:
@@ -67,32 +62,33 @@ def object_sets(truths: StackedTruths) -> dict[str, Bools]:
 
 
 def _compare_set(
-    comparison: Comparison, scene: GoldenScene, stacked: StackedTruths, objects: str, present: Bools
+    comparison: Comparison,
+    scene: GoldenScene,
+    exact: GoldenArrays,
+    stacked: StackedTruths,
+    objects: str,
+    present: Bools,
 ) -> None:
-    exact, where = scene.exact, scene.name
-    assert exact is not None
-    samples, plans = scene.plans.shape[:2]
-    truths = _reduced(scene.truths, present)
-    found = np.stack([contacts(ego_boxes(scene.plans[:, plan]), truths)[0] for plan in range(plans)], axis=1)
-    golden = exact.verdicts(f"cont_{objects}", samples, plans, _INSTANTS)
-    comparison.verdicts("exact contact every 0.1 s, " + objects, found != golden, where=where)
-    at_waypoints = found[..., INSTANTS_PER_STEP - 1 :: INSTANTS_PER_STEP]
-    golden = exact.verdicts(f"way_{objects}", samples, plans, PLAN_STEPS)
-    comparison.verdicts("exact contact at waypoints, " + objects, at_waypoints != golden, where=where)
+    plans = [scene.plans[:, plan] for plan in range(len(scene.plan_names))]
+    truths, last = _reduced(scene.truths, present), slice(INSTANTS_PER_STEP - 1, None, INSTANTS_PER_STEP)
+    found = np.stack([contacts(ego_boxes(plan), truths)[0] for plan in plans], axis=1)
     recorded, _ = contacts(_recorded_boxes(stacked), truths)
-    golden = exact.verdicts(f"gt_way_{objects}", samples, PLAN_STEPS)
-    ours = recorded[:, INSTANTS_PER_STEP - 1 :: INSTANTS_PER_STEP] & stacked.ego_future_valid
-    comparison.verdicts("exact contact of the recorded ego, " + objects, ours != golden, where=where)
+    ours = {
+        f"exact contact every 0.1 s, {objects}": (found, f"cont_{objects}"),
+        f"exact contact at waypoints, {objects}": (found[..., last], f"way_{objects}"),
+        f"exact contact of the recorded ego, {objects}": (
+            recorded[:, last] & stacked.ego_future_valid,
+            f"gt_way_{objects}",
+        ),
+    }
     if objects == "all":
-        golden = exact.verdicts("gt_cont_all", samples, _INSTANTS)
         valid = np.repeat(stacked.ego_future_valid, INSTANTS_PER_STEP, axis=1)
-        comparison.verdicts("exact contact of the recorded ego every 0.1 s", (recorded & valid) != golden, where=where)
+        ours["exact contact of the recorded ego every 0.1 s"] = (recorded & valid, "gt_cont_all")
     if objects in _FROZEN:
-        ahead = np.full((samples, PLAN_STEPS), np.pi / 2)
-        frozen = [waypoint_contacts(stacked, present[:, 1:], scene.plans[:, plan], ahead) for plan in range(plans)]
-        golden = exact.verdicts(f"way0_{objects}", samples, plans, PLAN_STEPS)
-        wrong = np.stack(frozen, axis=1) != golden
-        comparison.verdicts("exact contact with a frozen heading, " + objects, wrong, where=where)
+        ahead = np.full((len(scene.truths), PLAN_STEPS), np.pi / 2)
+        frozen = [waypoint_contacts(stacked, present[:, 1:], plan, ahead) for plan in plans]
+        ours[f"exact contact with a frozen heading, {objects}"] = (np.stack(frozen, axis=1), f"way0_{objects}")
+    compare_equal(comparison, exact, ours)
 
 
 def _reduced(truths: tuple[SampleTruth, ...], present: Bools) -> list[SampleTruth]:

@@ -3,85 +3,66 @@
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from benchmark.errors import InputError
-from benchmark.extensions.golden_sets.realism.arrays import RealismArrays
-from benchmark.fairness.divergence import Histograms, equal_bins, quantile_bins, w1
-from benchmark.fairness.features import FEATURES, Run, recorded_runs, runs_of
+from benchmark.fairness.divergence import equal_bins, quantile_bins, w1
+from benchmark.fairness.features import FEATURES, Integers, Run, recorded_runs, runs_of
 from benchmark.geometry import Floats
+from benchmark.interactions.tracks import Tracks
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden_facts import GoldenFacts
+from benchmark.verification.golden import GoldenArrays, GoldenFolder
 
 CATEGORY: Final = "vehicle.car"
 FEATURE_TOLERANCE: Final = 1e-6
-STORED_TOLERANCE, COMPUTED_TOLERANCE = 1e-9, 1e-6
 RECORDED, HALVES = "recorded", "halves"
-_NOT_VARIANTS: Final = ("chosen", "features", "arrays", HALVES, RECORDED)
-_ON_EDGES: Final = 1.0
-"""A value that sits on an edge may be counted on either side of it."""
+_NOT_VARIANTS: Final = ("chosen", "features", "arrays")
 
 Pools = dict[str, Floats]
 
 
-def compare_arrays(comparison: Comparison, folder: Path) -> None:
-    """Divergences of made-up samples.
-
-    Args:
-        comparison: Takes the errors.
-        folder: The set.
-
-    Raises:
-        InputError: If the files cannot be used.
-    """
-    stored = RealismArrays.read(folder / "plain_arrays.npz")
-    facts = GoldenFacts.read(folder / "plain_divergences.json")
-    for number, golden in enumerate(facts.objects("arrays")):
+def compare_arrays(comparison: Comparison, folder: GoldenFolder) -> None:
+    """Compare divergences of made-up samples."""
+    stored = folder.arrays("plain_arrays.npz")
+    for number, golden in enumerate(folder.facts("plain_divergences.json")["arrays"]):
         sample, reference = stored.floats(f"a{number}", None), stored.floats(f"r{number}", None)
-        if not len(sample) or not len(reference):
-            raise InputError(f"{stored.path}: pair {number} is empty; get the set again")
-        _compare_divergences(comparison, "arrays", sample, reference, golden, f"pair {number}")
+        _compare_divergences(comparison.at(f"pair {number}", "arrays: "), sample, reference, golden)
 
 
-def compare_motion(comparison: Comparison, folder: Path) -> None:
-    """Features of recorded and changed tracks, and the divergences of both kinds of samples.
-
-    Args:
-        comparison: Takes the errors.
-        folder: The set.
-
-    Raises:
-        InputError: If the files cannot be used.
-    """
-    facts = GoldenFacts.read(folder / "plain_divergences.json")
-    stored = RealismArrays.read(folder / "plain_features.npz")
-    chosen = facts.inner("chosen")
-    scenes = list(chosen)
-    if facts.texts("features") != list(FEATURES) or not scenes:
-        raise InputError(f"{facts.path} must be about {', '.join(FEATURES)} of at least one scene; get the set again")
+def compare_motion(comparison: Comparison, folder: GoldenFolder) -> None:
+    """Compare features of recorded and changed tracks, and the divergences of both kinds of samples."""
+    facts, stored = folder.facts("plain_divergences.json"), folder.arrays("plain_features.npz")
+    if facts["features"] != list(FEATURES):
+        raise ValueError(f"plain_divergences.json must be about {', '.join(FEATURES)}")
     variants = [name for name in facts if name not in _NOT_VARIANTS]
     ours: dict[tuple[str, str], list[Run]] = {}
-    for scene in scenes:
-        tracks, keyframes = RealismArrays.read(folder / f"{scene}.npz").scene()
-        agent = chosen.whole(scene)
-        if not 0 <= agent < len(tracks):
-            raise InputError(f"{facts.path}: {scene} has no object {agent}; get the set again")
+    for scene, agent in facts["chosen"].items():
+        tracks, keyframes = _scene(folder.arrays(f"{scene}.npz"))
         ours[RECORDED, scene] = recorded_runs(tracks, keyframes, CATEGORY)
         for variant in variants:
-            changed = tracks.agents.copy()
-            changed[agent] = stored.floats(f"{variant}/{scene}/{agent}/boxes", len(tracks.seconds), 5)
-            ours[variant, scene] = runs_of(replace(tracks, agents=changed), keyframes, agent)
+            if variant not in (RECORDED, HALVES):
+                changed = tracks.agents.copy()
+                changed[agent] = stored.floats(f"{variant}/{scene}/{agent}/boxes", len(tracks.seconds), 5)
+                ours[variant, scene] = runs_of(replace(tracks, agents=changed), keyframes, agent)
     pooled = {key: _compare_runs(comparison, stored, key, runs) for key, runs in ours.items()}
-    for kind, tolerance, column in (("stored", STORED_TOLERANCE, 0), ("computed", COMPUTED_TOLERANCE, 1)):
-        pools = {key: both[column] for key, both in pooled.items()}
-        _compare_pools(comparison, facts, kind, tolerance, pools, scenes)
+    for column, kind in enumerate(("stored", "computed")):
+        pools, at = {key: both[column] for key, both in pooled.items()}, f"divergences of {kind} features: "
+        for variant in variants:
+            _compare_pools(comparison.at(variant, at), variant, facts[variant], pools, list(facts["chosen"]))
+
+
+def _scene(stored: GoldenArrays) -> tuple[Tracks, Integers]:
+    """The recording that a file is: everybody, and the indices of the keyframes."""
+    seconds, categories = stored.floats("seconds", None), tuple(stored.texts("categories"))
+    shape = (len(categories), len(seconds))
+    ego, agents = stored.floats("ego", len(seconds), 5), stored.floats("agents", *shape, 5)
+    tracks = Tracks(seconds, ego, agents, stored.verdicts("valid", *shape), categories)
+    return tracks, stored.integers("keyframes", None)
 
 
 def _compare_runs(
-    comparison: Comparison, stored: RealismArrays, key: tuple[str, str], runs: list[Run]
+    comparison: Comparison, stored: GoldenArrays, key: tuple[str, str], runs: list[Run]
 ) -> tuple[Pools, Pools]:
     """Samples by feature, the stored ones and ours, after they were compared.
 
@@ -99,23 +80,17 @@ def _compare_runs(
         label = f"{variant}/{scene}/{run.agent}/{seen[run.agent]}"
         seen[run.agent] += 1
         found.add(label)
-        if label not in expected:
-            for name in FEATURES:
-                ours[name].append(run.values[name])
-            continue
-        times = stored.floats(f"{label}/time", None)
-        same = times.shape == run.times.shape
-        error = np.abs(times - run.times) if same else np.full(times.shape, np.inf)
-        comparison.errors("features: time (s)", error, FEATURE_TOLERANCE, where=label)
+        at, known = comparison.at(label, "features: "), label in expected
+        same = known and at.series("time (s)", run.times, stored.floats(f"{label}/time", None))
         for name in FEATURES:
-            values = stored.floats(f"{label}/{name}", len(times))
-            error = np.abs(values - run.values[name]) if same else np.full(times.shape, np.inf)
-            comparison.errors(f"features: {name}", error, FEATURE_TOLERANCE, where=label)
-            golden[name].append(values)
-            ours[name].append(
-                np.where(error <= FEATURE_TOLERANCE, values, run.values[name]) if same else run.values[name]
-            )
-    wrong = np.array([label not in found or label not in expected for label in sorted(found | expected)], np.bool_)
+            values = run.values[name]
+            if known:
+                golden[name].append(theirs := stored.floats(f"{label}/{name}", None))
+                at.series(name, values, theirs)
+                if same:
+                    values = np.where(np.abs(theirs - values) <= FEATURE_TOLERANCE, theirs, values)
+            ours[name].append(values)
+    wrong = [label not in found or label not in expected for label in sorted(found | expected)]
     comparison.verdicts("features: which runs count", wrong, where=f"{variant}/{scene}")
     first, second = ({name: _joined(values) for name, values in of.items()} for of in (golden, ours))
     return first, second
@@ -132,76 +107,32 @@ def _joined(parts: list[Floats]) -> Floats:
 
 
 def _compare_pools(
-    comparison: Comparison,
-    facts: GoldenFacts,
-    kind: str,
-    tolerance: float,
-    pools: dict[tuple[str, str], Pools],
-    scenes: list[str],
+    comparison: Comparison, variant: str, golden: dict[str, Any], pools: dict[tuple[str, str], Pools], scenes: list[str]
 ) -> None:
-    def pool(variant: str, some: list[str], name: str) -> Floats:
-        return _joined([pools[variant, scene][name] for scene in some])
-
-    for variant in [name for name in facts if name not in ("chosen", "features", "arrays")]:
-        golden, label = facts.inner(variant), f"divergences of {kind} features"
-        shares = {"realism": [], "realism_equal_width": []}  # type: dict[str, list[float]]
-        for name in FEATURES:
-            # Even scenes against odd ones stand for what zero looks like.
-            of, against = (scenes[::2], scenes[1::2]) if variant == HALVES else (scenes, scenes)
-            sample = pool(RECORDED if variant == HALVES else variant, of, name)
-            reference = pool(RECORDED, against, name)
-            if not len(sample) or not len(reference):
-                raise InputError(f"{facts.path}: {variant} has no samples of {name}; get the set again")
-            _compare_divergences(
-                comparison, label, sample, reference, golden.inner(name), f"{variant} {name}", tolerance
-            )
-            shares["realism"].append(1 - quantile_bins(sample, reference).divergence)
-            shares["realism_equal_width"].append(1 - equal_bins(sample, reference).divergence)
-        for name, values in shares.items():
-            found = np.array([np.mean(values)])
-            comparison.numbers(f"{label}: {name}", found, golden.numbers(name)[None], tolerance, where=variant)
+    # Even scenes against odd ones stand for what zero looks like.
+    halves = variant == HALVES
+    of, against = (scenes[::2], scenes[1::2]) if halves else (scenes, scenes)
+    shares: dict[str, list[float]] = {"realism": [], "realism_equal_width": []}
+    for name in FEATURES:
+        sample = _joined([pools[RECORDED if halves else variant, scene][name] for scene in of])
+        reference = _joined([pools[RECORDED, scene][name] for scene in against])
+        _compare_divergences(comparison.at(f"{variant} {name}"), sample, reference, golden[name])
+        shares["realism"].append(1 - quantile_bins(sample, reference).divergence)
+        shares["realism_equal_width"].append(1 - equal_bins(sample, reference).divergence)
+    for name, values in shares.items():
+        comparison.numbers(name, np.mean(values), golden[name])
 
 
-def _compare_divergences(
-    comparison: Comparison,
-    label: str,
-    sample: Floats,
-    reference: Floats,
-    golden: GoldenFacts,
-    where: str,
-    tolerance: float = STORED_TOLERANCE,
-) -> None:
+def _compare_divergences(comparison: Comparison, sample: Floats, reference: Floats, golden: dict[str, Any]) -> None:
     quantile, equal = quantile_bins(sample, reference), equal_bins(sample, reference)
-    distance = np.array([w1(sample, reference)])
-    comparison.numbers(f"{label}: w1", distance, golden.numbers("w1")[None], tolerance, where=where)
-    edges = golden.numbers("quantile_edges", None)
-    same = edges.shape == quantile.edges.shape
-    error = np.abs(quantile.edges - edges) if same else np.full(1, np.inf)
-    comparison.errors(f"{label}: quantile edges", error, tolerance, where=where)
-    ends = np.array([golden.number("low"), golden.number("high")])
-    comparison.numbers(f"{label}: range", equal.edges, ends, tolerance, where=where)
+    comparison.numbers("w1", w1(sample, reference), golden["w1"])
+    comparison.series("quantile edges", quantile.edges, np.array(golden["quantile_edges"], np.float64))
+    comparison.numbers("range", equal.edges, [golden["low"], golden["high"]])
     for bins, counts, name in ((quantile, "quantile_counts", "jsd_quantile"), (equal, "counts", "jsd")):
-        exact = _compare_counts(comparison, label, bins, golden, counts, where, tolerance)
+        exact = True
+        for own, column in ((bins.counts, counts), (bins.reference, f"{counts}_reference")):
+            theirs = np.array(golden[column], np.float64)
+            comparison.series(counts, own, theirs)
+            exact &= np.array_equal(own, theirs)
         if exact:
-            value = np.array([bins.divergence])
-            comparison.numbers(f"{label}: {name}", value, golden.numbers(name)[None], tolerance, where=where)
-
-
-def _compare_counts(
-    comparison: Comparison,
-    label: str,
-    ours: Histograms,
-    golden: GoldenFacts,
-    name: str,
-    where: str,
-    tolerance: float,
-) -> bool:
-    """Whether the counts are the same; from tracks on they may differ by one where a value sits on an edge."""
-    allowed = 0.0 if tolerance == STORED_TOLERANCE else _ON_EDGES
-    exact = True
-    for counts, column in ((ours.counts, name), (ours.reference, f"{name}_reference")):
-        theirs = golden.numbers(column, None)
-        error = np.abs(counts - theirs) if theirs.shape == counts.shape else np.full(1, np.inf)
-        comparison.errors(f"{label}: {name}", error, allowed, where=where)
-        exact &= not error.any()
-    return exact
+            comparison.numbers(name, bins.divergence, golden[name])

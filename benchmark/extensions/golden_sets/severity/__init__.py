@@ -10,32 +10,24 @@ from typing import Final
 from benchmark.extensions.golden_sets.severity.chances import compare_last_chances, compare_manoeuvres
 from benchmark.extensions.golden_sets.severity.contacts import compare_contacts
 from benchmark.extensions.golden_sets.severity.encounters import compare_encounters
-from benchmark.verification.checks import Check, Comparison
-from benchmark.verification.golden import readable_set
-
-__all__ = ["BUILT_IN", "verify_severity"]
+from benchmark.interactions.golden import SAME_TIME_S
+from benchmark.verification.golden import GoldenSet
 
 BUILT_IN: Final = Path(__file__).parent / "golden" / "severity"
 """The golden set in the package, in the same form as any other."""
-FILES: Final = ("contacts.json", "encounters.json", "encounters.npz", "manoeuvres.npz")
-
-
-def verify_severity(golden: Path | None = None) -> list[Check]:
-    """Compare severities with a golden set.
-
-    Args:
-        golden: Directory of golden numbers; the built-in set by default.
-
-    Returns:
-        One check for each quantity, over all files.
-
-    Raises:
-        InputError: If the set cannot be used.
-    """
-    folder = readable_set(BUILT_IN if golden is None else golden, "severity", *FILES)
-    comparison = Comparison()
-    compare_contacts(comparison, folder / "contacts.json")
-    compare_encounters(comparison, folder)
-    compare_last_chances(comparison, folder)
-    compare_manoeuvres(comparison, folder)
-    return comparison.checks()
+GOLDEN: Final = GoldenSet(
+    name="severity",
+    files=("contacts.json", "encounters.json", "encounters.npz", "manoeuvres.npz"),
+    compare=(compare_contacts, compare_encounters, compare_last_chances, compare_manoeuvres),
+    quantities={
+        "masses (kg)": 1e-9,
+        "contacts: *": 1e-9,
+        "official: *": 1e-9,
+        "encounters: first_contact": SAME_TIME_S,
+        "encounters: tet": SAME_TIME_S,
+        "encounters: pet": SAME_TIME_S,
+        "encounters: *": 1e-6,
+        "manoeuvres: states": 1e-6,
+    },
+    built_in=BUILT_IN,
+)

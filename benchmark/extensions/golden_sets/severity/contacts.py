@@ -1,11 +1,10 @@
 """Pairs at one instant against the official code and the specification."""
 
-from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from benchmark.geometry import Bools
+from benchmark.geometry import Floats
 from benchmark.interactions.contacts import (
     AHEAD_RAD,
     BEHIND_RAD,
@@ -19,10 +18,10 @@ from benchmark.interactions.contacts import (
     is_agent,
     mass_kg,
 )
+from benchmark.interactions.golden import fragile
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden_facts import GoldenFacts
+from benchmark.verification.golden import GoldenFolder
 
-TOLERANCE: Final = 1e-9
 _SAME: Final = {
     "STOPPED_EGO_COLLISION": "stopped_ego",
     "STOPPED_TRACK_COLLISION": "stopped_track",
@@ -31,43 +30,29 @@ _SAME: Final = {
     "ACTIVE_LATERAL_COLLISION": "lateral",
 }
 """Official names of kinds."""
+_STEPPED_S: Final = 1e-9
+_Cases = list[dict[str, Any]]
 
 
-def compare_contacts(comparison: Comparison, path: Path) -> None:
-    """Compare pairs.
-
-    Args:
-        comparison: Takes the errors.
-        path: ``contacts.json``.
-
-    Raises:
-        InputError: If the file cannot be used.
-    """
-    facts = GoldenFacts.read(path)
-    masses = facts.inner("masses")
-    known = [EGO_MASS_KG, *(mass_kg(name) for name in masses)]
-    golden_masses = [facts.number("ego_mass"), *(masses.number(name) for name in masses)]
-    comparison.numbers("masses (kg)", np.array(known), np.array(golden_masses), TOLERANCE)
-    cases = facts.objects("cases")
-    pairs = _pairs(cases)
-    _compare_expected(comparison, cases, pairs)
-    _compare_official(comparison, cases, pairs)
-
-
-def _pairs(cases: list[GoldenFacts]) -> Pairs:
-    return Pairs(
-        ego=np.array([case.numbers("ego", 5) for case in cases]),
-        ego_speed=np.array([case.number("ego_speed") for case in cases]),
-        other=np.array([case.numbers("other", 5) for case in cases]),
-        other_velocity=np.array([case.numbers("other_velocity", 2) for case in cases]),
-        is_agent=np.array([is_agent(case.text("category")) for case in cases]),
+def compare_contacts(comparison: Comparison, folder: GoldenFolder) -> None:
+    """Compare pairs."""
+    facts = folder.facts("contacts.json")
+    cases, masses = facts["cases"], facts["masses"]
+    comparison.numbers("masses (kg)", [EGO_MASS_KG, *map(mass_kg, masses)], [facts["ego_mass"], *masses.values()])
+    pairs = Pairs(
+        ego=_column(cases, "ego"),
+        ego_speed=_column(cases, "ego_speed"),
+        other=_column(cases, "other"),
+        other_velocity=_column(cases, "other_velocity"),
+        is_agent=np.array([is_agent(case["category"]) for case in cases]),
     )
+    _compare_expected(comparison.at("", "contacts: "), cases, pairs)
+    _compare_official(comparison.at("", "official: "), [case["official_nuplan"] for case in cases], pairs)
 
 
-def _compare_expected(comparison: Comparison, cases: list[GoldenFacts], pairs: Pairs) -> None:
-    expected = [case.inner("expected") for case in cases]
-    kilograms = np.array([mass_kg(case.text("category")) for case in cases])
-    own, others = delta_v(pairs.impact_speed, kilograms)
+def _compare_expected(comparison: Comparison, cases: _Cases, pairs: Pairs) -> None:
+    expected = [case["expected"] for case in cases]
+    own, others = delta_v(pairs.impact_speed, np.array([mass_kg(case["category"]) for case in cases]))
     ours = {
         "gap": pairs.gap,
         "impact_speed": pairs.impact_speed,
@@ -76,41 +61,42 @@ def _compare_expected(comparison: Comparison, cases: list[GoldenFacts], pairs: P
         "delta_v_nuplan": pairs.delta_v_nuplan,
         "p_fatal_ego": fatal_probability(own),
     }
+    # What stands when all poses move a little.
+    counted = {name: np.array([not fragile(case, name) for case in cases]) for name in (*ours, "ttc", "type")}
     for name, values in ours.items():
-        counted = _not_fragile(cases, name)
-        golden = np.array([each.number(name) for each in expected])
-        comparison.numbers(f"contacts: {name}", values[counted], golden[counted], TOLERANCE)
-    counted = _not_fragile(cases, "ttc")
-    ttc = np.array([each.number("ttc") if each.known("ttc") else np.inf for each in expected])[counted]
-    found = pairs.time_to_contact[counted]
-    comparison.verdicts("contacts: whether they ever touch", np.isinf(found) != np.isinf(ttc))
+        comparison.numbers(name, values[counted[name]], _column(expected, name)[counted[name]])
+    found, ttc = (times[counted["ttc"]] for times in (pairs.time_to_contact, _times(expected, "ttc")))
+    comparison.same("whether they ever touch", np.isinf(found), np.isinf(ttc))
     both = np.isfinite(found) & np.isfinite(ttc)
-    comparison.numbers("contacts: ttc (s)", found[both], ttc[both], TOLERANCE)
-    counted = _not_fragile(cases, "type")
-    wrong = np.array([KINDS[kind].value != each.text("type") for kind, each in zip(pairs.kinds, expected)])
-    comparison.verdicts("contacts: type", wrong[counted])
+    comparison.numbers("ttc (s)", found[both], ttc[both])
+    comparison.same("type", [KINDS[kind].value for kind in pairs.kinds], _words(expected, "type"), counted["type"])
 
 
-def _compare_official(comparison: Comparison, cases: list[GoldenFacts], pairs: Pairs) -> None:
-    official = [case.inner("official_nuplan") for case in cases]
-    kinds = [KINDS[kind] for kind in pairs.kinds]
-    touching = np.array([each.flag("contact") for each in official])
-    comparison.verdicts("official: contact", (pairs.gap == 0.0) != touching)
-    names = [_SAME.get(each.text("type"), "unknown") for each in official]
-    comparison.verdicts("official: type", np.array([kind.value != name for kind, name in zip(kinds, names)]))
-    for column, unsure in (("at_fault_one_lane", False), ("at_fault_several_lanes", True)):
-        wrong = np.array([at_fault(kind, unsure) != each.flag(column) for kind, each in zip(kinds, official)])
-        comparison.verdicts(f"official: {column}", wrong)
-    angle = bearing(pairs.ego, pairs.other)
-    for column, ours in (("ahead", angle < AHEAD_RAD), ("behind", angle > BEHIND_RAD)):
-        comparison.verdicts(f"official: {column}", ours != np.array([each.flag(column) for each in official]))
-    stepped = [each.number("ttc_stepped") if each.known("ttc_stepped") else np.inf for each in official]
-    apart = ~np.isclose(pairs.time_to_contact_nuplan, stepped, rtol=0, atol=TOLERANCE)
-    comparison.verdicts("official: stepped ttc", apart)
-    golden = np.array([each.number("delta_v") for each in official])
-    comparison.numbers("official: delta_v (m/s)", pairs.delta_v_nuplan, golden, TOLERANCE)
+def _compare_official(comparison: Comparison, official: _Cases, pairs: Pairs) -> None:
+    kinds, angle = [KINDS[kind] for kind in pairs.kinds], bearing(pairs.ego, pairs.other)
+    comparison.same("contact", pairs.gap == 0.0, _words(official, "contact"))
+    comparison.same("type", [kind.value for kind in kinds], [_SAME.get(each["type"], "unknown") for each in official])
+    verdicts = {
+        "at_fault_one_lane": [at_fault(kind, False) for kind in kinds],
+        "at_fault_several_lanes": [at_fault(kind, True) for kind in kinds],
+        "ahead": angle < AHEAD_RAD,
+        "behind": angle > BEHIND_RAD,
+    }
+    for name, ours in verdicts.items():
+        comparison.same(name, ours, _words(official, name))
+    near = np.isclose(pairs.time_to_contact_nuplan, _times(official, "ttc_stepped"), rtol=0, atol=_STEPPED_S)
+    comparison.verdicts("stepped ttc", ~near)
+    comparison.numbers("delta_v (m/s)", pairs.delta_v_nuplan, _column(official, "delta_v"))
 
 
-def _not_fragile(cases: list[GoldenFacts], name: str) -> Bools:
-    """Cases whose value stands when all poses move a little."""
-    return np.array([not case.fragile(name) for case in cases], np.bool_)
+def _column(cases: _Cases, name: str) -> Floats:
+    return np.array([case[name] for case in cases], np.float64)
+
+
+def _times(cases: _Cases, name: str) -> Floats:
+    """Times to a contact, infinite where there is none."""
+    return np.array([np.inf if case[name] is None else case[name] for case in cases], np.float64)
+
+
+def _words(cases: _Cases, name: str) -> list[Any]:
+    return [case[name] for case in cases]

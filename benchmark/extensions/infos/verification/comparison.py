@@ -13,7 +13,7 @@ from benchmark.extensions.infos.map_lines import PATCH_M
 from benchmark.extensions.infos.repositories import REPOSITORIES, Part
 from benchmark.extensions.infos.verification.golden_set import GoldenFile, Tolerances
 from benchmark.geometry import Floats
-from benchmark.verification.checks import Check, Comparison
+from benchmark.verification.checks import Comparison
 
 _MAPS: Final = "map_annos"
 _CAMERAS: Final = ("cams",)
@@ -27,23 +27,20 @@ class InfoComparison:
     """Gathers the errors of each key over roots.
 
     Args:
+        comparison: Takes the errors.
         tolerances: By repository, and by the names of keys between commas; a number is a largest difference, of map
             elements a sentence says it, and all other keys must be equal.
     """
 
-    def __init__(self, tolerances: Tolerances) -> None:
-        self._found = Comparison()
+    def __init__(self, comparison: Comparison, tolerances: Tolerances) -> None:
+        self._found = comparison
         self._limits = {name: _limits(words) for name, words in tolerances.items()}
-
-    def checks(self) -> list[Check]:
-        """One for each key of each repository."""
-        return self._found.checks()
 
     def tables(self, root: str, changed: Mapping[str, bool]) -> None:
         """Note whether a root is the one that the files were made from."""
         wrong = [name for name, differs in changed.items() if differs]
         where = f"{root}: {', '.join(wrong[:_NAMES_SHOWN])}"
-        self._found.verdicts("tables of the roots", np.array(list(changed.values()), np.bool_), where=where)
+        self._found.verdicts("tables of the roots", list(changed.values()), where=where)
 
     def files(self, root: str, official: GoldenFile, ours: InfoFiles) -> None:
         """Compare the files of one repository for one root.
@@ -52,9 +49,6 @@ class InfoComparison:
             root: Name of the root.
             official: The converter's.
             ours: What is exported as converted.
-
-        Raises:
-            InputError: If the official file cannot be read.
         """
         reader, content = REPOSITORIES[official.repository], official.read()
         named: dict[str, Part] = {reader.file_name(ours.version, part): part for part in ours.parts}
@@ -130,7 +124,7 @@ class InfoComparison:
                 self._found.errors(name, away, limit, where=f"{where}, class {kind}")
 
     def _equal(self, reader: str, name: str, same: bool, where: str) -> None:
-        self._found.verdicts(f"{reader}: {name}", np.array([not same]), where=where)
+        self._found.verdicts(f"{reader}: {name}", not same, where=where)
 
 
 def _limits(words: Mapping[str, Any]) -> dict[str, float]:

@@ -15,11 +15,11 @@ from typing import Any, Final, Self
 
 from benchmark.errors import InputError
 from benchmark.extensions.infos.repositories import REPOSITORIES, RepositoryName
-from benchmark.machine.storage import file_sha256, read_json
+from benchmark.machine.storage import file_sha256
 from benchmark.untrusted.compressed import read_compressed_pickle, unpack_archive
 from benchmark.untrusted.files import one_line, read_file
 from benchmark.untrusted.limits import PROGRAM
-from benchmark.verification.golden import golden_directory
+from benchmark.verification.golden import GoldenFolder
 
 MANIFEST: Final = "manifest.json"
 _ODD: Final = "make_odd.py"
@@ -51,16 +51,11 @@ class GoldenFile:
     left_out: frozenset[str]
 
     def read(self) -> dict[str, Any]:
-        """Its content.
-
-        Raises:
-            InputError: If it cannot be read, or is no info file.
-        """
-        found = read_compressed_pickle(self.path)
-        infos = found.get("infos") if isinstance(found, dict) else None
-        if not isinstance(infos, list) or not all(isinstance(info, dict) for info in infos):
-            raise InputError(f"{self.path} holds no list of infos; it is no golden info file, fetch it again")
-        return dict(found)
+        """Its content."""
+        found: dict[str, Any] = read_compressed_pickle(self.path)
+        if not all(isinstance(info, dict) for info in found["infos"]):
+            raise ValueError(f"{self.path.name} holds no list of infos")
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,31 +97,14 @@ class GoldenInfos:
     roots: Mapping[str, GoldenRoot]
 
     @classmethod
-    def read(cls, golden: Path) -> Self:
-        """Read a manifest.
-
-        Args:
-            golden: Directory of the set.
-
-        Returns:
-            The set.
-
-        Raises:
-            InputError: If the directory is absent or holds no such set.
-        """
-        path = golden_directory(golden, "info_files", MANIFEST) / MANIFEST
-        manifest = read_json(path)
-        try:
-            tolerances = {str(name): dict(found) for name, found in manifest["tolerance"].items()}
-            roots = {str(name): _root(golden, row) for name, row in manifest["roots"].items()}
-        except (KeyError, TypeError, AttributeError, ValueError) as error:
-            raise InputError(
-                f"{path} is no manifest of golden info files ({type(error).__name__}: {one_line(error)}); fetch it "
-                "again"
-            ) from error
+    def read(cls, golden: GoldenFolder) -> Self:
+        """The set of a folder, as its manifest says."""
+        manifest = golden.facts(MANIFEST)
+        tolerances = {str(name): dict(found) for name, found in manifest["tolerance"].items()}
+        roots = {str(name): _root(golden.path, row) for name, row in manifest["roots"].items()}
         if not roots:
-            raise InputError(f"{path} names no roots; fetch it again")
-        return cls(golden, tolerances, roots)
+            raise ValueError(f"{MANIFEST} names no roots")
+        return cls(golden.path, tolerances, roots)
 
     def unpack(self, name: str, folder: Path) -> Path:
         """Make a root from the set.
@@ -137,9 +115,6 @@ class GoldenInfos:
 
         Returns:
             The root.
-
-        Raises:
-            InputError: If its tables are not in the set, or cannot be unpacked or made.
         """
         root = folder / name
         if root.exists():
@@ -148,22 +123,17 @@ class GoldenInfos:
         if here.is_dir():
             return here
         words = self.roots[name].tables
-        other = _OF_ANOTHER.search(words)
-        if other is not None and other[1] not in self.roots:
-            raise InputError(
-                f"{self.folder / MANIFEST} makes {name} of {other[1]}, which it does not name; fetch it again"
-            )
-        archive = _ARCHIVE.match(words)
+        other, archive = _OF_ANOTHER.search(words), _ARCHIVE.match(words)
         if archive is not None:
             unpack_archive(self.folder / archive[0], folder)
             if not root.is_dir():
-                raise InputError(f"{self.folder / archive[0]} holds no folder {name}; fetch it again")
+                raise ValueError(f"{archive[0]} holds no folder {name}")
             if other is not None and not (root / "maps").exists():
                 (root / "maps").symlink_to((self.unpack(other[1], folder) / "maps").resolve())
             return root
         seed = _SEED.search(self.roots[name].recipe)
         if other is None or seed is None:
-            raise InputError(f"{self.folder / MANIFEST} does not say where the tables of {name} are; fetch it again")
+            raise ValueError(f"{MANIFEST} does not say where the tables of {name} are")
         self._make_odd(self.unpack(other[1], folder), root, seed[1])
         return root
 

@@ -10,44 +10,38 @@ from typing import Final
 from benchmark.extensions.neuroncap.verification.decisions import compare_commands, compare_contacts
 from benchmark.extensions.neuroncap.verification.drawn import compare_scenarios
 from benchmark.extensions.neuroncap.verification.driving import compare_driving
-from benchmark.extensions.neuroncap.verification.loops import compare_loops, loop_files
+from benchmark.extensions.neuroncap.verification.loops import compare_loops
 from benchmark.extensions.neuroncap.verification.tables import compare_aggregates
-from benchmark.verification.checks import Check, Comparison
-from benchmark.verification.golden import readable_set
-
-__all__ = ["BUILT_IN", "verify_neuroncap"]
+from benchmark.verification.golden import GoldenSet
 
 BUILT_IN: Final = Path(__file__).parent / "golden" / "neuroncap"
 """The golden set in the package, in the same form as any other."""
-FILES: Final = (
-    "vehicle.npz",
-    "contact.npz",
-    "command.npz",
-    "scenarios.json",
-    "aggregate.json",
-    "loops/index.json",
+_CODE: Final = 5e-6
+"""Of what the published code computes partly in single precision."""
+GOLDEN: Final = GoldenSet(
+    name="neuroncap",
+    files=("vehicle.npz", "contact.npz", "command.npz", "scenarios.json", "aggregate.json", "loops/index.json"),
+    compare=(
+        compare_driving,
+        compare_contacts,
+        compare_commands,
+        compare_scenarios,
+        compare_aggregates,
+        compare_loops,
+    ),
+    quantities={
+        "car as code: *": _CODE,
+        "car in double precision: *": 1e-9,
+        "contact: IoU": 1e-6,
+        "contact: *": 1e-9,
+        "scenarios: *": 1e-9,
+        "loops: recorded *": 1e-9,
+        "loops: * of the scenario's actors*": 1e-9,
+        "loops: sizes (m)": 1e-9,
+        "loops: IoU": 1e-6,
+        "loops: score*": 1e-6,
+        "loops: reference speed*": 1e-6,
+        "loops: *": _CODE,
+    },
+    built_in=BUILT_IN,
 )
-
-
-def verify_neuroncap(golden: Path | None = None) -> list[Check]:
-    """Compare NeuroNCAP's engine with a golden set.
-
-    Args:
-        golden: Directory of golden numbers; the built-in set by default.
-
-    Returns:
-        One check for each quantity, over all files.
-
-    Raises:
-        InputError: If the set cannot be used.
-    """
-    folder = readable_set(BUILT_IN if golden is None else golden, "neuroncap", *FILES)
-    loop_files(folder / "loops")
-    comparison = Comparison()
-    compare_driving(comparison, folder / "vehicle.npz")
-    compare_contacts(comparison, folder / "contact.npz")
-    compare_commands(comparison, folder / "command.npz")
-    compare_scenarios(comparison, folder / "scenarios.json")
-    compare_aggregates(comparison, folder / "aggregate.json")
-    compare_loops(comparison, folder / "loops")
-    return comparison.checks()

@@ -1,7 +1,7 @@
 """One run with its recorded plans: states, sub-steps, checks, boxes of actors, the contact, and the score."""
 
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -20,18 +20,13 @@ from benchmark.extensions.neuroncap.recording import CAN_COLUMNS
 from benchmark.extensions.neuroncap.score import score_of
 from benchmark.extensions.neuroncap.vehicle import SUBSTEPS
 from benchmark.extensions.neuroncap.verification.checked_moments import CHECK_COLUMNS, CheckRow, checks_of
-from benchmark.extensions.neuroncap.verification.driving import COMMAND_COLUMNS, STATE_COLUMNS
-from benchmark.extensions.neuroncap.verification.golden_set import (
-    CODE_TOLERANCE,
-    NcapArrays,
-    NcapFacts,
-    beyond_single,
-)
+from benchmark.extensions.neuroncap.verification.driving import COMMAND_COLUMNS, STATE_COLUMNS, state_errors
+from benchmark.extensions.neuroncap.verification.golden_set import beyond_single, plans_of, with_nan
 from benchmark.geometry import Floats, wrap_angle
 from benchmark.verification.checks import Comparison
+from benchmark.verification.golden import GoldenArrays
 
-SCORE_TOLERANCE: Final = 1e-6
-_HEADING: Final = STATE_COLUMNS.index("heading")
+_SAME_RATE: Final = 1e-9
 _BOX_COLUMNS: Final = 8
 _YAW: Final = 3
 
@@ -39,9 +34,8 @@ _YAW: Final = 3
 def compare_run(
     comparison: Comparison,
     engine: Engine,
-    run: NcapFacts,
-    stored: NcapArrays,
-    where: str,
+    run: dict[str, Any],
+    stored: GoldenArrays,
     *,
     turning_freely: frozenset[str],
 ) -> None:
@@ -52,39 +46,31 @@ def compare_run(
         engine: The run.
         run: What the published engine said of it.
         stored: Its arrays.
-        where: Its name.
         turning_freely: Actors whose headings are not compared.
-
-    Raises:
-        InputError: If the arrays do not fit together.
     """
-    replay = _Replay(comparison, engine, stored, run.text("key"), where)
-    replay.turning_freely = turning_freely
+    replay = _Replay(comparison, engine, stored, run["key"], turning_freely)
     world = replay.drive()
-    count = np.array([len(engine.actors) != run.whole("n_engine_actors")])
-    comparison.verdicts("loops: number of actors", count, where=where)
-    inferred = [replay.asked != run.whole("n_infer_calls"), replay.asked != len(replay.plans)]
-    comparison.verdicts("loops: inferences", np.array(inferred), where=where)
-    checked = np.array([world.checked != run.whole("n_states_checked")])
-    comparison.verdicts("loops: states checked", checked, where=where)
-    _compare_contact(comparison, world, run, where)
-    _compare_scores(comparison, engine, world, run, where)
+    comparison.verdicts("number of actors", len(engine.actors) != run["n_engine_actors"])
+    comparison.verdicts("inferences", [replay.asked != run["n_infer_calls"], replay.asked != len(replay.plans)])
+    comparison.verdicts("states checked", world.checked != run["n_states_checked"])
+    _compare_contact(comparison, world, run["collision"])
+    _compare_scores(comparison, engine, world, run)
 
 
 class _Replay:
     """A run with recorded plans, compared state by state."""
 
-    def __init__(self, comparison: Comparison, engine: Engine, stored: NcapArrays, key: str, where: str) -> None:
-        self._comparison, self._engine, self._where = comparison, engine, where
+    def __init__(
+        self, comparison: Comparison, engine: Engine, stored: GoldenArrays, key: str, turning_freely: frozenset[str]
+    ) -> None:
+        self._comparison, self._engine, self._turning_freely = comparison, engine, turning_freely
         self.asked = 0
-        self.turning_freely: frozenset[str] = frozenset()
-        shape = stored.integers(f"{key}_state_time", None)
-        self._times = shape
-        count = len(shape)
+        self._times = stored.integers(f"{key}_state_time", None)
+        count = len(self._times)
         self._poses = stored.floats(f"{key}_state_pose", count, 4, 4)
         self._canbus = stored.floats(f"{key}_state_canbus", count, CAN_COLUMNS)
         self._commands = stored.integers(f"{key}_command", count)
-        self.plans = stored.plans(f"{key}_plan", [PLAN_STEPS] * count)
+        self.plans = plans_of(stored, f"{key}_plan", [PLAN_STEPS] * count)
         self._post_times = stored.integers(f"{key}_post_time", None)
         steps = len(self._post_times)
         self._post_poses = stored.floats(f"{key}_post_pose", steps, 4, 4)
@@ -114,25 +100,25 @@ class _Replay:
         last = world.waiting
         world = finished(engine, world)
         self._found += checks_of(self._engine, last, self.asked - 1)
-        self._verdicts("loops: steps", [driven != len(self._states)])
+        self._comparison.verdicts("steps", bool(driven != len(self._states)))
         self._compare_checks()
         return world
 
     def _compare_state(self, world: World, number: int) -> None:
         state = world.state
-        self._verdicts("loops: times", [state.time_us != self._times[number]])
-        self._numbers("loops: poses (m)", state.pose, self._poses[number])
+        self._comparison.verdicts("times", bool(state.time_us != self._times[number]))
+        self._comparison.numbers("poses (m)", state.pose, self._poses[number])
         self._canbus_rows(state.canbus.astype(np.float64), self._canbus[number])
-        self._verdicts("loops: commands", [command_of(self._engine, world) != self._commands[number]])
+        self._comparison.verdicts("commands", bool(command_of(self._engine, world) != self._commands[number]))
         rows = self._boxes[self._boxes[:, 0] == number]
         ours = [self._box(int(index), state.time_us) for index in rows[:, 1]]
         if len(rows):
             boxes = np.array(ours)
             others = [column for column in range(boxes.shape[1]) if column != _YAW]
-            self._numbers("loops: boxes of actors (m)", boxes[:, others], rows[:, 2:][:, others])
+            self._comparison.numbers("boxes of actors (m)", boxes[:, others], rows[:, 2:][:, others])
             turned = wrap_angle(boxes[:, _YAW] - rows[:, 2 + _YAW])
-            free = np.array([self._uuid(int(index)) in self.turning_freely for index in rows[:, 1]])
-            self._comparison.errors("loops: headings of actors (rad)", turned[~free], CODE_TOLERANCE, where=self._where)
+            free = np.array([self._uuid(int(index)) in self._turning_freely for index in rows[:, 1]])
+            self._comparison.errors("headings of actors (rad)", turned[~free])
 
     def _box(self, index: int, time_us: int) -> tuple[float, ...]:
         """x, y, z, yaw, width and length of an actor."""
@@ -147,87 +133,66 @@ class _Replay:
 
     def _compare_step(self, world: World, number: int, driven: int) -> None:
         if number >= len(self._post_times) or (world.last is not None and driven >= len(self._states)):
-            self._verdicts("loops: steps", [True])
+            self._comparison.verdicts("steps", True)
             return
         state = world.state
-        self._verdicts("loops: times", [state.time_us != self._post_times[number]])
-        self._verdicts("loops: steps", [state.is_driven != self._post_driven[number]])
-        self._numbers("loops: poses (m)", state.pose, self._post_poses[number])
+        self._comparison.verdicts("times", bool(state.time_us != self._post_times[number]))
+        self._comparison.verdicts("steps", bool(state.is_driven != self._post_driven[number]))
+        self._comparison.numbers("poses (m)", state.pose, self._post_poses[number])
         self._canbus_rows(state.canbus.astype(np.float64), self._post_canbus[number])
         if world.last is not None:
-            ours, golden = world.last.states, self._states[driven]
-            error = np.abs(ours - golden)
-            error[:, _HEADING] = np.abs(wrap_angle(ours[:, _HEADING] - golden[:, _HEADING]))
-            self._comparison.errors("loops: states of sub-steps", error, CODE_TOLERANCE, where=self._where)
-            self._numbers("loops: commands of sub-steps", world.last.commands, self._asked[driven])
+            self._comparison.errors("states of sub-steps", state_errors(world.last.states, self._states[driven]))
+            self._comparison.numbers("commands of sub-steps", world.last.commands, self._asked[driven])
 
     def _compare_checks(self) -> None:
         ours, golden = np.array(self._found).reshape(-1, CHECK_COLUMNS), self._checks
-        self._verdicts("loops: number of checks", [len(ours) != len(golden)])
+        self._comparison.verdicts("number of checks", bool(len(ours) != len(golden)))
         if len(ours) != len(golden):
             return
         wrong = (ours[:, [0, 1, -1]] != golden[:, [0, 1, -1]]).any(axis=1)
-        self._comparison.verdicts("loops: instants and verdicts of checks", wrong, where=self._where)
-        self._numbers("loops: places of checks (m)", ours[:, 2:4], golden[:, 2:4])
+        self._comparison.verdicts("instants and verdicts of checks", wrong)
+        self._comparison.numbers("places of checks (m)", ours[:, 2:4], golden[:, 2:4])
         turned = wrap_angle(ours[:, 4] - golden[:, 4])
-        self._comparison.errors("loops: headings of checks (rad)", turned, CODE_TOLERANCE, where=self._where)
-        self._numbers("loops: speeds of checks (m/s)", ours[:, 5], golden[:, 5])
-
-    def _numbers(self, name: str, ours: Floats, golden: Floats) -> None:
-        self._comparison.numbers(name, ours, golden, CODE_TOLERANCE, where=self._where)
+        self._comparison.errors("headings of checks (rad)", turned)
+        self._comparison.numbers("speeds of checks (m/s)", ours[:, 5], golden[:, 5])
 
     def _canbus_rows(self, ours: Floats, golden: Floats) -> None:
-        name = "loops: CAN rows, beyond one step of single precision"
-        self._comparison.errors(name, beyond_single(ours, golden), CODE_TOLERANCE, where=self._where)
-
-    def _verdicts(self, name: str, wrong: list[bool]) -> None:
-        self._comparison.verdicts(name, np.array(wrong), where=self._where)
+        self._comparison.errors("CAN rows, beyond one step of single precision", beyond_single(ours, golden))
 
 
-def _compare_contact(comparison: Comparison, world: World, run: NcapFacts, where: str) -> None:
-    golden = run.inner("collision") if run.known("collision") else None
+def _compare_contact(comparison: Comparison, world: World, golden: dict[str, Any] | None) -> None:
     contact = world.contact
-    comparison.verdicts("loops: contact", np.array([(contact is None) != (golden is None)]), where=where)
+    comparison.verdicts("contact", (contact is None) != (golden is None))
     if contact is None or golden is None:
         return
-    same = (
-        contact.uuid == golden.text("actor"),
-        contact.index == golden.whole("actor_index"),
-        contact.is_target == golden.flag("is_target"),
-        contact.time_us == golden.whole("time"),
-    )
-    comparison.verdicts("loops: who is touched, and when", ~np.array(same), where=where)
-    comparison.numbers("loops: IoU", np.array([contact.iou]), golden.numbers("iou")[None], 1e-6, where=where)
-    for name, ours in (("ego", contact.ego_velocity), ("actor", contact.actor_velocity)):
-        theirs = golden.numbers(f"{name}_velocity", 3)
-        comparison.numbers(f"loops: velocity of the {name} (m/s)", ours, theirs, CODE_TOLERANCE, where=where)
+    found = (contact.uuid, contact.index, contact.is_target, contact.time_us)
+    wanted = (golden[name] for name in ("actor", "actor_index", "is_target", "time"))
+    comparison.verdicts("who is touched, and when", [ours != theirs for ours, theirs in zip(found, wanted)])
+    comparison.numbers("IoU", contact.iou, golden["iou"])
+    comparison.numbers("velocity of the ego (m/s)", contact.ego_velocity, golden["ego_velocity"])
+    comparison.numbers("velocity of the actor (m/s)", contact.actor_velocity, golden["actor_velocity"])
 
 
-def _compare_scores(comparison: Comparison, engine: Engine, world: World, run: NcapFacts, where: str) -> None:
+def _compare_scores(comparison: Comparison, engine: Engine, world: World, run: dict[str, Any]) -> None:
     """Score, its parts, and the file of metrics; the paper's reference speed with all else as code."""
-    metrics = run.table("metrics")
+    golden = with_nan(run)
     for reading in ("code", "paper"):
         switches = replace(engine.switches, reference_speed=reading)
         score = score_of(replace(engine, switches=switches), world)
-        _score(comparison, f"loops: score, {reading}", score.score, run.number_or_nan(f"nns_{reading}"), where)
-        golden = run.number(f"reference_speed_{reading}")
-        name = f"loops: reference speed, {reading} (m/s)"
-        comparison.numbers(name, np.array([score.reference_speed]), np.array([golden]), SCORE_TOLERANCE, where=where)
+        _score(comparison, f"score, {reading}", score.score, golden[f"nns_{reading}"])
+        speed = golden[f"reference_speed_{reading}"]
+        comparison.numbers(f"reference speed, {reading} (m/s)", score.reference_speed, speed)
         if reading == "paper":
             continue
-        impact = np.array([run.number("impact_speed")])
-        name = "loops: impact speed (m/s)"
-        comparison.numbers(name, np.array([score.impact_speed]), impact, CODE_TOLERANCE, where=where)
+        comparison.numbers("impact speed (m/s)", score.impact_speed, golden["impact_speed"])
         for name, ours in score.metrics.items():
+            theirs = float(golden["metrics"].get(name, np.inf))
             if name == "ncap_score":
-                _score(comparison, "loops: score in the file", ours, metrics.get(name, np.inf), where)
-                continue
-            wrong = name not in metrics or abs(float(ours) - float(metrics[name])) > 1e-9
-            comparison.verdicts("loops: rates in the file", np.array([wrong]), where=where)
+                _score(comparison, "score in the file", ours, theirs)
+            else:
+                comparison.verdicts("rates in the file", not abs(float(ours) - theirs) <= _SAME_RATE)
 
 
-def _score(comparison: Comparison, name: str, ours: float, golden: float, where: str) -> None:
+def _score(comparison: Comparison, name: str, ours: float, golden: float) -> None:
     """A score; NaN must be NaN."""
-    both = np.isnan(ours) and np.isnan(golden)
-    error = 0.0 if both else abs(ours - golden)
-    comparison.errors(name, np.array([error]), SCORE_TOLERANCE, where=where)
+    comparison.errors(name, 0.0 if np.isnan(ours) and np.isnan(golden) else ours - golden)

@@ -2,63 +2,38 @@
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from benchmark.errors import InputError
-from benchmark.extensions.neuroncap.verification.golden_set import NcapFacts
+from benchmark.extensions.neuroncap.verification.golden_set import with_nan
 from benchmark.records.neuroncap_aggregate import aggregated, why_invalid
 from benchmark.records.neuroncap_switches import CODE
 from benchmark.verification.checks import Comparison
+from benchmark.verification.golden import GoldenFolder
 
 _VALID = "passes"
 
 
-def compare_aggregates(comparison: Comparison, path: Path) -> None:
-    """Compare all sets of runs.
-
-    Args:
-        comparison: Takes the errors.
-        path: ``aggregate.json``.
-
-    Raises:
-        InputError: If the file cannot be used.
-    """
-    for case in NcapFacts.read(path).objects("cases"):
-        where, runs = case.text("name"), case.table("runs")
-        _require_runs(runs, path, where)
-        why, golden = why_invalid(runs), case.text("check_validity")
-        comparison.verdicts("aggregate: is it complete", np.array([(why is None) != (golden == _VALID)]), where=where)
+def compare_aggregates(comparison: Comparison, folder: GoldenFolder) -> None:
+    """Compare all sets of runs."""
+    for case in folder.facts("aggregate.json", gaps=True)["cases"]:
+        runs, at = with_nan(case["runs"]), comparison.at(case["name"], "aggregate: ")
+        why, golden = why_invalid(runs), case["check_validity"]
+        at.verdicts("is it complete", (why is None) != (golden == _VALID))
         if why is not None and golden != _VALID:
-            folder = why.split(" ")[0]
-            comparison.verdicts("aggregate: what is incomplete", np.array([folder not in golden]), where=where)
+            at.verdicts("what is incomplete", why.split(" ")[0] not in golden)
         try:
             table = aggregated(runs, CODE)
         except InputError:
-            comparison.verdicts("aggregate: is it refused", np.array(["error" not in case]), where=where)
+            at.verdicts("is it refused", "error" not in case)
             continue
-        comparison.verdicts("aggregate: is it refused", np.array(["error" in case]), where=where)
+        at.verdicts("is it refused", "error" in case)
         if "error" in case:
             continue
         for level in ("per_sequence", "per_type", "overall"):
-            ours, theirs = _flat(getattr(table, level)), _flat(case.table(level))
+            ours, theirs = _flat(getattr(table, level)), _flat(with_nan(case[level]))
             wrong = [not _same(ours.get(key), theirs.get(key)) for key in {*ours, *theirs}]
-            comparison.verdicts(f"aggregate: {level.replace('_', ' ')}", np.array(wrong), where=where)
-
-
-def _require_runs(runs: Mapping[str, Any], path: Path, where: str) -> None:
-    for sequences in runs.values():
-        for found in sequences.values() if isinstance(sequences, Mapping) else [None]:
-            if not isinstance(found, Mapping) or not all(each is None or _is_metrics(each) for each in found.values()):
-                raise InputError(f"{path}: the runs of {where} are not types of sequences of runs; get the file again")
-
-
-def _is_metrics(value: Any) -> bool:
-    return isinstance(value, Mapping) and all(
-        "info" in name or metric is None or isinstance(metric, int | float) for name, metric in value.items()
-    )
+            at.verdicts(level.replace("_", " "), wrong)
 
 
 def _flat(table: Mapping[str, Any], before: tuple[str, ...] = ()) -> dict[tuple[str, ...], Any]:

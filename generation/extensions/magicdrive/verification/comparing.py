@@ -4,6 +4,7 @@ import copy
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -11,12 +12,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.devices import single_precision
 from benchmark.verification.checks import Check, Comparison
 from benchmark.verification.filled_networks import NAMES, fill, same_names_and_shapes
-from benchmark.verification.golden import GoldenArrays
+from benchmark.verification.golden import GoldenArrays, GoldenFolder, GoldenSet
 from generation.extensions.magicdrive.config import MagicDriveConfig
 from generation.extensions.magicdrive.model import MagicDriveDiT
 from generation.extensions.magicdrive.sampling import timesteps
@@ -31,6 +31,7 @@ from generation.extensions.magicdrive.verification.quantities import (
     Clips,
 )
 
+FILES: Final = ("manifest.json", "inputs.npz", "outputs.npz")
 OF_SPREAD: Final = 1e-3
 """Largest error as a share of the golden standard deviation."""
 EVALUATION: Final = 1e-4
@@ -47,7 +48,7 @@ def verify_magicdrive(golden: Path, device: str = "cpu") -> list[Check]:
     """Compare the network with a golden set.
 
     Args:
-        golden: The set's folder or the one above it, see `MagicDriveSet.read`.
+        golden: The set's folder or the one above it.
         device: What the network runs on; tolerances are those of single precision.
 
     Returns:
@@ -57,14 +58,20 @@ def verify_magicdrive(golden: Path, device: str = "cpu") -> list[Check]:
     Raises:
         InputError: If the set cannot be used.
     """
-    stored, comparison = MagicDriveSet.read(golden), Comparison()
+    below = golden / "dev"
+    folder = below if (below / FILES[0]).is_file() else golden
+    return GoldenSet("MagicDriveDiT", FILES, (partial(_compare_network, device=device),), usual="dev").verify(folder)
+
+
+def _compare_network(comparison: Comparison, folder: GoldenFolder, device: str) -> None:
+    stored = MagicDriveSet.read(folder)
     if stored.published_shapes is not None:
         published = _without_memory(MagicDriveConfig.full())
         same_names_and_shapes(comparison, published, stored.published_shapes, PUBLISHED, "{elements:,} numbers")
     if not same_names_and_shapes(comparison, _without_memory(stored.config), stored.shapes):
-        return comparison.checks()
+        return
     network = MagicDriveDiT(stored.config).eval()
-    fill(comparison, network, stored.recipe, stored.shapes, None, stored.folder / "manifest.json")
+    fill(comparison, network, stored.recipe, stored.shapes)
     clips = Clips(network.to(device), _rounded(network).to(device), stored)
     with single_precision(), torch.inference_mode():
         _compare_schedules(comparison, stored)
@@ -72,10 +79,8 @@ def verify_magicdrive(golden: Path, device: str = "cpu") -> list[Check]:
         if stored.inner is not None:
             _compare_inner(comparison, clips, stored.inner)
     known = {**ENCODERS, **EVALUATIONS, **SAMPLES, **SCHEDULES, **HALF_PRECISION, "sample_firstframe_mask": None}
-    unknown = sorted(stored.outputs.names - known.keys())
-    if unknown:
+    if unknown := sorted(stored.outputs.names - known.keys()):
         comparison.note(NAMES, f"not compared: {', '.join(unknown)}")
-    return comparison.checks()
 
 
 def _without_memory(config: MagicDriveConfig) -> MagicDriveDiT:
@@ -117,7 +122,7 @@ def _compare_stored(comparison: Comparison, clips: Clips) -> None:
             comparison.errors(f"{name} (1 - correlation)", np.array([1 - correlation]), UNCORRELATED)
             compared += 1
     if not compared:
-        raise InputError(f"{golden.path} stores no quantity of MagicDriveDiT; pass the set of this model")
+        raise ValueError("it stores no quantity of MagicDriveDiT")
 
 
 def _compare(comparison: Comparison, golden: GoldenArrays, name: str, ours: Tensor, allowed: float) -> None:

@@ -1,17 +1,14 @@
 """A golden set of MagicDriveDiT: a network of reduced size, its inputs, and what the official code made of them."""
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 from torch import Tensor
 
-from benchmark.errors import InputError
-from benchmark.machine.storage import read_json
-from benchmark.verification.golden import GoldenArrays, golden_directory
-from benchmark.verification.synthetic_weights import WeightsRecipe, read_recipe, read_shapes
+from benchmark.verification.golden import GoldenArrays, GoldenFolder
+from benchmark.verification.synthetic_weights import WeightsRecipe, read_shapes
 from generation.extensions.magicdrive.conditions import Conditions, TextStates
 from generation.extensions.magicdrive.config import MagicDriveConfig
 from generation.extensions.magicdrive.latents import LatentSize
@@ -114,7 +111,6 @@ class MagicDriveSet:
     """A golden set.
 
     Attributes:
-        folder: Where it is.
         recipe: How weights are made.
         config: The network.
         shapes: Of its tensors by name.
@@ -125,7 +121,6 @@ class MagicDriveSet:
         schedules: Timesteps for sizes of videos, where the set has them.
     """
 
-    folder: Path
     recipe: WeightsRecipe
     config: MagicDriveConfig
     shapes: dict[str, tuple[int, ...]]
@@ -136,52 +131,27 @@ class MagicDriveSet:
     schedules: list[Schedule]
 
     @classmethod
-    def read(cls, golden: Path) -> Self:
-        """Read a set.
+    def read(cls, folder: GoldenFolder) -> Self:
+        """Read a set, some files of which are in its folder or the one above."""
 
-        Args:
-            golden: Its folder, with ``manifest.json``, ``inputs.npz`` and ``outputs.npz``, or the folder above it;
-                ``keys_reduced.json`` is in either of the two.
+        def beside(name: str) -> Any:
+            return folder.nearby(name) if folder.has(name) or folder.has(f"../{name}") else None
 
-        Returns:
-            The set.
-
-        Raises:
-            InputError: If anything in it is absent or damaged.
-        """
-        below = golden / "dev"
-        folder = below if (below / "manifest.json").is_file() else golden
-        golden_directory(folder, "dev", "manifest.json", "inputs.npz", "outputs.npz")
-        keys = _beside(folder, "keys_reduced.json")
-        if keys is None:
-            raise InputError(f"the golden set {folder} has no keys_reduced.json in it or beside it; copy it there")
-        published, schedules = _beside(folder, "keys.json"), _beside(folder, "timesteps_30.json")
-        inner = folder / "taps.npz"
-        manifest = read_recipe(folder / "manifest.json", _Manifest, "does not describe a golden set of MagicDriveDiT")
+        published, schedules, recipe = beside("keys.json"), beside("timesteps_30.json"), folder.facts("manifest.json")
+        manifest = _Manifest.model_validate(recipe)
         return cls(
-            folder,
             manifest,
-            _config(manifest, folder / "manifest.json"),
-            read_shapes(keys),
+            manifest.config(),
+            read_shapes(folder.nearby("keys_reduced.json")),
             None if published is None else read_shapes(published),
-            GoldenArrays.read(folder / "inputs.npz"),
-            GoldenArrays.read(folder / "outputs.npz"),
-            GoldenArrays.read(inner) if inner.is_file() else None,
-            [] if schedules is None else _read_schedules(schedules),
+            folder.arrays("inputs.npz"),
+            folder.arrays("outputs.npz"),
+            folder.arrays("taps.npz") if folder.has("taps.npz") else None,
+            [] if schedules is None else TypeAdapter(list[Schedule]).validate_python(schedules),
         )
 
     def case(self, name: str) -> Case:
-        """A clip.
-
-        Args:
-            name: Its letter.
-
-        Returns:
-            What the set stores of it.
-
-        Raises:
-            InputError: If it is not all there or of another shape than the network takes.
-        """
+        """What the set stores of a clip, of that letter."""
         stored, config = self.inputs, self.config
         views, caption = config.views, config.caption_channels
         prefix = f"{name}.in."
@@ -211,30 +181,9 @@ class MagicDriveSet:
         )
 
     def numbers(self, name: str, *shape: int | None) -> Tensor:
-        """An input in single precision; arguments and errors as in `GoldenArrays.floats`."""
+        """An input in single precision; arguments as in `GoldenArrays.floats`."""
         return torch.from_numpy(self.inputs.floats(name, *shape)).float()
 
 
 def _whole(stored: GoldenArrays, name: str, *shape: int | None) -> Tensor:
     return torch.from_numpy(stored.integers(name, *shape))
-
-
-def _beside(folder: Path, name: str) -> Path | None:
-    """A file in a folder or the one above it."""
-    return next((place / name for place in (folder, folder.parent) if (place / name).is_file()), None)
-
-
-def _config(manifest: _Manifest, path: Path) -> MagicDriveConfig:
-    try:
-        return manifest.config()
-    except ValueError as error:
-        raise InputError(f"{path} describes a network that cannot be built ({error}); fetch the set again") from error
-
-
-def _read_schedules(path: Path) -> list[Schedule]:
-    try:
-        return TypeAdapter(list[Schedule]).validate_python(read_json(path))
-    except ValidationError as error:
-        raise InputError(
-            f"{path} is no list of schedules with {', '.join(Schedule.model_fields)}; fetch it again"
-        ) from error

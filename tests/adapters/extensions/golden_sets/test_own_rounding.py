@@ -10,7 +10,7 @@ import torch
 
 from adapters.extensions.golden_sets import own_rounding
 from adapters.extensions.golden_sets.own_rounding import Run, other_threads, with_own_rounding
-from adapters.extensions.golden_sets.sparse import verify_sparse
+from adapters.extensions.golden_sets.sparse import sparse_sets
 from adapters.models import MODELS
 from benchmark.verification.checks import AS_FAR, ROUNDING, Check, Comparison, report
 from tests.adapters.extensions.golden_sets.sparse_sets import change, write_set
@@ -23,7 +23,7 @@ def golden(tmp_path: Path) -> Path:
 
 
 def verified(golden: Path) -> dict[str, Check]:
-    found = with_own_rounding(partial(verify_sparse, MODELS["sparsedrive"], golden, "cpu", config=MINIATURE))
+    found = with_own_rounding(partial(sparse_sets(MINIATURE).verify, MODELS["sparsedrive"], golden, "cpu"))
     return {check.quantity.split(" (")[0]: check for check in found}
 
 

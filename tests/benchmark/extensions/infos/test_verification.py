@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.extensions.infos.verification import verify_infos
+from benchmark.extensions.infos.verification import GOLDEN
 from tests.benchmark.extensions.infos.info_roots import Contents, golden_contents, plain_root, write_golden
 
 OFFICIAL = Path(__file__).resolve().parents[5] / "shared" / "golden" / "info_files"
@@ -37,7 +37,7 @@ def golden(root: Path, contents: Contents, tmp_path_factory: pytest.TempPathFact
 
 
 def failed(golden: Path) -> list[str]:
-    return [check.quantity for check in verify_infos(golden) if not check.ok]
+    return [check.quantity for check in GOLDEN.verify(golden) if not check.ok]
 
 
 @pytest.mark.skipif(not OFFICIAL.is_dir(), reason="the golden set of official converters is not beside the repository")
@@ -52,7 +52,7 @@ def test_what_official_converters_wrote(tmp_path: Path) -> None:
         (tmp_path / path.name).symlink_to(path)
     (tmp_path / "manifest.json").unlink()
     (tmp_path / "manifest.json").write_text(json.dumps(manifest))
-    checks = verify_infos(tmp_path)
+    checks = GOLDEN.verify(tmp_path)
     assert [check for check in checks if not check.ok] == [] and len(checks) > 150
     assert next(check for check in checks if check.quantity == "sparsedrive: map_annos").count > 10_000
 
@@ -154,20 +154,20 @@ def _file(golden: Path) -> Path:
     [
         (lambda golden: _file(golden).write_bytes(_file(golden).read_bytes()[:-200]), "cannot be unpacked"),
         (_holding(b"cposix\ngetcwd\n(tR."), "posix.getcwd"),
-        (_holding(b"]."), "no list of infos"),
+        (_holding(b"]."), "golden set of infos"),
         (lambda golden: shutil.rmtree(golden / "tables"), "cannot read"),
-        (_manifest(lambda row: row.pop("files")), "no manifest of golden info files"),
+        (_manifest(lambda row: row.pop("files")), "golden set of infos"),
         (_manifest(lambda row: row.update(version="../..")), "leads out of the set"),
         (_manifest(lambda row: row["files"]["uniad"].update(path="/etc/passwd")), "leads out of the set"),
         (_manifest(lambda row: row.update(tables="nowhere")), "does not say where the tables"),
-        (_manifest(lambda row: row.update(tables="those of mars")), "which it does not name"),
+        (_manifest(lambda row: row.update(tables="those of mars")), "golden set of infos"),
     ],
 )
 def test_a_broken_set_is_refused(spoil: Callable[[Path], Any], says: str, golden: Path, tmp_path: Path) -> None:
     broken = Path(shutil.copytree(golden, tmp_path / "set"))
     spoil(broken)
     with pytest.raises(InputError, match=says) as refused:
-        verify_infos(broken)
+        GOLDEN.verify(broken)
     assert "\n" not in str(refused.value)
 
 
@@ -179,7 +179,7 @@ def test_a_program_that_is_not_known_is_not_run(golden: Path, root: Path, tmp_pa
     (other / "manifest.json").write_text(json.dumps(manifest))
     (other / "make_odd.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')")
     with pytest.raises(InputError, match=r"is not the program that is known here and is not run.*tables/odd"):
-        verify_infos(other)
+        GOLDEN.verify(other)
     assert not (tmp_path / "ran").exists()
     # What somebody made by running it is taken as it is.
     shutil.copytree(root, other / "tables" / "odd")
@@ -188,6 +188,6 @@ def test_a_program_that_is_not_known_is_not_run(golden: Path, root: Path, tmp_pa
 
 def test_there_is_no_set_built_in(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="needs --golden"):
-        verify_infos()
+        GOLDEN.verify()
     with pytest.raises(InputError, match="has no manifest"):
-        verify_infos(tmp_path)
+        GOLDEN.verify(tmp_path)

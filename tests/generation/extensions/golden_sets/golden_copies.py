@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from benchmark.verification.checks import Check
 from generation.extensions.golden_sets.built_in import BUILT_IN
-from generation.extensions.golden_sets.denoiser import verify_denoiser
-from generation.extensions.golden_sets.physics import verify_physics
-from generation.extensions.golden_sets.scoring import verify_scoring
+from generation.extensions.golden_sets.denoiser import GOLDEN as DENOISER
+from generation.extensions.golden_sets.physics import GOLDEN as PHYSICS
+from generation.extensions.golden_sets.scoring import GOLDEN as SCORING
 
 VERIFY: dict[str, Callable[[Path | None], list[Check]]] = {
-    "physics": verify_physics,
-    "scoring": verify_scoring,
-    "denoiser": verify_denoiser,
+    "physics": PHYSICS.verify,
+    "scoring": SCORING.verify,
+    "denoiser": DENOISER.verify,
 }
 Arrays = dict[str, NDArray[Any]]
 

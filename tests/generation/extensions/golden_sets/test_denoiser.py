@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import torch
 
-from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.verification.checks import report
 from generation.diffusion.denoiser import TrajectoryDenoiser
 from generation.extensions.golden_sets.built_in import BUILT_IN
-from generation.extensions.golden_sets.denoiser import verify_denoiser
+from generation.extensions.golden_sets.denoiser import GOLDEN as DENOISER
+from tests.benchmark.verification.damaged import said
 from tests.generation.extensions.golden_sets.golden_copies import Arrays, change, failures, load, save, shifted
 
 
@@ -49,7 +49,7 @@ def test_wrong_denoiser_outputs_fail_where_they_are_wrong(slim: Path) -> None:
         aug_out=shifted(1.0, 3, 5),
     )
     change(slim / "schedule.npz", betas=shifted(1e-5, 50), timesteps=shifted(1, 3))
-    checks = verify_denoiser(slim)
+    checks = DENOISER.verify(slim)
     assert failures(checks) == {
         "predicted noise", "truncated reverse processes", "stochastic steps", "full reverse process, on the way",
         "varied first batch (of the largest)", "schedule: betas", "schedule: timesteps",
@@ -59,21 +59,21 @@ def test_wrong_denoiser_outputs_fail_where_they_are_wrong(slim: Path) -> None:
 
 def test_silent_zeros_fail(slim: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(TrajectoryDenoiser, "forward", lambda self, noisy, timesteps: torch.zeros_like(noisy))
-    assert {"predicted noise", "full reverse process", "stochastic steps"} <= failures(verify_denoiser(slim))
+    assert {"predicted noise", "full reverse process", "stochastic steps"} <= failures(DENOISER.verify(slim))
 
 
 def test_another_architecture_is_said_first_and_nothing_else(slim: Path) -> None:
     keys = json.loads((slim / "keys.json").read_text())
     keys["sigma_proj_layer.weight"]["shape"] = [256, 511]
     (slim / "keys.json").write_text(json.dumps(keys))
-    (check,) = verify_denoiser(slim)
+    (check,) = DENOISER.verify(slim)
     assert not check.ok and check.error == 1 and "sigma_proj_layer.weight" in check.note
 
 
 def test_another_salt_and_other_rules_need_other_numbers(slim: Path) -> None:
     for manifest in ({"salt": "other", "std_rules": {}}, {"salt": "dev", "std_rules": {"decoder_mlp": 0.3}}):
         (slim / "manifest.json").write_text(json.dumps(manifest))
-        assert "predicted noise" in failures(verify_denoiser(slim))
+        assert "predicted noise" in failures(DENOISER.verify(slim))
 
 
 def strangers_numbers(arrays: Arrays, keys: dict[str, Any], salt: str, rules: dict[str, float]) -> Arrays:
@@ -139,7 +139,7 @@ def test_a_strangers_set_agrees_whatever_its_salt_rules_batch_and_timesteps(slim
     (slim / "manifest.json").write_text(json.dumps({"salt": "a stranger's", "std_rules": rules, "made": "today"}))
     keys = json.loads((slim / "keys.json").read_text())
     save(slim / "parity.npz", strangers_numbers(load(slim / "parity.npz"), keys, "a stranger's", rules))
-    checks = verify_denoiser(slim)
+    checks = DENOISER.verify(slim)
     assert not failures(checks), report(checks)
     assert next(check.note for check in checks if check.quantity == "predicted noise") == "timesteps 60, 3"
 
@@ -147,32 +147,22 @@ def test_a_strangers_set_agrees_whatever_its_salt_rules_batch_and_timesteps(slim
 def test_every_array_is_compared_or_named(slim: Path) -> None:
     arrays = load(slim / "parity.npz")
     save(slim / "parity.npz", arrays | {"something_new": np.zeros(3)})
-    notes = " ".join(check.note for check in verify_denoiser(slim))
+    notes = " ".join(check.note for check in DENOISER.verify(slim))
     assert "history_features_ignored (the reference discards it" in notes
     assert "something_new (unknown here)" in notes
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "word"),
+    ("name", "text"),
     [
-        ("manifest.json", "{", "not valid JSON"),
-        ("manifest.json", "{}", "salt"),
-        ("manifest.json", '{"salt": "dev", "std_rules": {"(": 1.0}}', "regular expression"),
-        ("manifest.json", '{"salt": "dev", "kept_buffers": {"sigma_proj_layer.bias": [1.0]}}', "do not fit"),
-        ("keys.json", "[1, 2]", "names and shapes"),
-        ("keys.json", '{"a": {"shape": "x"}}', "names and shapes"),
+        ("manifest.json", "{"),
+        ("manifest.json", '{"std_rules": {}}'),
+        ("manifest.json", '{"salt": "dev", "std_rules": {"(": 1.0}}'),
+        ("manifest.json", '{"salt": "dev", "kept_buffers": {"sigma_proj_layer.bias": [1.0]}}'),
+        ("keys.json", "[1, 2]"),
+        ("keys.json", '{"a": {"shape": "x"}}'),
     ],
 )
-def test_descriptions_that_are_wrong_are_one_sentence(slim: Path, name: str, text: str, word: str) -> None:
+def test_descriptions_that_are_wrong_are_one_sentence(slim: Path, name: str, text: str) -> None:
     (slim / name).write_text(text)
-    with pytest.raises(InputError, match=word) as caught:
-        verify_denoiser(slim)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("extra", ["denoise_t100", "trunc0_eta0_actions"])
-def test_timesteps_outside_the_schedule_are_one_sentence(slim: Path, extra: str) -> None:
-    arrays = load(slim / "parity.npz")
-    save(slim / "parity.npz", arrays | {extra: arrays["noise"]})
-    with pytest.raises(InputError, match="schedule of 100 steps"):
-        verify_denoiser(slim)
+    said(DENOISER.verify, slim)

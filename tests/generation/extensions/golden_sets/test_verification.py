@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from benchmark.geometry import Floats
 from benchmark.verification.checks import report
 from generation.extensions.golden_sets.built_in import BUILT_IN
-from generation.extensions.golden_sets.physics import verify_physics
-from generation.extensions.golden_sets.scoring import verify_scoring
+from generation.extensions.golden_sets.physics import GOLDEN as PHYSICS
+from generation.extensions.golden_sets.scoring import GOLDEN as SCORING
 from generation.extensions.golden_sets.ties import on_raster_tie, out_of_order, touching_tie
 from generation.search import scoring as scoring_kernels
 from generation.search.hyperparameters import CollisionReading
@@ -77,7 +77,7 @@ def test_wrong_physics_fails_where_it_is_wrong(tmp_path: Path) -> None:
         curvature_profile=shifted(1e-3, 4, 9),
         reference_local=shifted(1e-5, 6, 30, 1),
     )
-    checks = verify_physics(folder)
+    checks = PHYSICS.verify(folder)
     assert failures(checks) == {
         "centre position (m)", "commanded steering rate (rad/frame)", "curvature profile (rad/m)",
         "reference position (m)",
@@ -96,17 +96,17 @@ def test_headings_count_modulo_a_turn_and_ill_conditioned_candidates_loosely(tmp
         change(folder / "physics.npz", center_pose=turned, reference_local=turned)
         soon = int(np.flatnonzero(~good & (load(folder / "physics.npz")["sensitivity_13_steps_m"] < 1e-3))[0])
         change(folder / "physics.npz", center_pose=shifted(change_of_other, soon, 5, 0))
-        assert failures(verify_physics(folder)) == wrong
+        assert failures(PHYSICS.verify(folder)) == wrong
 
 
 def test_degenerate_candidates_are_optional_and_checked_where_they_are_steady(tmp_path: Path) -> None:
     folder = copied("physics", tmp_path)
     change(folder / "physics_degenerate.npz", **{"all_behind/center_pose": shifted(3.0, 60, 0)})
-    assert not failures(verify_physics(folder))
+    assert not failures(PHYSICS.verify(folder))
     change(folder / "physics_degenerate.npz", **{"sideways/center_pose": shifted(3e-6, 60, 0)})
-    assert failures(verify_physics(folder)) == {"degenerate candidates: centre position (m)"}
+    assert failures(PHYSICS.verify(folder)) == {"degenerate candidates: centre position (m)"}
     (folder / "physics_degenerate.npz").unlink()
-    assert not any("degenerate" in check.quantity for check in verify_physics(folder))
+    assert not any("degenerate" in check.quantity for check in PHYSICS.verify(folder))
 
 
 def test_any_number_of_candidates_and_groups(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ def test_any_number_of_candidates_and_groups(tmp_path: Path) -> None:
     chosen = np.array([6, 2, 2, 0, 5])
     per_candidate = {n: v[chosen] for n, v in arrays.items() if v.shape[:1] == (8,) and n != "groups"}
     save(folder / "physics.npz", arrays | per_candidate)
-    checks = verify_physics(folder)
+    checks = PHYSICS.verify(folder)
     assert not failures(checks)
     assert "4 of 5" in checks[0].note
 
@@ -129,7 +129,7 @@ def test_wrong_scores_fail_where_they_are_wrong(tmp_path: Path) -> None:
         paper_collision_half=flipped(5, 6),
         paper_final_geometry=shifted(1e-8, 7),
     )
-    checks = verify_scoring(folder)
+    checks = SCORING.verify(folder)
     assert failures(checks) == {
         "centre off the road", "drivable area term", "collision, half", "final score, geometry",
         "final score with its random start, geometry",
@@ -146,7 +146,7 @@ def test_wrong_scores_of_the_reference_fail_where_they_are_wrong(tmp_path: Path)
         ref_ac=shifted(1e-3, 7),
         ref_n_polygon_tests=lambda count: count + 1,
     )
-    assert failures(verify_scoring(folder)) == {
+    assert failures(SCORING.verify(folder)) == {
         "reference: collision", "reference: drivable area term", "reference: challenge",
         "reference: how many boxes are intersected",
     }  # fmt: skip
@@ -156,18 +156,18 @@ def test_sets_without_numbers_of_the_reference_are_sets(tmp_path: Path) -> None:
     folder = copied("scoring", tmp_path)
     for path in folder.glob("*.npz"):
         save(path, {name: array for name, array in load(path).items() if not name.startswith("ref_")})
-    checks = verify_scoring(folder)
+    checks = SCORING.verify(folder)
     assert not failures(checks) and not any("reference" in check.quantity for check in checks)
 
 
 def test_a_verdict_that_hangs_on_single_precision_is_counted(tmp_path: Path) -> None:
     """A corner that lies on the border of a cell; the same difference elsewhere is an error."""
     folder = copied("scoring", tmp_path)
-    checks = verify_scoring(folder)
+    checks = SCORING.verify(folder)
     noted = {check.quantity: check.note for check in checks}
     assert "hang on single precision, in 3 files" in noted["reference: corners off the road"]
     change(folder / "parked_row.npz", ref_corners_out_count=shifted(1, 3, 6))
-    assert "reference: corners off the road" in failures(verify_scoring(folder))
+    assert "reference: corners off the road" in failures(SCORING.verify(folder))
 
 
 def test_another_ranking_fails(tmp_path: Path) -> None:
@@ -179,13 +179,13 @@ def test_another_ranking_fails(tmp_path: Path) -> None:
         return final
 
     change(folder / "parked_row.npz", paper_final_half=swapped)
-    assert "ranking, half" in failures(verify_scoring(folder))
+    assert "ranking, half" in failures(SCORING.verify(folder))
 
 
 def test_a_verdict_on_a_tie_may_differ_and_is_counted(tmp_path: Path) -> None:
     folder = copied("scoring", tmp_path)
     change(folder / "standing.npz", paper_collision_geometry=flipped(0, 3))
-    checks = verify_scoring(folder)
+    checks = SCORING.verify(folder)
     assert not failures(checks)
     assert "1 within 1e-9 of a tie" in next(c.note for c in checks if c.quantity == "collision, geometry")
 
@@ -194,7 +194,7 @@ def test_one_file_of_an_indexed_set_is_enough(tmp_path: Path) -> None:
     folder = copied("scoring", tmp_path)
     (folder / "standing.npz").unlink()
     (folder / "index.json").write_text(json.dumps({"dev/standing.npz": {}, "dev/crossing.npz": {}}))
-    checks = verify_scoring(folder)
+    checks = SCORING.verify(folder)
     assert not failures(checks)
     assert checks[0].note == "2 files; 1 more in index.json are not there"
 
@@ -204,7 +204,7 @@ def test_a_kernel_that_misses_collisions_fails(monkeypatch: pytest.MonkeyPatch) 
         return np.zeros(boxes.shape[:2], np.bool_)
 
     monkeypatch.setattr(scoring_kernels, "collisions", none)
-    assert {"collision, geometry", "collision, half", "collision, literal"} <= failures(verify_scoring())
+    assert {"collision, geometry", "collision, half", "collision, literal"} <= failures(SCORING.verify())
 
 
 @settings(max_examples=60, deadline=None)

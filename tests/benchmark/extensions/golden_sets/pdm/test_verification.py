@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.extensions.golden_sets.pdm import BUILT_IN, verify_pdm
+from benchmark.extensions.golden_sets.pdm import BUILT_IN, GOLDEN
 from tests.benchmark.extensions.golden_sets.golden_pdm import golden_arrays
+from tests.benchmark.verification.damaged import refuses
 
 OFFICIAL = Path(__file__).resolve().parents[6] / "shared" / "golden" / "pdm"
 
@@ -22,11 +23,11 @@ def verified(folder: Path, **changed: Any) -> list[str]:
     """Quantities that fail on the built-in set with some arrays replaced; ``None`` leaves one out."""
     arrays = {name: value for name, value in {**stored(), **changed}.items() if value is not None}
     np.savez(folder / "changed.npz", **arrays)
-    return [check.quantity for check in verify_pdm(folder) if not check.ok]
+    return [check.quantity for check in GOLDEN.verify(folder) if not check.ok]
 
 
 def test_the_built_in_set_agrees_and_is_what_the_slow_version_says() -> None:
-    assert all(check.ok for check in verify_pdm())
+    assert all(check.ok for check in GOLDEN.verify())
     arrays, again = stored(), golden_arrays()
     assert set(arrays) == set(again)
     for name, values in arrays.items():
@@ -47,7 +48,7 @@ def test_the_built_in_set_has_every_verdict() -> None:
 
 @pytest.mark.skipif(not OFFICIAL.is_dir(), reason="the official answers are not here")
 def test_every_official_answer_is_met() -> None:
-    checks = verify_pdm(OFFICIAL)
+    checks = GOLDEN.verify(OFFICIAL)
     assert len(checks) > 100 and [check.quantity for check in checks if not check.ok] == []
     by_name = {check.quantity: check for check in checks}
     assert by_name["lqr: NC"].count == by_name["direct: TTC"].count == 1190
@@ -81,24 +82,23 @@ def test_a_missing_and_an_invented_event_are_found(tmp_path: Path) -> None:
     assert verified(tmp_path, lqr_nc_events=more) == ["lqr: NC events", "from plans: NC events"]
 
 
+def test_a_damaged_set_is_one_sentence(tmp_path: Path) -> None:
+    """A set may have any number of scenes, but must have one."""
+    (tmp_path / "set").mkdir()
+    verified(tmp_path / "set")
+    refuses(GOLDEN.verify, tmp_path / "set", "changed.npz", "lqr_states", tmp_path / "work")
+
+
 @pytest.mark.parametrize(
-    ("changed", "says"),
+    "changed",
     [
-        ({"plans": None}, "has no array plans"),
-        ({"vehicle": np.ones(6)}, "is about a vehicle"),
-        ({"lqr_states": np.zeros((2, 10, 31, 10))}, "has shape"),
-        ({"poly_layer": np.full(18, 9)}, "do not fit together"),
-        ({"obj_offset": np.array([0, 20, 14])}, "must rise"),
-        ({"obj_key_valid": np.zeros((28, 7), np.bool_)}, "never annotated"),
-        ({"plan_names": np.array(["other"] * 10)}, "names no plan recorded"),
-        ({"pair": np.arange(2)}, "pairs"),
+        {"vehicle": np.ones(6)},
+        {"poly_layer": np.full(18, 9)},
+        {"obj_offset": np.array([0, 20, 14])},
+        {"plan_names": np.array(["other"] * 10)},
+        {"pair": np.arange(2)},
     ],
 )
-def test_sets_that_are_not_whole_are_refused(tmp_path: Path, changed: dict[str, Any], says: str) -> None:
-    with pytest.raises(InputError, match=says):
+def test_arrays_that_do_not_fit_are_one_sentence(tmp_path: Path, changed: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=str(tmp_path)):
         verified(tmp_path, **changed)
-
-
-def test_a_folder_without_a_set_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="has no"):
-        verify_pdm(tmp_path)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.extensions.golden_sets.protocols import BUILT_IN, verify_protocols
+from benchmark.extensions.golden_sets.protocols import BUILT_IN, GOLDEN
 from benchmark.machine.storage import read_json
 from tests.benchmark.extensions.golden_sets import golden_protocols
 from tests.benchmark.extensions.golden_sets.golden_protocols import CASES, files_of, write
@@ -13,7 +13,7 @@ from tests.benchmark.extensions.golden_sets.protocols.test_verification import f
 
 
 def test_the_built_in_set_agrees() -> None:
-    checks = verify_protocols(None)
+    checks = GOLDEN.verify(None)
     assert not failures(checks)
     assert len(checks) == 69
     assert checks[0].note == "3 files"
@@ -58,6 +58,6 @@ def test_the_program_writes_files_that_are_used(tmp_path: Path, monkeypatch: pyt
     }
     monkeypatch.setattr(golden_protocols, "CASES", {"gtcol-ghost": lambda: arrays})
     write(tmp_path)
-    checks = verify_protocols(tmp_path)
+    checks = GOLDEN.verify(tmp_path)
     assert not failures(checks) and checks[0].note == "1 file"
     assert set(read_json(tmp_path / "manifest.json")["files"]) == {path.name for path in tmp_path.glob("*.npz")}

@@ -1,0 +1,152 @@
+"""Comparing tensors with what golden sets store of them: all numbers or a part of them, and statistics of the whole."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from benchmark.geometry import Bools, Floats
+from benchmark.verification.checks import Comparison
+
+OUTLIERS: Final = "all values of such quantities (of their spread)"
+OUTLIER_TOLERANCE: Final = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """What is allowed.
+
+    Attributes:
+        allowed: Largest error.
+        of_spread: Whether it is a share of the standard deviation of the golden tensor, or in the tensor's unit.
+        share: Of the values for which it holds. The others, which a network with random weights pushes over a bend, may
+            be off by more.
+        unit: Of the tensor, where it is told.
+        rows: Whether a row counts as one value, its worst.
+        others: What the errors of all values are called where `share` does not hold for all.
+        allowed_of_others: How far they may be off, of the spread.
+    """
+
+    allowed: float
+    of_spread: bool = True
+    share: float = 1.0
+    unit: str = ""
+    rows: bool = False
+    others: str = OUTLIERS
+    allowed_of_others: float = OUTLIER_TOLERANCE
+
+    def title(self, name: str) -> str:
+        """A quantity's name with what its errors are."""
+        share = f"{100 * self.share:g} % of {'rows' if self.rows else 'values'}" if self.share < 1 else ""
+        parts = [share, "of its spread" if self.of_spread else self.unit]
+        details = ", ".join(part for part in (reversed(parts) if self.rows else parts) if part)
+        return f"{name} ({details})" if details else name
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One tensor of ours, to be compared.
+
+    Attributes:
+        values: The golden shape but for axes of length one.
+        tolerance: What is allowed; whole numbers must be equal.
+        undecided: Along the first axis of `values`, what hangs on a comparison too close to call. Where such an entry
+            disagrees it is left out, and the note says how many values were.
+        listed: Whether the first axis is a list whose length may differ from frame to frame.
+    """
+
+    values: NDArray[Any]
+    tolerance: Tolerance
+    undecided: Bools | None = None
+    listed: bool = False
+
+    @classmethod
+    def of(cls, tensor: Tensor, tolerance: Tolerance, undecided: Bools | None = None) -> "Quantity":
+        """From a tensor on any device."""
+        return cls(tensor.detach().cpu().numpy(), tolerance, undecided)
+
+    @property
+    def equal(self) -> bool:
+        """Whether it must be equal."""
+        return self.values.dtype.kind in "iub"
+
+    def title(self, name: str) -> str:
+        """What its errors are called."""
+        return name if self.equal else self.tolerance.title(name)
+
+
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """How a whole tensor, of which a part may be stored, differs from what the set says about it.
+
+    Attributes:
+        most: Errors of numbers that all values have a part in.
+        few: Errors of numbers that are one value each.
+        spread: The golden standard deviation.
+    """
+
+    most: Floats
+    few: Floats
+    spread: float
+
+
+def compare_tensor(
+    comparison: Comparison,
+    name: str,
+    quantity: Quantity,
+    stored: tuple[NDArray[Any], Floats],
+    whole: Whole | None = None,
+    spread: float | None = None,
+    hanging: Bools | None = None,
+) -> None:
+    """Compare a tensor.
+
+    Args:
+        comparison: Gets the errors.
+        name: Of the quantity.
+        quantity: Ours.
+        stored: The part of ours that is stored, and the stored numbers.
+        whole: What the set says about the whole.
+        spread: Golden standard deviation; that of the stored numbers by default.
+        hanging: Which numbers are undecided.
+    """
+    (ours, golden), title, allowed, where = stored, quantity.title(name), quantity.tolerance, comparison.where
+    undecided = np.zeros(ours.shape, np.bool_) if hanging is None else hanging
+    if quantity.equal:
+        comparison.verdicts(title, (ours != golden) & ~undecided)
+        return
+    spread = (float(np.std(golden)) if spread is None else spread) or 1.0
+    unit = spread if allowed.of_spread else 1.0
+    errors = np.abs(ours.astype(np.float64) - golden)
+    worst_allowed = allowed.allowed_of_others * spread if allowed.share < 1 else allowed.allowed * unit
+    left_out = undecided & (errors > worst_allowed)
+    decided = _rows(errors) if allowed.rows else errors[~left_out]
+    # The smallest errors, as many as a share of all; NaN counts as large.
+    most = np.sort(decided)[: math.ceil(allowed.share * len(decided))] if allowed.share < 1 else decided
+    of_others, at = allowed.allowed_of_others, f"{name} of {where}"
+    comparison.errors(title, most / unit, allowed.allowed)
+    if allowed.share < 1:
+        comparison.errors(allowed.others, decided / spread, of_others, where=at)
+    if left_out.any():
+        comparison.note(title, f"{np.count_nonzero(left_out)} too close to call left out in {where}")
+    elif whole is not None:
+        unit = whole.spread if allowed.of_spread else 1.0
+        comparison.errors(title, whole.most / unit, allowed.allowed)
+        # The largest value of a tensor is one value, to which the tolerance of most does not apply.
+        few = (allowed.others, whole.spread, of_others) if allowed.share < 1 else (title, unit, allowed.allowed)
+        comparison.errors(few[0], whole.few / few[1], few[2], where=at)
+
+
+def _rows(errors: Floats) -> Floats:
+    """The worst of each row of a batch of one, or of rows."""
+    rows = errors[0] if len(errors) == 1 else errors
+    return np.asarray(rows.reshape(len(rows), -1).max(1))
+
+
+def same_lengths(ours: Sequence[int], golden: Sequence[int]) -> bool:
+    """Whether two shapes are the same but for axes of length one."""
+    return [length for length in ours if length != 1] == [length for length in golden if length != 1]
