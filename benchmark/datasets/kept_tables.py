@@ -4,13 +4,12 @@ The tables are not parsed again as long as each is the file that it was (`benchm
 checks are the same; rows themselves are always read from the tables. All processes share the memory of what is kept.
 """
 
-import contextlib
 import functools
 import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +18,13 @@ from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.scene_tables import GROWING_TABLES, SceneTables, read_scene_tables, read_shared
 from benchmark.datasets.schema import FaultList, Refusal
 from benchmark.datasets.stored_rows import StoredRows, stamp_while_open
-from benchmark.machine.kept_arrays import kept_place, read_arrays, said_of, write_arrays
+from benchmark.machine.kept_arrays import kept_place, read_batch, write_batch
 from benchmark.machine.storage import content_key, file_sha256, parse_json
 from benchmark.machine.user_cache import Stamp, is_settled, stamp_of
 from benchmark.untrusted.limits import TABLE
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 WORTH_BYTES: Final = 1 << 24
 """Tables of less are parsed in less time than anybody notices."""
@@ -54,7 +56,7 @@ def read_or_kept(folder: Path, rates: FaultList) -> SceneTables | None:
     if place is None or sum(stamps[table][2] for table in GROWING_TABLES if table in stamps) < WORTH_BYTES:
         return read_scene_tables(folder, rates)
     made_of = content_key(_checks(), sorted(stamps.items()))
-    kept = read_arrays(place, made_of, _TYPES)
+    kept = read_batch(place, made_of)
     found = None if kept is None else _of_kept(folder, stamps, kept)
     if found is not None and _stamps(folder) == stamps:
         return found
@@ -63,8 +65,7 @@ def read_or_kept(folder: Path, rates: FaultList) -> SceneTables | None:
     settled = all(is_settled(stamp, looked_ns) for stamp in stamps.values())
     # What is noted of scenes is not kept, so that tables with anything to note are read again.
     if tables is not None and settled and rates.counts.total() == noted and _stamps(folder) == stamps:
-        _forget_what_is_gone(place.parent)
-        write_arrays(place, made_of, {"folder": str(folder.resolve())}, _to_keep(tables))
+        write_batch(place, folder, made_of, _to_keep(tables))
     return tables
 
 
@@ -93,7 +94,16 @@ def _checks() -> str:
     return content_key([(path.name, file_sha256(path)) for path in modules])
 
 
-def _to_keep(tables: SceneTables) -> dict[str, NDArray[Any]]:
+def _schema() -> "pa.Schema":
+    """Each array is one value of a column of its own."""
+    import pyarrow as pa
+
+    return pa.schema([(name, pa.large_list(pa.from_numpy_dtype(kind))) for name, kind in _TYPES.items()])
+
+
+def _to_keep(tables: SceneTables) -> "pa.RecordBatch":
+    import pyarrow as pa
+
     found: dict[str, NDArray[Any]] = {}
     for table in GROWING_TABLES:
         stored, of_scenes = tables.stored[table], tables.rows_of_scenes[table]
@@ -105,10 +115,15 @@ def _to_keep(tables: SceneTables) -> dict[str, NDArray[Any]]:
         }
         found |= {f"{table}.{part}": values[part].astype(kind, copy=False) for part, kind in _PARTS.items()}
     images = json.dumps(tables.keyframe_images(), separators=(",", ":")).encode()
-    return {**found, _IMAGES: np.frombuffer(images, np.uint8)}
+    found[_IMAGES] = np.frombuffer(images, np.uint8)
+    return pa.RecordBatch.from_pydict({name: [values] for name, values in found.items()}, _schema())
 
 
-def _of_kept(folder: Path, stamps: dict[str, Stamp], kept: dict[str, NDArray[Any]]) -> SceneTables:
+def _of_kept(folder: Path, stamps: dict[str, Stamp], batch: "pa.RecordBatch") -> SceneTables | None:
+    if not batch.schema.equals(_schema()):
+        return None
+    kept: dict[str, NDArray[Any]] = {name: batch.column(name).flatten().to_numpy() for name in _TYPES}
+
     def images() -> Sequence[str]:
         names: list[str] = parse_json(kept[_IMAGES].tobytes(), TABLE)
         return names
@@ -130,14 +145,3 @@ def _of_kept(folder: Path, stamps: dict[str, Stamp], kept: dict[str, NDArray[Any
     }
     by_scene = {table: of_scenes(table) for table in GROWING_TABLES}
     return SceneTables(images, stored, by_scene, read_shared(folder, faults), faults)
-
-
-def _forget_what_is_gone(kept: Path) -> None:
-    """Remove what is kept of folders that are no longer there."""
-    for path in kept.glob("*.arrays"):
-        folder = (said_of(path) or {}).get("folder")
-        if isinstance(folder, str) and Path(folder).is_dir():
-            continue
-        for gone in (path, digests_beside(path)):
-            with contextlib.suppress(OSError):
-                gone.unlink()

@@ -1,30 +1,41 @@
 """Rows of a record as they are kept in memory: compressed JSON lines, and columns of what tables read.
 
 A parsed row takes 20 to 30 kB, its line 3 to 4 kB, and compressed, scene by scene, 0.4 kB. Rows are parsed again when
-somebody goes through them, a scene at a time.
+somebody goes through them, a scene at a time. Lines and columns of large records are kept in the user's cache, so that
+a record is parsed and checked once. They count for rows with one SHA-256, that of ``samples.jsonl``, and for the code
+that made them; whatever does not fit is as good as none.
 """
 
+import functools
+import hashlib
+import operator
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
-from itertools import groupby, islice
+from itertools import groupby, islice, pairwise
 from pathlib import Path
-from typing import Any, Final, overload
+from typing import TYPE_CHECKING, Any, Final, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmark.machine.garbage import uncollected
-from benchmark.machine.storage import canonical_json
-from benchmark.records.column_arrays import CODES, Arrays, Name, arrays_of, coded, different_values
-from benchmark.records.columns import RowColumns
+from benchmark.machine.kept_arrays import kept_place, read_batch, write_batch
+from benchmark.machine.storage import canonical_json, content_key, file_sha256
 from benchmark.records.row_schema import SampleRow
+from benchmark.untrusted.files import open_file
 from benchmark.untrusted.json_text import read_lines
 from benchmark.untrusted.limits import RECORD
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from benchmark.records.columns import RowColumns
+
+WORTH_BYTES: Final = 1 << 22
+"""Rows of less are read in less time than anybody notices; nothing is kept of them."""
+_FOLDER: Final = "records"
 _LINES_AT_ONCE: Final = 64
 """Lines that are looked at together before they are parsed one by one."""
-_BLOCKS: Final = "blocks"
 _QUICK: Final = 1
 """Level of compression: lines of a scene repeat each other, so that more effort gains little."""
 
@@ -56,17 +67,13 @@ class Rows(Sequence[SampleRow]):
             made.add(list(scene))
         return made
 
-    def add(self, rows: Sequence[SampleRow], lines: Sequence[str] | None = None) -> None:
-        """Add the rows of one scene at the end, before anybody asks for columns.
-
-        Args:
-            rows: The rows.
-            lines: Their JSON, where it is at hand.
-        """
+    def add(self, rows: Sequence[SampleRow]) -> None:
+        """Add the rows of one scene at the end, before anybody asks for columns."""
         if rows:
-            texts = [line_of(row) for row in rows] if lines is None else lines
-            packed = zlib.compress("\n".join(texts).encode(), _QUICK)
-            self._blocks.append((rows[0].scene, len(rows), packed))
+            self._add(rows[0].scene, [line_of(row) for row in rows])
+
+    def _add(self, scene: str, lines: Sequence[str]) -> None:
+        self._blocks.append((scene, len(lines), zlib.compress("\n".join(lines).encode(), _QUICK)))
 
     @classmethod
     def read(cls, path: Path, parse: Callable[[Sequence[tuple[int, str]]], Sequence[SampleRow]]) -> "Rows":
@@ -82,40 +89,52 @@ class Rows(Sequence[SampleRow]):
         Raises:
             InputError: If the file is damaged.
         """
-        made, parsed = cls(), list[SampleRow]()
+        from benchmark.records.columns import RowColumns, batch_of
+
+        made = cls()
         with uncollected():
-            for _, scene in groupby(_checked(path, parse), key=lambda pair: pair[0].scene):
-                rows, lines = zip(*scene)
-                made.add(rows, lines)
-                parsed += rows
-            vars(made)["columns"] = RowColumns(made, arrays_of(parsed))
+            batch = batch_of(made._added(path, parse))
+            # Of rows of their own: what refers to itself stays in memory until Python looks for it.
+            made.columns = RowColumns(cls(made._blocks), batch)
         return made
+
+    def _added(
+        self, path: Path, parse: Callable[[Sequence[tuple[int, str]]], Sequence[SampleRow]]
+    ) -> Iterator[SampleRow]:
+        """Rows of a file, which are added as they are read."""
+        for scene, pairs in groupby(_checked(path, parse), key=lambda pair: pair[0].scene):
+            lines = []
+            for row, line in pairs:
+                lines.append(line)
+                yield row
+            self._add(scene, lines)
 
     @classmethod
-    def of_arrays(cls, arrays: Arrays) -> "Rows":
-        """Rows in the form that `arrays` gives; they stay where they are, in a file perhaps, until they are asked."""
-        scenes, packed = different_values(arrays, (_BLOCKS,)), arrays[_BLOCKS, "packed"].data
-        names = (scenes[code] for code in arrays[_BLOCKS, CODES].tolist())
-        counts, ends = arrays[_BLOCKS, "counts"].tolist(), arrays[_BLOCKS, "ends"].tolist()
-        starts = [0, *ends]
-        made = cls((name, count, packed[first:last]) for name, count, first, last in zip(names, counts, starts, ends))
-        vars(made)["columns"] = RowColumns(made, arrays)
+    def of_batch(cls, batch: "pa.RecordBatch") -> "Rows":
+        """Rows as `batch` gives them, which stay where they are, in a file perhaps."""
+        from benchmark.records.columns import LINES, RowColumns
+
+        rows, lines = cls(), batch.column(LINES)
+        columns = RowColumns(rows, batch)
+        scenes, starts = columns.values("scene"), np.flatnonzero(lines.is_valid()).tolist()
+        ends, packed = np.frombuffer(lines.buffers()[1], np.int32).tolist(), memoryview(lines.buffers()[2])
+        for first, last in pairwise([*starts, len(scenes)]):
+            rows._blocks.append((scenes[first], last - first, packed[ends[first] : ends[last]]))
+        made = cls(rows._blocks)
+        made.columns = columns
         return made
 
-    def arrays(self) -> dict[Name, NDArray[Any]]:
-        """All of them as arrays: their columns, and their lines compressed."""
-        names, counts, packed = [], [], []
-        for name, count, lines in self._blocks:
-            names.append(name)
-            counts.append(count)
-            packed.append(lines)
-        return {
-            **self.columns.arrays,
-            **coded((_BLOCKS,), names),
-            (_BLOCKS, "counts"): np.array(counts, np.int64),
-            (_BLOCKS, "ends"): np.cumsum([len(lines) for lines in packed], dtype=np.int64),
-            (_BLOCKS, "packed"): np.frombuffer(b"".join(packed), np.uint8),
-        }
+    def batch(self) -> "pa.RecordBatch":
+        """All of them: their columns, and their lines, compressed, beside the first row of each scene."""
+        import pyarrow as pa
+
+        from benchmark.records.columns import LINES
+
+        batch = self.columns.batch
+        if LINES in batch.schema.names:
+            return batch
+        lines = [part for _, count, packed in self._blocks for part in (bytes(packed), *[None] * (count - 1))]
+        return batch.append_column(LINES, pa.array(lines, pa.binary()))
 
     def in_order_of(self, scenes: Sequence[str]) -> "Rows":
         """The same rows with their scenes in another order.
@@ -150,10 +169,12 @@ class Rows(Sequence[SampleRow]):
         return [row for scene, _, packed in self._blocks if scene in failed for row in _parsed(packed)]
 
     @cached_property
-    def columns(self) -> RowColumns:
+    def columns(self) -> "RowColumns":
         """What tables read of them."""
+        from benchmark.records.columns import RowColumns
+
         with uncollected():
-            return RowColumns(self)
+            return RowColumns(Rows(self._blocks))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Columns are made again, and nobody else can read what lies in a file of ours.
@@ -171,19 +192,12 @@ class Rows(Sequence[SampleRow]):
     @overload
     def __getitem__(self, place: slice) -> list[SampleRow]: ...
     def __getitem__(self, place: int | slice) -> SampleRow | list[SampleRow]:
-        if isinstance(place, slice):
-            return list(self)[place]
-        wanted = range(len(self))[place]
-        for _, count, packed in self._blocks:
-            if wanted < count:
-                return SampleRow.model_validate_json(zlib.decompress(packed).split(b"\n")[wanted])
-            wanted -= count
-        raise AssertionError("a place among the rows is in none of their blocks")
+        return list(self)[place]
 
     def __eq__(self, other: object) -> bool:
         if isinstance(other, Rows) and self._blocks == other._blocks:
             return True
-        return isinstance(other, Sequence) and len(self) == len(other) and all(map(_equal, self, other))
+        return isinstance(other, Sequence) and len(self) == len(other) and all(map(operator.eq, self, other))
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -191,7 +205,7 @@ class Rows(Sequence[SampleRow]):
         return f"<{len(self)} rows of {len(self._blocks)} scenes>"
 
 
-def columns_of(rows: Sequence[SampleRow] | RowColumns) -> RowColumns:
+def columns_of(rows: "Sequence[SampleRow] | RowColumns") -> "RowColumns":
     """Columns of rows, made once where they are a record's.
 
     Args:
@@ -200,14 +214,82 @@ def columns_of(rows: Sequence[SampleRow] | RowColumns) -> RowColumns:
     Returns:
         The columns.
     """
+    from benchmark.records.columns import RowColumns
+
     if isinstance(rows, RowColumns):
         return rows
     return rows.columns if isinstance(rows, Rows) else RowColumns(rows)
 
 
+def kept_rows(rows: Path, sha256: str) -> Rows | None:
+    """Rows that were read before.
+
+    Args:
+        rows: The file.
+        sha256: What its hash must be.
+
+    Returns:
+        The rows with their columns, which lie in a file of the cache; ``None`` where they are not kept, or the file has
+        another hash.
+
+    Raises:
+        InputError: If the file cannot be read.
+    """
+    from benchmark.records.columns import is_made_of_columns
+
+    place = kept_at(rows)
+    batch = None if place is None else read_batch(place, _made_of(sha256))
+    if batch is None or not is_made_of_columns(batch):
+        return None
+    with open_file(rows, RECORD) as stream:
+        own = hashlib.file_digest(stream, "sha256").hexdigest()
+    return Rows.of_batch(batch) if own == sha256 else None
+
+
+def keep_rows(path: Path, sha256: str, rows: Rows) -> Rows:
+    """Keep rows for the next who reads them, if they are worth it and there is room.
+
+    Args:
+        path: The file that they are in.
+        sha256: Its hash.
+        rows: The rows, checked.
+
+    Returns:
+        The same rows, in the file of the cache where they are kept: they need no memory of their own there.
+    """
+    place = kept_at(path)
+    if place is None or path.stat().st_size < WORTH_BYTES:
+        return rows
+    return (write_batch(place, path, _made_of(sha256), rows.batch()) and kept_rows(path, sha256)) or rows
+
+
+def kept_at(rows: Path) -> Path | None:
+    """Where what is known of a file of rows is kept; nowhere where the user has no home."""
+    return kept_place(_FOLDER, rows)
+
+
 def line_of(row: SampleRow) -> str:
     """A row as files have it."""
     return canonical_json(row.model_dump(mode="json"))
+
+
+def _made_of(sha256: str) -> str:
+    return content_key(_checks(), sha256)
+
+
+@functools.cache
+def _checks() -> str:
+    """What decides which rows are refused and what columns say of them: code, and who checks for it."""
+    import pydantic
+
+    own = ("columns", "driving", "judgement", "row_schema", "rows", "run", "stored")
+    others = (
+        *("constants", "geometry", "waypoints", "untrusted/json_text", "untrusted/limits", "pdm/totals"),
+        "protocols/contract",
+    )
+    here = Path(__file__).parent
+    files = [*(here / f"{name}.py" for name in own), *(here.parent / f"{name}.py" for name in others)]
+    return content_key(pydantic.VERSION, [(path.name, file_sha256(path)) for path in files])
 
 
 def _checked(
@@ -222,7 +304,3 @@ def _checked(
 def _parsed(packed: bytes | memoryview) -> list[SampleRow]:
     with uncollected():
         return [SampleRow.model_validate_json(line) for line in zlib.decompress(packed).split(b"\n")]
-
-
-def _equal(one: Any, other: Any) -> bool:
-    return bool(one == other)

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
@@ -23,12 +23,10 @@ from benchmark.machine.storage import content_key, read_json, write_json
 from benchmark.metrics.rates import rates
 from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes, says_all
 from benchmark.protocols import protocol as definition_of
-from benchmark.records.columns import RowColumns
 from benchmark.records.driving import driving_summary
-from benchmark.records.kept_columns import keep_rows, kept_rows
 from benchmark.records.planner_cost import PlannerCost
 from benchmark.records.row_schema import SampleRow
-from benchmark.records.rows import Rows, columns_of
+from benchmark.records.rows import Rows, columns_of, keep_rows, kept_rows
 from benchmark.records.run_schema import SCHEMA, ProtocolSummary, RateRow, RunFacts, SceneFacts, Summary
 from benchmark.records.store import (
     ROWS_FILE,
@@ -44,6 +42,9 @@ from benchmark.records.store import (
 from benchmark.records.stored import Stored
 from benchmark.untrusted.json_text import is_plain, parse_line
 from benchmark.untrusted.limits import RECORD
+
+if TYPE_CHECKING:
+    from benchmark.records.columns import RowColumns
 
 _Read = TypeVar("_Read", bound=Stored)
 
@@ -89,7 +90,7 @@ class RunRecord:
         return self.label or self.run.planner.name
 
     @property
-    def columns(self) -> RowColumns:
+    def columns(self) -> "RowColumns":
         """What tables read of the rows."""
         return columns_of(self.rows)
 
@@ -243,7 +244,7 @@ def _removed_by_mask(outcomes: Outcomes, touching: str = "recorded") -> int | No
     return int((removed & outcomes.valid & enters[:, None]).sum())
 
 
-def scene_failures(rows: Sequence[SampleRow] | RowColumns, protocol: str) -> dict[str, bool | None]:
+def scene_failures(rows: "Sequence[SampleRow] | RowColumns", protocol: str) -> dict[str, bool | None]:
     """Which scenes a planner fails: those with a counted sample that collides at any step.
 
     Args:
@@ -264,14 +265,14 @@ def scene_failures(rows: Sequence[SampleRow] | RowColumns, protocol: str) -> dic
         unjudged = next((place for place in columns.planned.tolist() if protocol not in judged[place]), None)
         if unjudged is not None:
             raise InputError(
-                f"scene {columns.brief[unjudged].scene} was not judged by protocol {protocol!r}; run challenger-bench "
-                "rescore"
+                f"scene {columns.values('scene')[unjudged]} was not judged by protocol {protocol!r}; run "
+                "challenger-bench rescore"
             )
         columns.failures[protocol] = scenes_with(columns, protocol, columns.collides(protocol))
     return dict(columns.failures[protocol])
 
 
-def scenes_with(columns: RowColumns, protocol: str, hits: Bools) -> dict[str, bool | None]:
+def scenes_with(columns: "RowColumns", protocol: str, hits: Bools) -> dict[str, bool | None]:
     """Which scenes have one of some colliding samples.
 
     Args:
@@ -295,7 +296,7 @@ def _fails(hits: Bools, counted: Bools, unknown: Bools) -> bool | None:
     return None if unknown.any() or not counted.any() else False
 
 
-def _unknown(columns: RowColumns, protocol: str) -> Bools:
+def _unknown(columns: "RowColumns", protocol: str) -> Bools:
     """(R,) whether the planner raised on a sample that could have shown a contact."""
     could = columns.flags("complete")
     if definition_of(protocol).counts_incomplete:

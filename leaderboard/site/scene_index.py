@@ -177,7 +177,7 @@ def _add_record(seen: dict[SceneName, _Seen], record: RunRecord) -> None:
 
 def _add_samples(found: _Seen, record: RunRecord, places: NDArray[np.int64], touches: FirstTouches | None) -> None:
     """Add one planner's samples of a scene."""
-    rows, planner = record.columns.brief.at(places.tolist()), record.planner
+    rows, planner = record.columns.brief_at(places.tolist()), record.planner
     times = [row.timestamp_us for row in rows]
     found.seconds = max(found.seconds, (max(times) - min(times)) / _MICROSECONDS)
     failed = sum(row.status == "failed" for row in rows)

@@ -5,8 +5,8 @@ from typing import Any, Final
 
 from benchmark.metrics.attacks import SceneAttack, scene_attacks
 from benchmark.metrics.effect import attributes
-from benchmark.records.columns import BriefRow
 from benchmark.records.judgement import DRIVER_NAMES, JudgementSummary
+from benchmark.records.row_schema import BriefRow
 from benchmark.records.run import RunRecord
 
 _DIGITS: Final = 3
