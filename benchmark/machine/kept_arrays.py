@@ -1,7 +1,8 @@
 """Arrow batches in files of the user's cache: written whole, read as a part of memory that processes share.
 
 A line of JSON says what a batch was made of and the SHA-256 of all that follows: a file of Arrow IPC, which is read as
-one only if both fit. Whatever does not is as good as none.
+one only if both fit. Whatever does not is as good as none. Numbers go in and out through buffers: ``pyarrow.array`` and
+``to_numpy`` would import pandas.
 """
 
 import contextlib
@@ -9,6 +10,9 @@ import hashlib
 import mmap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, content_key, only_writer, parse_json, write_parts
@@ -98,6 +102,26 @@ def read_batch(path: Path, made_of: str) -> "pa.RecordBatch | None":
     except (InputError, OSError, ValueError, pa.ArrowException):
         return None
     return batch
+
+
+def arrow_of(values: NDArray[Any]) -> "pa.Array":
+    """Numbers or truth values, in the order in which they lie, as a column."""
+    import pyarrow as pa
+
+    flat = np.ascontiguousarray(values).reshape(-1)
+    data = np.packbits(flat, bitorder="little") if flat.dtype == np.bool_ else flat
+    return pa.Array.from_buffers(pa.from_numpy_dtype(flat.dtype), len(flat), [None, pa.py_buffer(data)])
+
+
+def numpy_of(column: "pa.Array") -> NDArray[Any]:
+    """The values of a whole column of them, whatever it has in its gaps; nobody may write to them."""
+    kind, data = np.dtype(str(column.type)), column.buffers()[1]
+    if kind == np.bool_:
+        values = np.unpackbits(np.frombuffer(data, np.uint8), count=len(column), bitorder="little").view(np.bool_)
+    else:
+        values = np.frombuffer(data, kind, len(column))
+    values.flags.writeable = False
+    return values
 
 
 def _head(stream: BinaryIO) -> dict[str, Any]:

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, Final, overload
 
 import numpy as np
 
-from benchmark.machine.garbage import uncollected
 from benchmark.machine.kept_arrays import kept_place, read_batch, write_batch
 from benchmark.machine.storage import canonical_json, content_key, file_sha256
 from benchmark.records.row_schema import SampleRow
@@ -34,6 +33,11 @@ if TYPE_CHECKING:
 WORTH_BYTES: Final = 1 << 22
 """Rows of less are read in less time than anybody notices; nothing is kept of them."""
 _FOLDER: Final = "records"
+_CODE: Final = (
+    *(f"records/{name}" for name in ("columns", "driving", "judgement", "row_schema", "rows", "run", "stored")),
+    *("constants", "geometry", "waypoints", "untrusted/json_text", "untrusted/limits", "pdm/totals"),
+    "protocols/contract",
+)
 _LINES_AT_ONCE: Final = 64
 """Lines that are looked at together before they are parsed one by one."""
 _QUICK: Final = 1
@@ -52,25 +56,17 @@ class Rows(Sequence[SampleRow]):
 
     @classmethod
     def of(cls, rows: Sequence[SampleRow]) -> "Rows":
-        """Rows in compressed form.
-
-        Args:
-            rows: Checked rows.
-
-        Returns:
-            The same rows, or themselves if they are in this form already.
-        """
+        """Checked rows in compressed form, which they may be in already."""
         if isinstance(rows, cls):
             return rows
         made = cls()
-        for _, scene in groupby(rows, key=lambda row: row.scene):
-            made.add(list(scene))
+        made.add(rows)
         return made
 
     def add(self, rows: Sequence[SampleRow]) -> None:
-        """Add the rows of one scene at the end, before anybody asks for columns."""
-        if rows:
-            self._add(rows[0].scene, [line_of(row) for row in rows])
+        """Add rows, scene after scene, at the end, before anybody asks for columns."""
+        for scene, those in groupby(rows, key=lambda row: row.scene):
+            self._add(scene, list(map(line_of, those)))
 
     def _add(self, scene: str, lines: Sequence[str]) -> None:
         self._blocks.append((scene, len(lines), zlib.compress("\n".join(lines).encode(), _QUICK)))
@@ -91,35 +87,33 @@ class Rows(Sequence[SampleRow]):
         """
         from benchmark.records.columns import RowColumns, batch_of
 
-        made = cls()
-        with uncollected():
-            batch = batch_of(made._added(path, parse))
-            # Of rows of their own: what refers to itself stays in memory until Python looks for it.
-            made.columns = RowColumns(cls(made._blocks), batch)
-        return made
+        made, waiting = cls(), read_lines(path, RECORD)
+        chunks = iter(lambda: list(islice(waiting, _LINES_AT_ONCE)), [])
+        checked = ((row, line) for some in chunks for row, (_, line) in zip(parse(some), some, strict=True))
 
-    def _added(
-        self, path: Path, parse: Callable[[Sequence[tuple[int, str]]], Sequence[SampleRow]]
-    ) -> Iterator[SampleRow]:
-        """Rows of a file, which are added as they are read."""
-        for scene, pairs in groupby(_checked(path, parse), key=lambda pair: pair[0].scene):
-            lines = []
-            for row, line in pairs:
-                lines.append(line)
-                yield row
-            self._add(scene, lines)
+        def added() -> Iterator[SampleRow]:
+            for scene, pairs in groupby(checked, key=lambda pair: pair[0].scene):
+                lines = []
+                for row, line in pairs:
+                    lines.append(line)
+                    yield row
+                made._add(scene, lines)
+
+        batch = batch_of(added())
+        # Of rows of their own: what refers to itself stays in memory until Python looks for it.
+        made.columns = RowColumns(cls(made._blocks), batch)
+        return made
 
     @classmethod
     def of_batch(cls, batch: "pa.RecordBatch") -> "Rows":
         """Rows as `batch` gives them, which stay where they are, in a file perhaps."""
         from benchmark.records.columns import LINES, RowColumns
 
-        rows, lines = cls(), batch.column(LINES)
-        columns = RowColumns(rows, batch)
-        scenes, starts = columns.values("scene"), np.flatnonzero(lines.is_valid()).tolist()
-        ends, packed = np.frombuffer(lines.buffers()[1], np.int32).tolist(), memoryview(lines.buffers()[2])
+        rows, (_, ends, packed) = cls(), batch.column(LINES).buffers()
+        columns, lines = RowColumns(rows, batch), np.frombuffer(ends, np.int32)
+        scenes, starts = columns.values("scene"), np.flatnonzero(np.diff(lines)).tolist()
         for first, last in pairwise([*starts, len(scenes)]):
-            rows._blocks.append((scenes[first], last - first, packed[ends[first] : ends[last]]))
+            rows._blocks.append((scenes[first], last - first, memoryview(packed)[lines[first] : lines[last]]))
         made = cls(rows._blocks)
         made.columns = columns
         return made
@@ -128,23 +122,16 @@ class Rows(Sequence[SampleRow]):
         """All of them: their columns, and their lines, compressed, beside the first row of each scene."""
         import pyarrow as pa
 
-        from benchmark.records.columns import LINES
+        from benchmark.records.columns import LINES, joined
 
         batch = self.columns.batch
         if LINES in batch.schema.names:
             return batch
-        lines = [part for _, count, packed in self._blocks for part in (bytes(packed), *[None] * (count - 1))]
-        return batch.append_column(LINES, pa.array(lines, pa.binary()))
+        lines = [part for _, count, packed in self._blocks for part in (packed, *[b""] * (count - 1))]
+        return batch.append_column(LINES, joined(pa.binary(), lines))
 
     def in_order_of(self, scenes: Sequence[str]) -> "Rows":
-        """The same rows with their scenes in another order.
-
-        Args:
-            scenes: Names of all scenes.
-
-        Returns:
-            The rows.
-        """
+        """The same rows with their scenes, all of which are named, in another order."""
         place = {name: number for number, name in enumerate(scenes)}
         return Rows(sorted(self._blocks, key=lambda block: place[block[0]]))
 
@@ -173,8 +160,7 @@ class Rows(Sequence[SampleRow]):
         """What tables read of them."""
         from benchmark.records.columns import RowColumns
 
-        with uncollected():
-            return RowColumns(Rows(self._blocks))
+        return RowColumns(Rows(self._blocks))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Columns are made again, and nobody else can read what lies in a file of ours.
@@ -192,7 +178,12 @@ class Rows(Sequence[SampleRow]):
     @overload
     def __getitem__(self, place: slice) -> list[SampleRow]: ...
     def __getitem__(self, place: int | slice) -> SampleRow | list[SampleRow]:
-        return list(self)[place]
+        if isinstance(place, slice):
+            return list(self)[place]
+        wanted, ends = range(len(self))[place], np.cumsum([count for _, count, _ in self._blocks])
+        block = int(np.searchsorted(ends, wanted, side="right"))
+        lines = zlib.decompress(self._blocks[block][2]).split(b"\n")
+        return SampleRow.model_validate_json(lines[wanted - ends[block]])
 
     def __eq__(self, other: object) -> bool:
         if isinstance(other, Rows) and self._blocks == other._blocks:
@@ -206,14 +197,7 @@ class Rows(Sequence[SampleRow]):
 
 
 def columns_of(rows: "Sequence[SampleRow] | RowColumns") -> "RowColumns":
-    """Columns of rows, made once where they are a record's.
-
-    Args:
-        rows: One for each sample.
-
-    Returns:
-        The columns.
-    """
+    """Columns of rows, made once where they are a record's."""
     from benchmark.records.columns import RowColumns
 
     if isinstance(rows, RowColumns):
@@ -222,23 +206,15 @@ def columns_of(rows: "Sequence[SampleRow] | RowColumns") -> "RowColumns":
 
 
 def kept_rows(rows: Path, sha256: str) -> Rows | None:
-    """Rows that were read before.
-
-    Args:
-        rows: The file.
-        sha256: What its hash must be.
-
-    Returns:
-        The rows with their columns, which lie in a file of the cache; ``None`` where they are not kept, or the file has
-        another hash.
+    """Rows with their columns that were read before from a file with that hash, where they are kept in the cache.
 
     Raises:
-        InputError: If the file cannot be read.
+        InputError: If they are, and the file cannot be read.
     """
     from benchmark.records.columns import is_made_of_columns
 
-    place = kept_at(rows)
-    batch = None if place is None else read_batch(place, _made_of(sha256))
+    place = kept_place(_FOLDER, rows)
+    batch = None if place is None else read_batch(place, content_key(_checks(), sha256))
     if batch is None or not is_made_of_columns(batch):
         return None
     with open_file(rows, RECORD) as stream:
@@ -247,25 +223,11 @@ def kept_rows(rows: Path, sha256: str) -> Rows | None:
 
 
 def keep_rows(path: Path, sha256: str, rows: Rows) -> Rows:
-    """Keep rows for the next who reads them, if they are worth it and there is room.
-
-    Args:
-        path: The file that they are in.
-        sha256: Its hash.
-        rows: The rows, checked.
-
-    Returns:
-        The same rows, in the file of the cache where they are kept: they need no memory of their own there.
-    """
-    place = kept_at(path)
+    """The same rows, kept for the next who reads the file, and so in no memory, if that is worth it and possible."""
+    place = kept_place(_FOLDER, path)
     if place is None or path.stat().st_size < WORTH_BYTES:
         return rows
-    return (write_batch(place, path, _made_of(sha256), rows.batch()) and kept_rows(path, sha256)) or rows
-
-
-def kept_at(rows: Path) -> Path | None:
-    """Where what is known of a file of rows is kept; nowhere where the user has no home."""
-    return kept_place(_FOLDER, rows)
+    return (write_batch(place, path, content_key(_checks(), sha256), rows.batch()) and kept_rows(path, sha256)) or rows
 
 
 def line_of(row: SampleRow) -> str:
@@ -273,34 +235,14 @@ def line_of(row: SampleRow) -> str:
     return canonical_json(row.model_dump(mode="json"))
 
 
-def _made_of(sha256: str) -> str:
-    return content_key(_checks(), sha256)
-
-
 @functools.cache
 def _checks() -> str:
     """What decides which rows are refused and what columns say of them: code, and who checks for it."""
     import pydantic
 
-    own = ("columns", "driving", "judgement", "row_schema", "rows", "run", "stored")
-    others = (
-        *("constants", "geometry", "waypoints", "untrusted/json_text", "untrusted/limits", "pdm/totals"),
-        "protocols/contract",
-    )
-    here = Path(__file__).parent
-    files = [*(here / f"{name}.py" for name in own), *(here.parent / f"{name}.py" for name in others)]
-    return content_key(pydantic.VERSION, [(path.name, file_sha256(path)) for path in files])
-
-
-def _checked(
-    path: Path, parse: Callable[[Sequence[tuple[int, str]]], Sequence[SampleRow]]
-) -> Iterator[tuple[SampleRow, str]]:
-    """Rows of a file, each with its line."""
-    lines = read_lines(path, RECORD)
-    while some := list(islice(lines, _LINES_AT_ONCE)):
-        yield from zip(parse(some), (line for _, line in some), strict=True)
+    root = Path(__file__).parents[1]
+    return content_key(pydantic.VERSION, [(name, file_sha256(root / f"{name}.py")) for name in _CODE])
 
 
 def _parsed(packed: bytes | memoryview) -> list[SampleRow]:
-    with uncollected():
-        return [SampleRow.model_validate_json(line) for line in zlib.decompress(packed).split(b"\n")]
+    return [SampleRow.model_validate_json(line) for line in zlib.decompress(packed).split(b"\n")]

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
@@ -52,7 +52,7 @@ NATIVE = "native"
 """What the planner's own protocol is called where a protocol is asked for."""
 NO_NATIVE = "exact"
 """Who judges planners that have no protocol of their own."""
-_CONTENT_ID: Final = "content id"
+_CONTENT_ID, _FAILURES = "content id", "failures of scenes"
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +260,7 @@ def scene_failures(rows: "Sequence[SampleRow] | RowColumns", protocol: str) -> d
     """
     definition_of(protocol)
     columns = columns_of(rows)
-    if protocol not in columns.failures:
+    if (_FAILURES, protocol) not in columns.kept:
         judged = columns.values("judged")
         unjudged = next((place for place in columns.planned.tolist() if protocol not in judged[place]), None)
         if unjudged is not None:
@@ -268,8 +268,8 @@ def scene_failures(rows: "Sequence[SampleRow] | RowColumns", protocol: str) -> d
                 f"scene {columns.values('scene')[unjudged]} was not judged by protocol {protocol!r}; run "
                 "challenger-bench rescore"
             )
-        columns.failures[protocol] = scenes_with(columns, protocol, columns.collides(protocol))
-    return dict(columns.failures[protocol])
+        columns.kept[_FAILURES, protocol] = scenes_with(columns, protocol, columns.collides(protocol))
+    return dict(columns.kept[_FAILURES, protocol])
 
 
 def scenes_with(columns: "RowColumns", protocol: str, hits: Bools) -> dict[str, bool | None]:
