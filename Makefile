@@ -10,7 +10,7 @@ INSTALLED := build/installed
 # PyTorch's own index has builds without CUDA, which save 6 GB where there is no NVIDIA GPU.
 TORCH_CPU ?= https://download.pytorch.org/whl/cpu
 
-.PHONY: setup browser demo paper test check wheel wheel-check docs bench gpu attack clean
+.PHONY: setup browser demo paper test core-alone check wheel wheel-check docs bench gpu attack clean
 
 setup: $(VENV)/.complete
 
@@ -56,6 +56,14 @@ test: check
 	$(BIN)/pytest -n auto --dist loadscope
 	@{ command -v "$${CHROMIUM:-chromium}" && command -v "$${CHROMEDRIVER:-chromedriver}"; } >/dev/null 2>&1 || \
 	  echo "there is no Chromium with its driver here: the tests of the site in a browser were skipped; make browser installs it"
+
+# The tests of the core in a copy without any extension.
+core-alone: setup
+	rm -rf build/core
+	mkdir -p build/core
+	git ls-files -z | xargs -0 cp --parents -t build/core
+	rm -rf build/core/*/extensions/*/ build/core/tests/*/extensions
+	cd build/core && PYTHONPATH="$$PWD" ../../$(BIN)/pytest -n auto --dist loadscope
 
 # dist/: the wheel is made from the source archive, so that leftovers of this folder get into neither.
 wheel: setup

@@ -5,7 +5,8 @@ hostile variants of valid files, half are absurd command lines, side by side in 
 same variants; the same command goes on where it was broken off, from the list of results in the folder. Each variant
 runs in a process of its own, and is fine if the command answers it with exit code 2 and one sentence that names the
 path, or finds in it what it finds in the valid file, or the variant is a valid file with another content. Anything else
-fell, is listed with the command that repeats it, and makes the exit code 1. ``docs/hostile-input.md`` has the figures.
+fell, is listed with the command that repeats it, and makes the exit code 1. Requests to our own server stand behind all
+command lines (``--doors --kind "requests to our server"``). ``docs/hostile-input.md`` has the figures.
 """
 
 import argparse
@@ -18,10 +19,12 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from bench.attacking.campaign import RESULTS, Campaign, Result, known_results, run_campaign
+from bench.attacking.campaign import RESULTS, Attempts, Campaign, Result, known_results, run_campaign
 from bench.attacking.doors import DOORS, Doors
 from bench.attacking.targets import TARGETS
 from bench.attacking.verdicts import FALLEN, FINE
+
+_KEPT = {"files": RESULTS, "doors": DOORS}
 
 
 def main() -> None:
@@ -41,57 +44,37 @@ def main() -> None:
     if not options.files and not options.doors:
         results = in_two_processes(options)
     else:
-        campaign: Campaign | Doors = (Doors if options.doors else Campaign)(options.folder, options.seed)
+        given = options.folder, options.seed
+        campaign: Attempts = Doors(*given) if options.doors else Campaign(*given)
         # A child that collects garbage would copy every page that it shares with this process.
         gc.freeze()
-        results = list(run_campaign(campaign, chosen(campaign, options), again=bool(options.only)))
+        wanted, kinds = options.kind or [""], enumerate(campaign.kinds(options.count))
+        numbers = [number for number, kind in kinds if any(each in kind for each in wanted)][: options.count]
+        results = list(run_campaign(campaign, options.only or numbers, again=bool(options.only)))
     print(table(results))
     for result in results:
         if result.verdict in FALLEN or options.only:
             print(f"\n{result.verdict}: {result.kind}, {result.command}: {result.name}")
             print(f"  exit code {result.code}, {result.cpu_s} s of processor time, {result.peak_mb} MB")
             print(f"  {result.said or 'said nothing'}")
-            what = "--doors" if is_door(result) else "--files"
+            what = "--files" if result.kind in {target.kind for target in TARGETS} else "--doors"
             print(f"  again: python bench/attack.py {what} --seed {options.seed} --only {result.number}")
     sys.exit(any(result.verdict in FALLEN for result in results))
 
 
-def chosen(campaign: Campaign | Doors, options: argparse.Namespace) -> list[int]:
-    """Numbers of the variants that are wanted; those of a kind are looked for as far as there are any."""
-    if options.only:
-        return list(options.only)
-    if isinstance(campaign, Doors):
-        kinds = [tried.kind for tried in campaign.tries]
-    else:
-        kinds = [TARGETS[number % len(TARGETS)].kind for number in range(options.count * len(TARGETS))]
-    wanted = options.kind or [""]
-    return [number for number, kind in enumerate(kinds) if any(each in kind for each in wanted)][: options.count]
-
-
 def in_two_processes(options: argparse.Namespace) -> list[Result]:
     """Half of the variants are of files, half of doors, each in a process and a folder of its own, side by side."""
-    count, folders = -(-options.count // 2), [options.folder / what for what in ("files", "doors")]
-    again = ["--seed", str(options.seed), "--count", str(count)]
+    kept = {what: options.folder / what / name.format(seed=options.seed) for what, name in _KEPT.items()}
+    again = ["--seed", str(options.seed), "--count", str(-(-options.count // 2))]
     again += [word for kind in options.kind or () for word in ("--kind", kind)]
-    children = [
-        subprocess.Popen(
-            [sys.executable, __file__, f"--{folder.name}", "--folder", str(folder), *again], stdout=subprocess.DEVNULL
-        )
-        for folder in folders
+    commands = [
+        [sys.executable, __file__, f"--{what}", "--folder", f"{path.parent}", *again] for what, path in kept.items()
     ]
+    children = [subprocess.Popen(command, stdout=subprocess.DEVNULL) for command in commands]
     broken = [child.wait() not in (0, 1) for child in children]
     if any(broken):
         sys.exit(f"a campaign did not end well; see above, and what is in {options.folder}")
-    return [
-        result
-        for name, folder in zip((RESULTS.format(seed=options.seed), DOORS.format(seed=options.seed)), folders)
-        for result in known_results(folder / name).values()
-    ]
-
-
-def is_door(result: Result) -> bool:
-    """Whether a result is of a door that is no file."""
-    return result.kind not in {target.kind for target in TARGETS}
+    return [result for path in kept.values() for result in known_results(path).values()]
 
 
 def table(results: Sequence[Result]) -> str:

@@ -17,8 +17,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import torch
 
+from bench.gpu_day.magicdrive import magicdrive_pieces
 from bench.gpu_day.networks import network_pieces
-from bench.gpu_day.photorealistic import photorealistic_pieces
 from bench.gpu_day.pieces import (
     PIECE_LIMIT_S,
     Piece,
@@ -33,7 +33,7 @@ from bench.gpu_day.training import training_pieces
 from benchmark.errors import InputError
 from benchmark.machine.devices import device_of
 
-PIECES = (*network_pieces(), *photorealistic_pieces(), *training_pieces())
+PIECES = (*network_pieces(), *magicdrive_pieces(), *training_pieces())
 
 
 def main(arguments: Sequence[str] | None = None, pieces: tuple[Piece, ...] = PIECES) -> int:
@@ -58,7 +58,9 @@ def main(arguments: Sequence[str] | None = None, pieces: tuple[Piece, ...] = PIE
             print(markdown(setting, pieces))
             return 0
         device_of(chosen.device)
-        wanted = [piece_named(pieces, name) for name in chosen.piece] if chosen.piece else _left(setting, pieces)
+        kept = {piece.name: kept_outcome(setting, piece) for piece in pieces}
+        left = [name for name, found in kept.items() if found is None or not found[0].finished]
+        wanted = [piece_named(pieces, name) for name in chosen.piece or left]
     except InputError as error:
         print(f"{error} (--device cpu --tiny is a trial)" if "GPU" in str(error) else error, file=sys.stderr)
         return 2
@@ -76,10 +78,6 @@ def _run(setting: Setting, wanted: Sequence[Piece], minutes: float | None) -> in
         print(f"{piece.name}: {said(piece, outcome)} ({outcome.seconds:.0f} s)", flush=True)
         sound &= outcome.finished
     return 0 if sound else 1
-
-
-def _left(setting: Setting, pieces: Sequence[Piece]) -> list[Piece]:
-    return [piece for piece in pieces if (kept := kept_outcome(setting, piece)) is None or not kept[0].finished]
 
 
 def _state(setting: Setting, piece: Piece) -> str:

@@ -1,5 +1,7 @@
 """Kill commands at moments of chance, twice in a row, run them again, and compare every byte that they leave.
 
+Commands that ask a model server go on by themselves where that is killed, and are compared in the same way.
+
 Run as ``nice python bench/kills.py --folder kills``; the same command goes on where it was broken off. What is left is
 compared with what an undisturbed command with one worker leaves: every file below ``--out`` and in the user's cache,
 hidden ones too, and every folder. What is exempt is printed with its reason. Records name the commit that made them, so
@@ -19,13 +21,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import adapters.extensions.training.ego_status
 import benchmark.evaluation
 from adapters.extensions.training.ego_status import TrainingSettings
-from bench.attacking.campaign import preload
+from bench.attacking.campaign import RESULTS, preload
 from bench.killing.commands import COMMANDS, Killed
-from bench.killing.series import EXEMPT, Bench, Series
+from bench.killing.series import EXEMPT, WAYS, Bench, Series
 from benchmark.errors import InputError
 from benchmark.machine.environment import source_state
-
-HOW = ("kill", "ray-worker", "ray-driver", "disk")
 
 
 def main() -> None:
@@ -33,13 +33,13 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("challenger-out") / "kills")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--moments", type=int, default=10, help="cases of each command and way")
-    parser.add_argument("--command", action="append", choices=[each.name for each in COMMANDS])
-    parser.add_argument("--how", action="append", choices=HOW)
+    parser.add_argument("--command", action="append", choices=list(COMMANDS))
+    parser.add_argument("--how", action="append", choices=list(WAYS))
     parser.add_argument("--workers", type=int, action="append", help="1 and 2 by default")
     parser.add_argument("--kept", action="store_true", help="print what has been found, run nothing")
     options = parser.parse_args()
     if options.kept:
-        print(table(list(known_series(results_path(options.folder, options.seed)).values())))
+        print(table(list(known_series(options.folder / RESULTS.format(seed=options.seed)).values())))
         return
     preload()
     # Scenes this small would all be planned in one process, and none could be killed.
@@ -62,23 +62,23 @@ def main() -> None:
 def cases(options: argparse.Namespace) -> Iterator[tuple[Killed, str, int, int]]:
     """Command, way, workers and number of each case."""
     for number in range(options.moments):
-        for command in COMMANDS:
+        for command in COMMANDS.values():
             if options.command and command.name not in options.command:
                 continue
-            for how in options.how or HOW:
-                if how.startswith("ray") and not command.on_ray:
+            for how in options.how or WAYS:
+                if (how.startswith("ray") and not command.on_ray) or (how == "server") != command.served:
                     continue
                 counts = options.workers or [1, 2] if how == "kill" and command.parallel else [1]
                 yield from ((command, how, workers, number) for workers in counts)
 
 
 def _series(bench: Bench, options: argparse.Namespace) -> Iterator[Series]:
-    path = results_path(bench.folder, options.seed)
+    path = bench.folder / RESULTS.format(seed=options.seed)
     known = known_series(path)
     for command, how, workers, number in cases(options):
         key = f"{command.name}/{how}/{workers}/{number}"
         if key not in known:
-            known[key] = _one(bench, command, how, workers, number)
+            known[key] = bench.disturbed(command, how, workers, number)
             _require_commit(bench.folder)
             with path.open("a") as stream:
                 stream.write(json.dumps({"key": key, "series": asdict(known[key])}) + "\n")
@@ -86,23 +86,10 @@ def _series(bench: Bench, options: argparse.Namespace) -> Iterator[Series]:
         yield known[key]
 
 
-def results_path(folder: Path, seed: int) -> Path:
-    """The list of a seed's cases."""
-    return folder / f"results-{seed}.jsonl"
-
-
 def known_series(path: Path) -> dict[str, Series]:
     """Cases that earlier commands have run, by key."""
     rows = [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
     return {row["key"]: Series(**row["series"]) for row in rows}
-
-
-def _one(bench: Bench, command: Killed, how: str, workers: int, number: int) -> Series:
-    if how == "kill":
-        return bench.killed(command, workers, number)
-    if how == "disk":
-        return bench.full_disk(command, number)
-    return (bench.worker_killed_on_ray if how == "ray-worker" else bench.driver_killed_on_ray)(command, number)
 
 
 def _require_commit(folder: Path) -> None:
@@ -117,10 +104,8 @@ def _require_commit(folder: Path) -> None:
 def table(found: list[Series]) -> str:
     """A row for each command and way: how often it was disturbed, and how often nothing shows it."""
     rows = sorted({(each.command, each.how) for each in found})
-    lines = [
-        "| command | disturbed by | cases | of them hit | files compared | same bytes |",
-        "|---|---|--:|--:|--:|--:|",
-    ]
+    head = "| command | disturbed by | cases | of them hit | files compared | same bytes |"
+    lines = [head, "|---|---|--:|--:|--:|--:|"]
     for row in rows:
         own = [each for each in found if (each.command, each.how) == row]
         hit, same = sum(each.killed > 0 for each in own), sum(each.same for each in own)

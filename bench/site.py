@@ -7,7 +7,6 @@ thread, and of all that Chromium does.
 """
 
 import argparse
-import contextlib
 import os
 import statistics
 import sys
@@ -15,10 +14,11 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from bench.processes import descendants, processor_ticks
 from benchmark.machine.workers import single_threaded
 from benchmark.records.run import find_records
 from benchmark.records.scenes import find_sheets
@@ -30,8 +30,6 @@ from tests.leaderboard.site.reading import key_of, model_query
 FIRST_PAINT_AIM_S, SCRUBBING_AIM_HZ = 1.0, 12.0
 CELL_WIDTH_PX = 320
 ROUTES = {"tables": "#/", "planners": "#/models", "scenes": "#/scenes", "attempts": "#/attempts"}
-
-_Made = TypeVar("_Made")
 
 _SCRUB = """
 const done = arguments[arguments.length - 1];
@@ -49,9 +47,10 @@ const step = () => {
 requestAnimationFrame(step);
 """
 """Asks for the next frame as soon as the one before is painted; gives their number and the seconds."""
+_PAINTED = "performance.getEntriesByName('first-contentful-paint')[0]?.startTime"
 
 
-def timed(what: str, work: Callable[[], _Made]) -> _Made:
+def timed(what: str, work: Callable[[], Any]) -> Any:
     began = time.process_time()
     made = work()
     print(f"{what:<52}{time.process_time() - began:8.1f} s")
@@ -70,20 +69,10 @@ def thread_seconds(browser: Browser) -> float:
 
 def chromium_seconds(browser: Browser) -> float:
     """Processor time of the driver and all that it started, where the system tells it in ``/proc``; else NaN."""
-    if not Path("/proc/self/stat").exists():
-        return float("nan")
-    parent_of, ticks = {}, {}
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):
-            state = path.read_text().rpartition(")")[2].split()
-            parent_of[int(path.parent.name)] = int(state[1])
-            ticks[int(path.parent.name)] = sum(map(int, state[11:15]))
     process = browser.driver.service.process
-    ours, grown = set(), {process.pid if process else -1}
-    while grown:
-        ours |= grown
-        grown = {child for child, parent in parent_of.items() if parent in ours} - ours
-    return sum(ticks.get(each, 0) for each in ours) / os.sysconf("SC_CLK_TCK")
+    if process is None or not Path("/proc/self/stat").exists():
+        return float("nan")
+    return sum(map(processor_ticks, [process.pid, *descendants(process.pid)])) / os.sysconf("SC_CLK_TCK")
 
 
 def paint(browser: Browser, route: str, repeats: int) -> None:
@@ -92,9 +81,7 @@ def paint(browser: Browser, route: str, repeats: int) -> None:
     before = chromium_seconds(browser)
     for _ in range(repeats):
         browser.open(route)
-        painted.append(
-            browser.until("performance.getEntriesByName('first-contentful-paint')[0]?.startTime", patience_s=60) / 1000
-        )
+        painted.append(browser.until(_PAINTED, patience_s=60) / 1000)
         ready.append(browser.js("return (window.challengerReadyAt ?? NaN) / 1000;"))
     used = (chromium_seconds(browser) - before) / repeats
     print(

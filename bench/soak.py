@@ -8,7 +8,7 @@ figures.
 
 import argparse
 import gc
-import resource
+import os
 import sys
 import tempfile
 import threading
@@ -20,10 +20,16 @@ from typing import Final
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from bench.processes import children, resident_mb
 from benchmark import api
+from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import Planner
+from benchmark.runs.driving import DriveSettings, drive_split
+from benchmark.scene import Scene
+from tests.generation.nuscenes_writer.written_roots import write_root
+from tests.hand_made import Car, scene_on_straight_road
 
 FIRST: Final = 20
 """Scenes after which everything has been opened and cached that will be."""
@@ -44,7 +50,7 @@ class Held:
     memory_mb: float
     descriptors: dict[int, str]
     threads: tuple[int, tuple[str, ...]]
-    children: tuple[int, ...]
+    children: list[int]
 
     @classmethod
     def now(cls) -> "Held":
@@ -57,12 +63,7 @@ class Held:
                 open_files[int(path.name)] = str(path.readlink())
         names = tuple(sorted(thread.name for thread in threading.enumerate()))
         threads = (len(list(Path("/proc/self/task").iterdir())), names)
-        children = []
-        for path in Path("/proc/self/task").glob("*/children"):
-            with suppress(OSError):
-                children += list(map(int, path.read_text().split()))
-        memory_mb = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
-        return cls(memory_mb, open_files, threads, tuple(sorted(children)))
+        return cls(resident_mb(os.getpid()), open_files, threads, children(os.getpid()))
 
     def left(self, before: "Held") -> list[str]:
         """What is there that was not before, as sentences."""
@@ -74,34 +75,8 @@ class Held:
         said = [f"{len(new)} file descriptors are left: {', '.join(new[:4])}"] if new else []
         if self.threads[0] > before.threads[0]:
             said.append(f"{self.threads[0] - before.threads[0]} threads are left: {', '.join(self.threads[1])}")
-        children = sorted(set(self.children) - set(before.children))
-        return [*said, *([f"children are left: {children}"] if children else [])]
-
-
-@dataclass(frozen=True, slots=True)
-class Soaked:
-    """What became of one kind of work.
-
-    Attributes:
-        what: Done.
-        scenes: So many times.
-        early: Held after `FIRST` of them.
-        end: Held when everything was written.
-        faults: What is wrong; empty where nothing piles up.
-    """
-
-    what: str
-    scenes: int
-    early: Held
-    end: Held
-    faults: tuple[str, ...]
-
-    def row(self) -> str:
-        """Of the table."""
-        figures = (f"{each.memory_mb:.0f}" for each in (self.early, self.end))
-        times = self.end.memory_mb / self.early.memory_mb
-        held = f"{len(self.end.descriptors)} | {self.end.threads[0]} | {len(self.end.children)}"
-        return f"| {self.what} | {self.scenes} | {' | '.join(figures)} | {times:.2f} | {held} |"
+        more = sorted(set(self.children) - set(before.children))
+        return [*said, *([f"children are left: {more}"] if more else [])]
 
 
 Work = Callable[[DataSet, Planner, Path], int]
@@ -115,14 +90,11 @@ def evaluated(data: DataSet, planner: Planner, out: Path) -> int:
 
 def driven(data: DataSet, planner: Planner, out: Path) -> int:
     """Drive every scene of a data set anew, without images."""
-    from benchmark.closed_loop.default_engine import DefaultRides
-    from benchmark.runs.driving import DriveSettings, drive_split
-
     settings = DriveSettings("default", DefaultRides("idm"), "idm", fresh=True)
     return len(drive_split(data, "val", planner, out, settings).rows)
 
 
-def soak(what: str, work: Work, data: DataSet, scenes: int, folder: Path) -> Soaked:
+def soak(what: str, work: Work, data: DataSet, scenes: int, folder: Path) -> tuple[str, list[str]]:
     """Do one kind of work until so many scenes are done.
 
     Args:
@@ -133,7 +105,7 @@ def soak(what: str, work: Work, data: DataSet, scenes: int, folder: Path) -> Soa
         folder: To write to.
 
     Returns:
-        What piled up.
+        A row of the table, and what piled up.
     """
     planner, before = api.load_planner("constant-velocity")(), Held.now()
     done, rounds, early = 0, 0, None
@@ -144,25 +116,23 @@ def soak(what: str, work: Work, data: DataSet, scenes: int, folder: Path) -> Soa
             early = Held.now()
     end = Held.now()
     early = early or end
-    faults = end.left(before)
-    if end.memory_mb > MOST_TIMES * early.memory_mb:
+    faults, times = end.left(before), end.memory_mb / early.memory_mb
+    if times > MOST_TIMES:
         faults.append(f"{end.memory_mb:.0f} MB at the end, {early.memory_mb:.0f} MB after {FIRST} scenes")
-    return Soaked(what, done, early, end, tuple(faults))
+    held = f"{len(end.descriptors)} | {end.threads[0]} | {len(end.children)}"
+    row = f"| {what} | {done} | {early.memory_mb:.0f} | {end.memory_mb:.0f} | {times:.2f} | {held} |"
+    return row, [f"{what}: {fault}" for fault in faults]
 
 
 def made_data(folder: Path, scenes: int) -> DataSet:
     """A data set of so many short scenes without images."""
-    from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
-    from tests.hand_made import Car, scene_on_straight_road
 
-    plan = DataSetPlan(root=folder / "road", split="val", version="v1.0-mini", renderer=None, frames="keyframes")
-    keys = []
-    for number in range(scenes):
+    def scene(number: int) -> Scene:
         cars = (Car(60.0 + number % 7, 194.75, 9.0), Car(100.0, 201.75, 8.0, 3.14), Car(90.0, 198.25, 8.0))
-        scene = scene_on_straight_road(cars, seconds=8.0, name=f"scene-{number + 1:04d}")
-        keys.append(write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={}))
-    finish_data_set(plan, keys)
-    return open_data(plan.root)
+        return scene_on_straight_road(cars, seconds=8.0, name=f"scene-{number + 1:04d}")
+
+    write_root(folder, list(map(scene, range(scenes))), version="v1.0-mini", renderer=None, frames="keyframes")
+    return open_data(folder)
 
 
 def main() -> None:
@@ -172,15 +142,15 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        data = made_data(folder, FIRST) if options.data is None else open_data(options.data)
+        data = made_data(folder / "road", FIRST) if options.data is None else open_data(options.data)
         print("| work in one process | scenes | MB after 20 | MB at the end | ratio "
               "| descriptors | threads | children |")  # fmt: skip
         print("|---|--:|--:|--:|--:|--:|--:|--:|")
         faults = []
         for what, work in (("evaluated", evaluated), ("driven without images", driven)):
-            soaked = soak(what, work, data, options.scenes, folder / work.__name__)
-            print(soaked.row(), flush=True)
-            faults += [f"{what}: {fault}" for fault in soaked.faults]
+            row, found = soak(what, work, data, options.scenes, folder / work.__name__)
+            print(row, flush=True)
+            faults += found
     print(*faults, sep="\n", file=sys.stderr)
     sys.exit(bool(faults))
 

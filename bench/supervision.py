@@ -20,34 +20,28 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from adapters.planners.stop import Stop
 from adapters.registry import planner_factory
+from bench.processes import command_line, descendants
 from benchmark import api
 from benchmark.machine.workers import single_threaded
-from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
+from benchmark.planning import Observation, Plan
 from benchmark.protocols import STANDARD
 from benchmark.runs.plan_rows import plan_scene, rows_path
 from benchmark.runs.reading import SceneReading
 from benchmark.runs.scene_work import Run, judged_scene
 
-STANDS: Final = np.zeros((6, 2))
 MOST: Final = 0.05
 """What supervision may cost of the harness' own time."""
 
 
-class Blind:
+class Blind(Stop):
     """Looks at nothing and stands."""
 
     name = "blind"
 
-    def reset(self, scene: SceneInfo) -> None:
-        """Nothing is remembered."""
 
-    def plan(self, observation: Observation) -> Plan:
-        """Stand."""
-        return Plan(STANDS, PlanFrame.EGO)
-
-
-class Looking(Blind):
+class Looking(Stop):
     """Loads all pictures and stands."""
 
     name = "looking"
@@ -118,18 +112,8 @@ class Scene:
 
 def planners_process() -> int | None:
     """The planner's process: the child of this process' child."""
-    own = os.getpid()
-    for _ in range(2):
-        found = [
-            int(child)
-            for task in Path(f"/proc/{own}/task").glob("*/children")
-            for child in task.read_text().split()
-            if "guardian" in Path(f"/proc/{child}/cmdline").read_text()
-        ]
-        if not found:
-            return None
-        own = found[-1]
-    return own
+    found = [each for each in descendants(os.getpid()) if "guardian" in command_line(each)]
+    return found[-1] if len(found) > 1 else None
 
 
 def main() -> None:

@@ -17,32 +17,30 @@ from typing import TYPE_CHECKING, Any, cast
 
 from benchmark.datasets.annotation_counts import require_annotated
 from benchmark.datasets.categories import CategoryNames
-from benchmark.datasets.judged import stored_realism
-from benchmark.datasets.scene_facts import frozen_split_of, with_truth
+from benchmark.datasets.scene_facts import with_truth
 from benchmark.errors import InputError, did_you_mean
-from benchmark.fairness.kept_judgements import judged_facts
-from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.pages import keep_pages_of
 from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import only_writer
-from benchmark.machine.workers import LocalProcesses, map_ordered, workers_at_hand
+from benchmark.machine.workers import LocalProcesses, map_ordered, single_threaded, workers_at_hand
 from benchmark.planning import Planner, RemotePlanner, remembers_across_scenes
 from benchmark.protocols import STANDARD, protocol
-from benchmark.records.planner_cost import SceneCost, cost_path, note_cost
+from benchmark.records.planner_cost import SceneCost, cost_path, gather_costs, note_cost, shard_cost_path
 from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.review import require_not_rejected
 from benchmark.records.rows import Rows
 from benchmark.records.run import RunRecord, write_record
 from benchmark.records.run_schema import TruthFacts
-from benchmark.records.seed_splits import generated_facts
 from benchmark.report.words import counted
 from benchmark.runs.caveats import run_caveats
 from benchmark.runs.failures import write_failures
+from benchmark.runs.judges import JudgedScenes, described
 from benchmark.runs.pairing import with_partner
-from benchmark.runs.plan_rows import PlannerFactory, rows_path, supervision_said
+from benchmark.runs.plan_rows import PlannerFactory, plan_scene, rows_path, scene_key, supervision_said
 from benchmark.runs.planner_facts import facts_of
 from benchmark.runs.run_directory import run_directory, tidy
 from benchmark.runs.scene_work import Run, SceneResult, reopening, work_here, work_in_worker
+from benchmark.runs.shards import FinishedShard, Shard
 from benchmark.runs.vocabulary import require_vocabulary, unjudged
 from benchmark.runs.whole_split import work_through
 
@@ -203,20 +201,50 @@ def evaluate_together(
     return [records[place] for place in range(len(planners))]
 
 
-def runs_of(
+def plan_shard(
     data: "DataSet",
     split: str,
     planners: Sequence[tuple[Planner | PlannerFactory, EvalSettings]],
     out: Path,
-) -> Iterator[tuple[Run, Planner, PlannerFactory | None, EvalSettings, tuple[str, ...]]]:
-    """What `evaluate_together` would run, for whoever does a part of it (`benchmark.runs.sharded`); arguments as there.
+    shard: Shard,
+) -> list[FinishedShard]:
+    """Plan the scenes of one shard, in this process, and keep the plans; nothing is judged and no record is written.
 
-    Yields:
-        The run, its planner, what builds the planner elsewhere, if anything, its settings, and all its scenes.
+    Args:
+        data: The data set.
+        split: Which of its splits.
+        planners: Planners, or factories, each with its settings.
+        out: Folder of run directories.
+        shard: Which scenes.
+
+    Returns:
+        What was done, for each planner.
+
+    Raises:
+        InputError: As for `evaluate`, and for planners that remember across scenes.
     """
+    single_threaded()
+    found = []
     for planner, settings in planners:
         planned = _planned(data, split, planner, out, settings)
-        yield planned.run, planned.ready, planned.factory, planned.settings, planned.scenes
+        run, ready = planned.run, planned.ready
+        if remembers_across_scenes(ready):
+            raise InputError(
+                f"{ready.name} remembers across scenes, so that the whole split is planned in one process; leave "
+                "--shard out"
+            )
+        mine = shard.part(planned.scenes)
+        costs: dict[str, SceneCost | None] = {}
+        label = f"{run.planner.name} on {split}, shard {shard}"
+        for scene in progress(mine, total=len(mine), label=label, count=Count()):
+            key = scene_key(run.fingerprint, split, scene, run.planner)
+            costs[scene] = plan_scene(
+                ready, data, scene, rows_path(run.directory, scene), key, fresh=settings.fresh
+            ).cost
+        if (noted := _cost_path(planned, out)) is not None:
+            note_cost(shard_cost_path(noted, shard.number, shard.of), run.planner, costs)
+        found.append(FinishedShard(run.directory, len(mine), len(planned.scenes)))
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,7 +324,7 @@ def _evaluated(
     if workers > 1 and all(each.portable for each in planned):
         opener = reopen or reopening(data)
         elsewhere = partial(work_in_worker, runs, opener, [each.factory for each in planned if each.factory])
-    shared = _of_the_data(data, split, scenes, out, workers)
+    shared = described(JudgedScenes(data, split, scenes, out, LocalProcesses(workers)))
     with ExitStack() as writing:
         for run in runs:
             writing.enter_context(only_writer(run.directory))
@@ -326,22 +354,6 @@ def _evaluated(
         ]
 
 
-def _of_the_data(data: "DataSet", split: str, scenes: tuple[str, ...], out: Path, workers: int) -> dict[str, Any]:
-    """What a record says of the data set and of the machine."""
-    return {
-        "data": {"name": data.name, "version": data.version, "fingerprint": data.fingerprint()},
-        "split": split,
-        "scenes": list(scenes),
-        "scenes_in_split": len(data.scene_names(split)),
-        "scene_facts": judged_facts(data, scenes, out, LocalProcesses(workers)),
-        "realism": stored_realism(data.root, data.version),
-        "frozen_split": frozen_split_of(data.provenance()),
-        "review": data.review(split).facts,
-        "generated": generated_facts(data.provenance()),
-        "environment": environment_facts(),
-    }
-
-
 def _written(
     planned: _Planned,
     shared: Mapping[str, Any],
@@ -352,7 +364,7 @@ def _written(
 ) -> RunRecord:
     """Write the record of one run."""
     facts, settings, directory = planned.run.planner, planned.settings, planned.run.directory
-    described = {
+    said = {
         **shared,
         "caveats": run_caveats(facts, shared["scene_facts"], rows, getattr(planned.factory, "caveats", ())),
         "planner": facts,
@@ -365,17 +377,25 @@ def _written(
         },
     }
     versions = {name: protocol(name).version for name in settings.protocols}
-    record = write_record(directory, described, rows, versions, seed=settings.seed)
+    record = write_record(directory, said, rows, versions, seed=settings.seed)
     record = with_partner(record, out, settings.unchanged)
     write_failures(directory, record.rows)
     tidy(directory, {rows_path(directory, scene) for scene in costs})
-    # Looking plans up in a file says nothing of how fast their planner was.
-    if settings.timings is not None and PLANS_SHA256 not in facts.settings:
+    if (noted := _cost_path(planned, out)) is not None:
         beside = {
             scene: cost and cost.model_copy(update={"workers": settings.workers}) for scene, cost in costs.items()
         }
-        note_cost(cost_path(settings.timings, out, directory), facts, beside)
+        gather_costs(noted, facts)
+        note_cost(noted, facts, beside)
     return record
+
+
+def _cost_path(planned: _Planned, out: Path) -> Path | None:
+    """File of what the planner of a run takes; looking plans up in a file says nothing of how fast theirs was."""
+    timings = planned.settings.timings
+    if timings is None or PLANS_SHA256 in planned.run.planner.settings:
+        return None
+    return cost_path(timings, out, planned.run.directory)
 
 
 def _was_there(results: Sequence[SceneResult]) -> bool:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import EGO_BODY_WIDTH_M, EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M
 from benchmark.geometry import Bools, Floats, quaternion_from_yaw, yaw_of_quaternion
+from benchmark.report.notebook import html_table
 from benchmark.road_map import RoadMap
 
 
@@ -218,6 +219,21 @@ class Scene:
     road_map: RoadMap
     adversaries: tuple[str, ...] = ()
     sweep_poses: SweepPoses | None = None
+
+    def __repr__(self) -> str:
+        return f"<Scene {self.name}: {self.seconds[-1]:.1f} s, {len(self.agents.ids)} road users, {self.look.value}>"
+
+    def _repr_html_(self) -> str:
+        facts = {
+            "description": self.description,
+            "log": self.log,
+            "location": self.road_map.location,
+            "frames": f"{len(self.timestamps_us)}, of them {len(self.keyframes)} key frames",
+            "road users": f"{len(self.agents.ids)}",
+            "adversaries": ", ".join(self.adversaries) or "none",
+            "cameras": ", ".join(camera.name for camera in self.cameras) or "none",
+        }
+        return html_table(repr(self)[1:-1], ("fact", "value"), [*facts.items()])
 
     @property
     def look(self) -> Look:

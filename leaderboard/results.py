@@ -8,14 +8,14 @@ from typing import Any, Final
 from benchmark.machine.storage import read_kept_json, write_bytes, write_json
 from benchmark.metrics.disagreement import EXACT
 from benchmark.records.ablation import AblationReport
-from benchmark.records.run import RunRecord
+from benchmark.records.run import NATIVE, RunRecord
 from benchmark.report.table import Table
+from leaderboard.frame.runs import Frame
 from leaderboard.tables.ablation import ablation_tables
-from leaderboard.tables.collision import collision_table, native_table
-from leaderboard.tables.comparisons import Verdicts, split_table
+from leaderboard.tables.collision import collision_table
+from leaderboard.tables.comparisons import split_table
 from leaderboard.tables.diagnosis import diagnosis_tables
 from leaderboard.tables.effect import effect_table
-from leaderboard.tables.rows import in_table_order
 from leaderboard.tables.transfer import both_matrices, lift_table, transfer_table
 
 PAGE: Final = "README.md"
@@ -66,17 +66,18 @@ def write_results(
 
 def _results_tables(data_name: str, records: Sequence[RunRecord]) -> list[Table]:
     """The tables of the page in reading order: collisions, what changes between splits, transfer, diagnosis."""
+    frame = Frame(data_name, records)
     tables: list[Table | None] = [
-        effect_table(data_name, records),
-        collision_table(data_name, EXACT, records),
-        native_table(data_name, records),
-        split_table(data_name, EXACT, records, Verdicts()),
+        effect_table(frame),
+        collision_table(frame, EXACT),
+        collision_table(frame, NATIVE),
+        split_table(frame, EXACT),
     ]
-    adversarial = in_table_order([record for record in records if record.run.split == "adv"])
+    adversarial = [record for record in frame.runs if record.run.split == "adv"]
     if len(adversarial) > 1:
         for matrix in both_matrices(adversarial, EXACT):
             tables += [transfer_table(data_name, matrix), lift_table(data_name, matrix)]
-    tables += diagnosis_tables(data_name, records)
+    tables += diagnosis_tables(frame)
     return [table for table in tables if table is not None]
 
 

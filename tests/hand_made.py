@@ -1,6 +1,6 @@
 """Small scenes made by hand, for tests: a straight four-lane road along +x, the ego at constant speed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -110,6 +110,26 @@ def scene_on_straight_road(
         cameras=default_cameras(),
         lidar=default_lidar(),
         road_map=straight_road(),
+    )
+
+
+def moved(scene: Scene, row: int, by_m: float) -> Scene:
+    """The scene with one object moved, tracks alone."""
+    position = scene.agents.position.copy()
+    position[row, :, 0] += by_m
+    return replace(scene, agents=replace(scene.agents, position=position))
+
+
+def without_frames(scene: Scene, agent: int, keyframes: slice) -> Scene:
+    """The scene with an agent that is not there for a while."""
+    valid, annotated = scene.agents.valid.copy(), scene.annotations.valid.copy()
+    first, last = scene.keyframes[keyframes][[0, -1]]
+    valid[agent, first : last + 1] = False
+    annotated[agent, keyframes] = False
+    return replace(
+        scene,
+        agents=replace(scene.agents, valid=valid),
+        annotations=replace(scene.annotations, valid=annotated),
     )
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from benchmark.machine.extension import OFFERS, imported
-from tests.test_layers import ROOT, extension_of, modules
+from tests.test_layers import ALLOWED, ROOT, extension_of, modules
+from tests.whole_product import needs_extensions
 
 ABSENT = """
 import os, sys
@@ -18,7 +19,7 @@ class Absent:
         self.names = names
 
     def find_spec(self, name, path=None, target=None):
-        parts = name.split(".")
+        parts = name.removeprefix("tests.").split(".")
         if len(parts) > 2 and parts[1] == "extensions" and ("all" in self.names or parts[2] in self.names):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 """
@@ -70,6 +71,7 @@ def run_all_absent(arguments: list[str], where: Path, *, of: Path) -> subprocess
     return subprocess.run(command, cwd=where, env=environment, capture_output=True, text=True, check=False)
 
 
+@needs_extensions
 def test_what_extensions_offer_is_there() -> None:
     for kind, offered in OFFERS.items():
         for name, reference in offered.items():
@@ -103,6 +105,13 @@ def test_with_all_gone_every_core_module_imports(tmp_path: Path) -> None:
         done.stdout
         == "benchmark.write_films: this needs the extension films, which is not installed here; install it\n"
     )
+
+
+def test_with_all_gone_the_tests_of_the_core_collect(tmp_path: Path) -> None:
+    own = [f"--ignore=tests/{package}/extensions" for package in ALLOWED]
+    arguments = ["-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider", *own, "tests"]
+    done = run_all_absent(arguments, ROOT, of=tmp_path)
+    assert done.returncode == 0, done.stdout[-4000:]
 
 
 def test_with_all_gone_the_path_of_the_demo_runs(tmp_path: Path) -> None:

@@ -5,59 +5,27 @@ import json
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from random import Random
-from typing import Final, Protocol
+from typing import Final
 
 from bench.attacking.children import Ended, run_command
-from bench.attacking.mutations import FORMS
-from bench.attacking.targets import TARGETS, Target
+from bench.attacking.targets import TARGETS, Named, Target, replaced
 from bench.attacking.valid import make_valid
 from bench.attacking.verdicts import FINE, Verdict, verdict
 from benchmark.errors import InputError
+from tests.benchmark.untrusted.mutations import FORMS
 
 RESULTS: Final = "results-{seed}.jsonl"
 _SHOWN: Final = 400
 _IMPORTED: Final = (
-    "adapters.plan_file",
-    "adapters.registry",
-    "adapters.result_files.planner",
-    "benchmark.cli.app",
-    "benchmark.datasets.schema",
-    "benchmark.runs.rescoring",
-    "generation.pipeline.split",
-    "generation.diffusion.checkpoint",
-    "generation.render.pictures",
-    "generation.sources.importing",
-    "leaderboard.build",
-    "nuscenes.map_expansion.map_api",
-    "nuscenes.nuscenes",
-    "pandas",
-    "torch._dynamo",
-)
-
-
-@dataclass(frozen=True, slots=True)
-class Attack:
-    """One variant of one input of one command.
-
-    Attributes:
-        number: In the campaign; with the seed it says everything.
-        target: What is attacked.
-        name: How.
-        change: Given the copied input and the attacked file in it, changes that.
-        file: The attacked file, relative to the copied input; empty where that is a file.
-        may_be_valid: Whether a valid input may come of it.
-    """
-
-    number: int
-    target: Target
-    name: str
-    change: Callable[[Path, Path], None]
-    file: str
-    may_be_valid: bool
+    "adapters.plan_file", "adapters.registry", "adapters.result_files.planner", "benchmark.cli.app",
+    "benchmark.datasets.schema", "benchmark.runs.rescoring", "generation.pipeline.split",
+    "generation.diffusion.checkpoint", "generation.render.pictures", "generation.sources.importing",
+    "leaderboard.build", "nuscenes.map_expansion.map_api", "nuscenes.nuscenes", "pandas", "torch._dynamo",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,21 +56,52 @@ class Result:
     peak_mb: int
     said: str
 
+    @classmethod
+    def of(cls, number: int, kind: str, command: str, name: str, found: Verdict, ended: Ended) -> "Result":
+        """That of a command that ended."""
+        measured = round(ended.cpu_s, 2), round(ended.wall_s, 2), ended.peak_bytes >> 20
+        said = "\n".join(ended.err.strip().splitlines()[-3:])[-_SHOWN:]
+        return cls(number, kind, command, name, found.value, ended.code, *measured, said)
 
-class Campaign:
-    """Attacks with their valid inputs, and what the commands find in those."""
 
-    def __init__(self, folder: Path, seed: int, targets: tuple[Target, ...] = TARGETS) -> None:
-        self.folder = folder.resolve()
-        self.seed = seed
-        self.targets = targets
-        self.results = RESULTS.format(seed=seed)
+class Attempts:
+    """What is tried of one seed, by number, below a folder with valid files; run by `run_campaign`.
+
+    Attributes:
+        folder: It.
+        seed: Says with a number what is tried.
+        valid: Folder of the valid files.
+        results: Name of the list of results.
+    """
+
+    def __init__(self, folder: Path, seed: int, results: str) -> None:
+        self.folder, self.seed, self.results = folder.resolve(), seed, results.format(seed=seed)
         preload()
         self.valid = make_valid(self.folder)
+
+    def kinds(self, count: int) -> list[str]:
+        """The kind of each number; of so many at least, if there are."""
+        raise NotImplementedError
+
+    def run(self, number: int) -> Result:
+        """Try one, and say what became of it; leaves nothing behind."""
+        raise NotImplementedError
+
+
+class Campaign(Attempts):
+    """Attacks on files, and what the commands find in those that are valid."""
+
+    def __init__(self, folder: Path, seed: int, targets: tuple[Target, ...] = TARGETS) -> None:
+        super().__init__(folder, seed, RESULTS)
+        self.targets = targets
         self.numbers: dict[str, str] = {}
 
-    def attack(self, number: int) -> Attack:
-        """The attack of a number: every target in turn, what somebody thought of and what chance does in turn."""
+    def kinds(self, count: int) -> list[str]:
+        """Every target in turn."""
+        return [target.kind for target in self.targets] * count
+
+    def attack(self, number: int) -> tuple[Target, str, Named]:
+        """What is attacked, which file of it, and how: what somebody thought of and what chance does in turn."""
         target = self.targets[number % len(self.targets)]
         turn = number // len(self.targets)
         chance = Random(f"{self.seed}/{number}")
@@ -110,17 +109,14 @@ class Campaign:
         # All of the named ones come, in an order of the seed.
         order = Random(f"{self.seed}/{target.name}").sample(target.named, len(target.named))
         if turn % 2 == 0 and turn // 2 < len(order):
-            named = order[turn // 2]
-            return Attack(number, target, named.name, named.change, file, named.may_be_valid)
+            return target, file, order[turn // 2]
         mutation = chance.choice(FORMS[target.form])
 
         def change(_: Path, attacked: Path) -> None:
-            content = attacked.read_bytes()
-            attacked.unlink()
-            attacked.write_bytes(mutation.change(content, chance))
+            replaced(attacked, mutation.change(attacked.read_bytes(), chance))
 
-        may_be_valid = mutation.may_be_valid or target.other_files
-        return Attack(number, target, f"{mutation.name} in {file or target.copied}", change, file, may_be_valid)
+        name = f"{mutation.name} in {file or target.copied}"
+        return target, file, Named(name, change, mutation.may_be_valid or target.other_files)
 
     def _file(self, target: Target, chance: Random) -> str:
         if not target.files:
@@ -131,47 +127,40 @@ class Campaign:
 
     def run(self, number: int) -> Result:
         """Make a variant, give it to its command, and say what became of it; leaves nothing behind."""
-        attack = self.attack(number)
+        target, file, variant = self.attack(number)
         case = self.folder / f"case-{self.seed}-{number}"
-        given, file = self._copied(attack, case)
+        given = self.copied(target, case)
         before = listing(given)
-        attack.change(given, file)
-        if listing(given) == before:
+        variant.change(given, given / file if file else given)
+        kept = listing(given)
+        if kept == before:
             found, ended = Verdict.UNCHANGED, Ended(0, "", "", 0.0, 0.0, 1.0, 0)
         else:
-            kept = listing(given)
-            ended = self._ended(attack.target, case)
-            places = (given, self.valid)
-            valid_numbers = "" if ended.code else self._valid_numbers(attack.target)
-            found = verdict(attack.target, ended, valid_numbers, case / "out", places, may_be_valid=attack.may_be_valid)
-            if found in FINE and listing(given) != kept and not (attack.target.rewrites and ended.code == 0):
+            ended = self._ended(target, case)
+            places, valid_numbers = (given, self.valid), "" if ended.code else self._valid_numbers(target)
+            found = verdict(target, ended, valid_numbers, case / "out", places, may_be_valid=variant.may_be_valid)
+            if found in FINE and listing(given) != kept and not (target.rewrites and ended.code == 0):
                 found = Verdict.WROTE
         shutil.rmtree(case)
-        said = "\n".join(ended.err.strip().splitlines()[-3:])[-_SHOWN:]
-        measured = round(ended.cpu_s, 2), round(ended.wall_s, 2), ended.peak_bytes >> 20
-        kind, command = attack.target.kind, attack.target.command
-        return Result(number, kind, command, attack.name, found.value, ended.code, *measured, said)
+        return Result.of(number, target.kind, target.command, variant.name, found, ended)
 
-    def _copied(self, attack: Attack, case: Path) -> tuple[Path, Path]:
+    def copied(self, target: Target, case: Path) -> Path:
+        """A copy of the valid input, in a folder of its own."""
         shutil.rmtree(case, ignore_errors=True)
         case.mkdir(parents=True)
-        valid, given = self.valid / attack.target.copied, case / attack.target.copied
-        if valid.is_dir():
-            shutil.copytree(valid, given)
-        else:
-            shutil.copy(valid, given)
-        return given, given / attack.file if attack.file else given
+        valid, given = self.valid / target.copied, case / target.copied
+        (shutil.copytree if valid.is_dir() else shutil.copy)(valid, given)
+        return given
 
     def _ended(self, target: Target, case: Path) -> Ended:
         places = {"in": case / target.copied, "valid": self.valid, "out": case / "out"}
-        return run_command([each.format(**places) for each in target.arguments], case, case / "cache")
+        return run_command([each.format(**places) for each in target.arguments], case)
 
     def _valid_numbers(self, target: Target) -> str:
         """What a command finds in the valid input; empty where it refuses it, as weights of a made-up model."""
         if target.name not in self.numbers:
             case = self.folder / f"case-{self.seed}-valid"
-            attack = Attack(-1, target, "", lambda _, __: None, "", may_be_valid=True)
-            self._copied(attack, case)
+            self.copied(target, case)
             ended = self._ended(target, case)
             if ended.code not in (0, 2) or "Traceback" in ended.err:
                 raise InputError(f"{target.name} fails on what is valid: {ended.err.strip()[-_SHOWN:]}; mend it first")
@@ -205,17 +194,7 @@ def known_results(path: Path) -> dict[int, Result]:
     return found
 
 
-class Runnable(Protocol):
-    """What `run_campaign` runs: attacks by number, with a folder and the name of the list of results in it."""
-
-    folder: Path
-    results: str
-
-    def run(self, number: int) -> Result:
-        """Make one attack, and say what became of it."""
-
-
-def run_campaign(campaign: Runnable, numbers: Iterable[int], *, again: bool = False) -> Iterator[Result]:
+def run_campaign(campaign: Attempts, numbers: Iterable[int], *, again: bool = False) -> Iterator[Result]:
     """Run attacks, and keep what became of them below the campaign's folder.
 
     Args:

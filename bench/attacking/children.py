@@ -7,9 +7,12 @@ import signal
 import sys
 import time
 import traceback
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
+
+from bench.processes import resident_mb
 
 HANG_S: Final = 20.0
 MEMORY_BYTES: Final = 2 << 30
@@ -46,97 +49,97 @@ def patience_s() -> float:
     return HANG_S * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
-def run_command(
-    arguments: list[str], folder: Path, cache: Path, *, patience: float | None = None, until: str = ""
-) -> Ended:
+@dataclass(frozen=True, slots=True)
+class Begun:
+    """A command that runs.
+
+    Attributes:
+        process: It, which leads a process group.
+        printed: Files of what it prints.
+    """
+
+    process: int
+    printed: tuple[Path, Path]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.kill()
+
+    def kill(self) -> None:
+        """End its process group at once."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.process, signal.SIGKILL)
+
+    def end(self, patience: float, *, until: str = "") -> Ended:
+        """Wait for it, and end what is left of its process group.
+
+        Args:
+            patience: How long it may take from now, seconds.
+            until: As of `run_command`.
+
+        Returns:
+            How it ended; the files of what it printed are removed.
+        """
+        began = time.monotonic()
+        code, usage = _await(self, began + patience * _OVER, until)
+        wall = time.monotonic() - began
+        self.kill()
+        out, err = (path.read_text(errors="replace") if path.exists() else "" for path in self.printed)
+        for path in self.printed:
+            path.unlink(missing_ok=True)
+        # Kilobytes on Linux, bytes on macOS.
+        peak = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+        return Ended(code, out, err, usage.ru_utime + usage.ru_stime, wall, patience, peak)
+
+
+def run_command(arguments: Sequence[str], folder: Path, *, patience: float | None = None, until: str = "") -> Ended:
     """Run a command of the command line.
 
     Args:
         arguments: What follows ``challenger-bench``.
-        folder: Current directory of the command; what it prints is kept beside it.
-        cache: The user's cache of the command.
-        patience: How long it may take on the wall, seconds; `patience_s` by default.
+        folder: Its current directory, with the user's cache; what it prints is kept beside it.
+        patience: How long it may take on the wall, seconds; `patience_s` by default, with its processor time bounded.
         until: It is interrupted, as by Ctrl-C, once it has printed this; nothing by default.
 
     Returns:
         How it ended.
     """
     allowed = patience_s() if patience is None else patience
-    child, printed = begin_command(arguments, folder, cache, bounded=patience is None)
-    return end_command(child, printed, allowed, until=until)
+    with begin_command(arguments, folder, bounded=patience is None) as begun:
+        return begun.end(allowed, until=until)
 
 
-def begin_command(
-    arguments: list[str], folder: Path, cache: Path, *, bounded: bool = False
-) -> tuple[int, tuple[Path, Path]]:
-    """Begin a command in a process group of its own.
-
-    Args:
-        arguments: What follows ``challenger-bench``.
-        folder: Its current directory.
-        cache: The user's cache of the command.
-        bounded: Whether its processor time is.
-
-    Returns:
-        The process, and the files of what it prints, for `end_command`.
-    """
+def begin_command(arguments: Sequence[str], folder: Path, *, bounded: bool = False) -> Begun:
+    """Begin a command in a process group of its own; arguments and folder as of `run_command`."""
     printed = folder.with_name(f"{folder.name}.out"), folder.with_name(f"{folder.name}.err")
     sys.stdout.flush()
     sys.stderr.flush()
     child = os.fork()
     if child == 0:
-        _be_command(arguments, folder, cache, printed, bounded=bounded)
-    return child, printed
+        _be_command(arguments, folder, printed, bounded=bounded)
+    return Begun(child, printed)
 
 
-def end_command(child: int, printed: tuple[Path, Path], patience: float, *, until: str = "") -> Ended:
-    """Wait for a command, and end what is left of its process group.
-
-    Args:
-        child: From `begin_command`.
-        printed: From there, too; the files are removed.
-        patience: How long it may take from now, seconds.
-        until: As of `run_command`.
-
-    Returns:
-        How it ended.
-    """
-    began = time.monotonic()
-    code, usage = _await(child, began + patience * _OVER, printed, until)
-    wall = time.monotonic() - began
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(child, signal.SIGKILL)
-    out, err = (path.read_text(errors="replace") if path.exists() else "" for path in printed)
-    for path in printed:
-        path.unlink(missing_ok=True)
-    cpu = usage.ru_utime + usage.ru_stime
-    # Kilobytes on Linux, bytes on macOS.
-    peak = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-    return Ended(code, out, err, cpu, wall, patience, peak)
-
-
-def _await(child: int, deadline: float, printed: tuple[Path, Path], until: str) -> tuple[int, resource.struct_rusage]:
+def _await(begun: Begun, deadline: float, until: str) -> tuple[int, resource.struct_rusage]:
     """Wait for a child; killed where it takes too long or too much, and interrupted once it has said something."""
-    statm = Path(f"/proc/{child}/statm")
-    waiting = bool(until)
+    child, waiting = begun.process, bool(until)
     while True:
         found, status, usage = os.wait4(child, os.WNOHANG)
         if found:
             return os.waitstatus_to_exitcode(status), usage
-        with contextlib.suppress(OSError, IndexError, ValueError):
-            pages = int(statm.read_text().split()[1])
-            if pages * resource.getpagesize() > MEMORY_BYTES * _OVER:
-                os.kill(child, signal.SIGKILL)
-        if waiting and any(path.exists() and until in path.read_text(errors="replace") for path in printed):
+        if resident_mb(child) * 2**20 > MEMORY_BYTES * _OVER:
+            os.kill(child, signal.SIGKILL)
+        if waiting and any(path.exists() and until in path.read_text(errors="replace") for path in begun.printed):
             os.kill(child, signal.SIGINT)
             waiting = False
         if time.monotonic() > deadline:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(child, signal.SIGKILL)
+            begun.kill()
         time.sleep(_LOOK_S)
 
 
-def _be_command(arguments: list[str], folder: Path, cache: Path, printed: tuple[Path, Path], *, bounded: bool) -> None:
+def _be_command(arguments: Sequence[str], folder: Path, printed: tuple[Path, Path], *, bounded: bool) -> None:
     """Become the command; never returns."""
     code = 1
     try:
@@ -149,7 +152,7 @@ def _be_command(arguments: list[str], folder: Path, cache: Path, printed: tuple[
         for path, number in zip(printed, (1, 2)):
             os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
         sys.stdout, sys.stderr = (os.fdopen(number, "w", buffering=1) for number in (1, 2))
-        os.environ["CHALLENGER_BENCH_CACHE"] = str(cache)
+        os.environ["CHALLENGER_BENCH_CACHE"] = str(folder / "cache")
         sys.argv = ["challenger-bench", *arguments]
         code = _run()
         sys.stdout.flush()

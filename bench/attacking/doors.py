@@ -1,10 +1,10 @@
-"""Doors that are no file: every option of every command with absurd values, and planners that are anything but."""
+"""Doors that are no file: absurd options, planners that are anything but, odd model servers, requests to our own."""
 
 import contextlib
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from random import Random
@@ -13,73 +13,20 @@ from typing import Any, Final
 import typer
 
 import benchmark.extensions.http.model
-from bench.attacking.campaign import Result, listing, preload
-from bench.attacking.children import HANG_S, MEMORY_BYTES, Ended, run_command
+from bench.attacking.campaign import Attempts, Result, listing
+from bench.attacking.children import run_command
 from bench.attacking.planners import ODD_PLANNERS
+from bench.attacking.requests import SERVED, OwnServer
 from bench.attacking.servers import SLOW, OddServer, odd_answers
-from bench.attacking.valid import SEARCH, make_valid
-from bench.attacking.verdicts import Verdict, is_sentence
+from bench.attacking.table import TABLE, arguments
+from bench.attacking.verdicts import FALLEN, Verdict, door_verdict
 from benchmark.cli.app import app
+from tests.benchmark.extensions.http.malformed import Request, malformed
 
 DOORS: Final = "doors-{seed}.jsonl"
-_SHOWN: Final = 400
-_AT_WORK: Final = ("--workers", "1")
-_ROOT: Final = ("--data", "{valid}/root", "--out", "{out}", *_AT_WORK)
-_CHALLENGE: Final = ("--base", "{valid}/root", "--out", "{out}", *_AT_WORK)
-_SHOWN_ROOT: Final = ("--data", "{valid}/root", "--out", "{case}/shown")
-BASES: Final[dict[str, tuple[str, ...]]] = {
-    "ablate": (*_ROOT, "--dry-run"),
-    "challenge check": ("{valid}/generated", *_CHALLENGE),
-    "challenge rules": (),
-    "challenge score": ("{valid}/generated", *_CHALLENGE, "--model", "constant-velocity"),
-    "data build": (
-        *("--root", "{out}", "--town-scenes", "1", "--size", "64x36", "--frames", "keyframes", "--renderer", "none"),
-        *_AT_WORK,
-    ),
-    "data card": ("{valid}/generated", "--to", "{out}/card.json", "--out", "{case}/shown", *_AT_WORK),
-    "data check": ("{valid}/root",),
-    "data export openscenario": ("{valid}/generated", "--to", "{out}", *_AT_WORK),
-    "data export scenarionet": ("{valid}/generated", "--to", "{out}", *_AT_WORK),
-    "data export infos": ("{valid}/root", "--for", "vad", "--to", "{out}"),
-    "data import": ("scenarionet", "{valid}/recordings", "--out", "{out}", "--renderer", "none", *_AT_WORK),
-    "data info": ("{valid}/root",),
-    "data pack": ("{valid}/frozen.json", "--root", "{valid}/generated", "--to", "{out}/a.zip", *_AT_WORK),
-    "data review": ("{valid}/root", "--list"),
-    "data show": ("{valid}/root", "--to", "{out}", *_AT_WORK),
-    "data stats": ("{valid}/generated", *_AT_WORK),
-    "data unpack": ("{valid}/package.zip", "--to", "{out}", *_AT_WORK),
-    "doctor": (),
-    "drive": (*_ROOT, "--split", "val", "--model", "stop"),
-    "eval": (*_ROOT, "--model", "constant-velocity"),
-    "film": (*_SHOWN_ROOT, "--split", "val", "--to", "{out}", "--format", "png", "--fps", "1", "--width", "320"),
-    "generate": (*_ROOT, *SEARCH, "--dry-run"),
-    "leaderboard": ("--records", "{valid}/records", "--to", "{out}", "--no-site", "--out", "{out}"),
-    "leaderboard card": ("--to", "{out}/card.json", "--records", "{valid}/records", "--out", "{out}"),
-    "leaderboard slices": ("--records", "{valid}/records", "--out", "{out}"),
-    "leaderboard submit-check": ("{valid}/records", "--data", "{valid}/root", "--out", "{out}"),
-    "merge": _ROOT,
-    "models": (),
-    "quality": (*_ROOT,),
-    "reproduce": ("--model", "uniad", *_ROOT, "--dry-run"),
-    "rescore": ("--records", "{case}/shown/runs", "--data", "{valid}/root", "--out", "{out}"),
-    "serve": ("--model", "constant-velocity", "--port", "0"),
-    "sheets": (*_ROOT, "--split", "val", "--pictures", "none"),
-    "train denoiser": ("--tracks", "{case}/folder", "--out", "{out}/a.safetensors", "--steps", "1"),
-    "train ego-status": ("--tracks", "{case}/folder", "--out", "{out}/a.safetensors"),
-    "train planner": (
-        *("--model", "uniad-mini", "--data", "{case}/folder", "--out", "{out}/a.safetensors", "--steps", "1"),
-        *_AT_WORK,
-    ),
-    "train judge": ("{valid}/network.safetensors", "--data", "{case}/folder"),
-    "transfer": ("--records", "{valid}/records", "--out", "{out}"),
-    "verify": ("physics",),
-    "weights anchors": ("--model", "sparsedrive", "--data", "{valid}/root", "--out", "{out}/a.npy", *_AT_WORK),
-    "weights fetch": ("nobody's",),
-    "weights import": ("{valid}/tensors.pth",),
-    "weights list": (),
-}
-"""A cheap use of each command that is attacked, valid but for one that would go to the internet. Left out is ``demo``,
-which does nothing that the others do not, for minutes."""
+BASES: Final = {name: arguments(line) for name, line in TABLE["bases"].items()}
+"""A cheap use of each command whose options are attacked."""
+REQUESTS: Final = 1000
 _SERVES: Final = "Ctrl-C ends it"
 """Whoever says so goes on for ever, and is interrupted."""
 ABSURD: Final[dict[str, str]] = {
@@ -116,7 +63,7 @@ ABSURD: Final[dict[str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class Try:
-    """One command line.
+    """One command line, or one request.
 
     Attributes:
         kind: Row of the table.
@@ -126,35 +73,46 @@ class Try:
         planner: Source of the module ``odd``, beside the command.
         server: Path and name of what a model server answers; its address is the place ``{server}``.
         keeps_work: Whether a command that is refused half-way keeps what was finished before, as drives of others.
+        request: What our own server is sent, in place of a command.
     """
 
     kind: str
     command: str
     name: str
-    arguments: tuple[str, ...]
+    arguments: tuple[str, ...] = ()
     planner: str = ""
     server: tuple[str, str] | None = None
     keeps_work: bool = False
+    request: Request | None = None
 
 
-class Doors:
-    """Attempts on all of these doors, in an order of the seed; run by `run_campaign`."""
+class Doors(Attempts):
+    """Attempts on all of these doors, in an order of the seed, requests last."""
 
     def __init__(self, folder: Path, seed: int) -> None:
-        self.folder, self.seed = folder.resolve(), seed
-        preload()
-        self.valid = make_valid(self.folder)
-        self.results = DOORS.format(seed=seed)
+        super().__init__(folder, seed, DOORS)
         # So long does a command wait for a server that went away; in a campaign nobody restarts any.
         benchmark.extensions.http.model.RETURN_S = 1.0  # type: ignore[misc]
         # And so long for its first answer, which is more than the time that a variant has.
         benchmark.extensions.http.model.ALIVE_S = 5.0  # type: ignore[attr-defined]
         tries = [*option_tries(), *planner_tries(), *server_tries()]
-        self.tries = Random(seed).sample(tries, len(tries))
+        self.tries = [*Random(seed).sample(tries, len(tries)), *request_tries(seed)]
+        self.server: OwnServer | None = None
+
+    def kinds(self, count: int) -> list[str]:
+        """All that there are."""
+        return [tried.kind for tried in self.tries]
 
     def run(self, number: int) -> Result:
-        """Give a command its line, and say what became of it; leaves nothing behind."""
+        """Give a command its line, or our server its request, and say what became of it; leaves nothing behind."""
         tried = self.tries[number]
+        if tried.request is not None:
+            self.server = self.server or OwnServer(self.folder / "served")
+            found, ended = self.server.asked(tried.request)
+            if found in FALLEN:
+                self.server.end()
+                self.server = None
+            return Result.of(number, tried.kind, tried.command, tried.name, found, ended)
         case = self.folder / f"door-{self.seed}-{number}"
         self._furnish(case, tried)
         before = listing(self.valid)
@@ -163,18 +121,16 @@ class Doors:
             server = "" if tried.server is None else stack.enter_context(OddServer(*tried.server)).url
             # Values hold braces of their own.
             given = [_put(each, {**places, "server": server}) for each in tried.arguments]
-            ended = run_command(given, case, case / "cache", until=_SERVES if tried.command == "serve" else "")
+            ended = run_command(given, case, until=_SERVES if tried.command == "serve" else "")
         found = door_verdict(ended, case / "out", keeps_work=tried.keeps_work)
         if listing(self.valid) != before:
             found = Verdict.WROTE
-        _remove(case)
-        said = "\n".join(ended.err.strip().splitlines()[-3:])[-_SHOWN:]
-        measured = round(ended.cpu_s, 2), round(ended.wall_s, 2), ended.peak_bytes >> 20
-        return Result(number, tried.kind, tried.command, tried.name, found.value, ended.code, *measured, said)
+        shutil.rmtree(case, ignore_errors=True)
+        return Result.of(number, tried.kind, tried.command, tried.name, found, ended)
 
     def _furnish(self, case: Path, tried: Try) -> None:
         """Everything that a value may name."""
-        _remove(case)
+        shutil.rmtree(case, ignore_errors=True)
         (case / "folder").mkdir(parents=True)
         (case / "table.csv").mkdir()
         for name in ("file.txt", "picture.png", "folder/inside", "two\nlines", "secret"):
@@ -190,10 +146,6 @@ class Doors:
 
 def _put(text: str, places: dict[str, Path | str]) -> str:
     return re.sub(r"\{(valid|case|out|server)\}", lambda found: str(places[found[1]]), text)
-
-
-def _remove(case: Path) -> None:
-    shutil.rmtree(case, ignore_errors=True)
 
 
 def commands_of(command: Any, name: str = "") -> Iterator[tuple[str, Any]]:
@@ -213,18 +165,19 @@ def option_tries() -> list[Try]:
     for name, command in commands_of(typer.main.get_command(app)):
         if name not in BASES:
             continue
-        base = BASES[name]
-        positional = [each for each in command.params if not each.opts[0].startswith("-")]
-        options = [each.opts[0] for each in command.params if each.opts[0].startswith("--")]
-        flags = {each.opts[0] for each in command.params if getattr(each, "is_flag", False)}
+        base, words = BASES[name], name.split()
+        known = {each.opts[0]: getattr(each, "is_flag", False) for each in command.params}
+        options = [option for option, flag in known.items() if option.startswith("--") and not flag]
+        positional = any(not each.startswith("-") for each in known) and base and not base[0].startswith("--")
         for what, value in ABSURD.items():
-            for option in options:
-                if option not in flags and option != "--help":
-                    line = (*name.split(), *_without(base, option), f"{option}={value}")
-                    found.append(Try(f"options of {name.split()[0]}", name, f"{option} is {what}", line))
-            if positional and base and not base[0].startswith("--"):
-                line = (*name.split(), *base[1:], "--", value)
-                found.append(Try(f"options of {name.split()[0]}", name, f"the argument is {what}", line))
+            lines = {
+                f"{option} is {what}": (*words, *_without(base, option), f"{option}={value}")
+                for option in options
+                if option != "--help"
+            }
+            if positional:
+                lines[f"the argument is {what}"] = (*words, *base[1:], "--", value)
+            found += [Try(f"options of {words[0]}", name, said, line) for said, line in lines.items()]
     return found
 
 
@@ -238,77 +191,33 @@ def _without(base: tuple[str, ...], option: str) -> tuple[str, ...]:
 
 def planner_tries() -> list[Try]:
     """Each odd planner in open and in closed loop."""
-    commands: dict[str, Callable[[], tuple[str, ...]]] = {
-        "eval": lambda: ("eval", *_ROOT, "--model", "odd:Planner", "--sample-limit", "4"),
-        "drive": lambda: (
-            "drive",
-            *_ROOT,
-            "--split",
-            "val",
-            "--model",
-            "odd:Planner",
-            "--agents",
-            "idm",
-            "--timeout",
-            "4",
-        ),
-    }
     return [
-        Try("planners of others", f"{command} --model module:Class", name, line(), source)
-        for command, line in commands.items()
+        Try("planners of others", f"{command} --model module:Class", name, arguments(line), source)
+        for command, line in TABLE["planners"].items()
         for name, source in ODD_PLANNERS.items()
     ]
 
 
 def server_tries() -> list[Try]:
     """Each odd answer of a model server in open and in closed loop; who is slow only where a limit can be said."""
-    lines = {
-        "eval": ("eval", *_ROOT, "--model", "{server}", "--image-format", "png"),
-        "drive": (
-            *("drive", *_ROOT, "--split", "val", "--model", "{server}", "--sensor", "schematic", "--timeout", "1"),
-            *("--agents", "idm", "--image-format", "png"),
-        ),
-    }
     return [
         Try(
             "answers of model servers",
             f"{command} --model http",
             f"{path}: {name}",
-            line,
-            "",
-            (path, name),
-            command == "drive",
+            arguments(line),
+            server=(path, name),
+            keeps_work=command == "drive",
         )
-        for command, line in lines.items()
+        for command, line in TABLE["servers"].items()
         for path, name in odd_answers()
         if command == "drive" or name not in SLOW
     ]
 
 
-def door_verdict(ended: Ended, out: Path, *, keeps_work: bool = False) -> Verdict:
-    """Classify: 0 is fine, 1 a failed or partial run that is spoken of, 2 a sentence and nothing written.
-
-    Args:
-        ended: How the command ended.
-        out: Folder that it might write to; nothing was in it before.
-        keeps_work: Whether what is written there may be finished work.
-
-    Returns:
-        The worst that can be said.
-    """
-    if ended.peak_bytes > MEMORY_BYTES:
-        return Verdict.MEMORY
-    if ended.cpu_s > HANG_S or ended.wall_s > ended.patience_s:
-        return Verdict.HANG
-    if ended.code < 0:
-        return Verdict.DEATH
-    if "Traceback (most recent call last)" in ended.err:
-        return Verdict.TRACEBACK
-    if ended.code == 0:
-        return Verdict.OTHER_INPUT
-    if ended.code == 1:
-        return Verdict.ANSWERED if (ended.out + ended.err).strip() else Verdict.UNCLEAR
-    if ended.code != 2 or not is_sentence(ended.err):
-        return Verdict.UNCLEAR
-    wrote = [path for path in out.rglob("*") if path.is_file()]
-    return Verdict.WROTE if wrote and not keeps_work and f"{out}/" not in ended.err else Verdict.ANSWERED
+def request_tries(seed: int) -> list[Try]:
+    """Requests to our own server that are none."""
+    return [
+        Try("requests to our server", f"serve --model {SERVED}", f"{request.name} ({number})", request=request)
+        for number, request in enumerate(malformed(REQUESTS, seed))
+    ]

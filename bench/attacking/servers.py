@@ -7,10 +7,13 @@ import struct
 import threading
 import time
 from collections.abc import Callable
+from http.client import parse_headers
 from random import Random
-from typing import Final
+from socketserver import StreamRequestHandler, ThreadingTCPServer
+from typing import Any, Final, Self
 
-from bench.attacking.mutations import DEEP, FORMS
+from tests.benchmark.untrusted.mutations import FORMS
+from tests.benchmark.untrusted.variants import DEEP
 
 _FUTURES: Final = [[[[1.0 * step, 0.0] for step in range(1, 7)]]]
 _AUX: Final = {
@@ -93,8 +96,6 @@ ANSWERS: Final[dict[str, bytes]] = {
     "text": reply(json.dumps(GOOD_PLAN.decode()).encode()),
 }
 """Bytes by what they are; then the connection is closed."""
-SLOW: Final = ("never", "a byte each half second", "without an end", "resets the connection")
-"""What is done instead of sending bytes at once."""
 PATHS: Final = ("/alive", "/reset", "/infer")
 
 
@@ -110,66 +111,58 @@ def changed_plan(number: int) -> bytes:
     return reply(chance.choice(FORMS["json"]).change(GOOD_PLAN, chance))
 
 
-class OddServer:
+class OddServer(ThreadingTCPServer):
     """A server in a thread of this process, that answers one path oddly and all others well.
 
     Attributes:
         url: Its address.
     """
 
-    def __init__(self, path: str, name: str) -> None:
-        self._path, self._name = path, name
-        self._listening = socket.create_server(("127.0.0.1", 0))
-        self._ended = threading.Event()
-        self.url = f"http://127.0.0.1:{self._listening.getsockname()[1]}"
-        self._thread = threading.Thread(target=self._serve, daemon=True)
+    daemon_threads = True
 
-    def __enter__(self) -> "OddServer":
+    def __init__(self, path: str, name: str) -> None:
+        super().__init__(("127.0.0.1", 0), _Asked)
+        self.path, self.name, self.ended = path, name, threading.Event()
+        self.url = f"http://127.0.0.1:{self.server_address[1]}"
+        self._thread = threading.Thread(target=self.serve_forever, args=(0.01,), daemon=True)
+
+    def __enter__(self) -> Self:
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        with contextlib.suppress(OSError):
-            # Whoever waits for a connection is not woken by the end of what it listens to.
-            socket.create_connection(self._listening.getsockname(), timeout=1.0).close()
-        self._listening.close()
+        self.ended.set()
+        self.shutdown()
+        self.server_close()
         self._thread.join()
 
-    def _serve(self) -> None:
-        while not self._ended.is_set():
-            connection, _ = self._listening.accept()
-            threading.Thread(target=self._answer, args=(connection,), daemon=True).start()
+    def shutdown_request(self, request: Any) -> None:
+        """Close without a word before: one answer is a connection that is reset."""
+        self.close_request(request)
 
-    def _answer(self, connection: socket.socket) -> None:
-        with contextlib.suppress(OSError), connection:
-            connection.settimeout(_LONGEST_REQUEST_S)
-            path = _request(connection)
-            if path != self._path:
-                connection.sendall(reply(GOOD_PLAN if path == "/infer" else b"true"))
-            elif self._name in SLOW:
-                _SLOWLY[self._name](connection, self._ended)
-            elif self._name in ANSWERS:
-                connection.sendall(ANSWERS[self._name])
+
+class _Asked(StreamRequestHandler):
+    """One request, and what is answered to it."""
+
+    server: OddServer
+    timeout = _LONGEST_REQUEST_S
+
+    def handle(self) -> None:
+        with contextlib.suppress(OSError):
+            path, name = self._path(), self.server.name
+            if path != self.server.path:
+                self.connection.sendall(reply(GOOD_PLAN if path == "/infer" else b"true"))
+            elif name in SLOW:
+                SLOW[name](self.connection, self.server.ended)
             else:
-                connection.sendall(changed_plan(int(self._name.split()[1])))
+                odd = ANSWERS[name] if name in ANSWERS else changed_plan(int(name.split()[1]))
+                self.connection.sendall(odd)
 
-
-def _request(connection: socket.socket) -> str:
-    """Read one request, and say what it asks for."""
-    data = b""
-    while b"\r\n\r\n" not in data:
-        some = connection.recv(1 << 16)
-        if not some:
-            return ""
-        data += some
-    head, _, body = data.partition(b"\r\n\r\n")
-    lines = head.decode("latin-1").lower().split("\r\n")
-    length = next((int(line.split(":")[1]) for line in lines if line.startswith("content-length:")), 0)
-    left = length - len(body)
-    while left > 0 and (some := connection.recv(min(left, 1 << 20))):
-        left -= len(some)
-    return head.decode("latin-1").split(" ")[1]
+    def _path(self) -> str:
+        """Read the request, and say what it asks for."""
+        asked = self.rfile.readline().decode("latin-1").split(" ")
+        self.rfile.read(int(parse_headers(self.rfile).get("content-length", 0)))
+        return asked[1] if len(asked) > 1 else ""
 
 
 def _never(_: socket.socket, ended: threading.Event) -> None:
@@ -196,6 +189,10 @@ def _resets(connection: socket.socket, _: threading.Event) -> None:
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
 
 
-_SLOWLY: Final[dict[str, Callable[[socket.socket, threading.Event], None]]] = dict(
-    zip(SLOW, (_never, _drips, _endlessly, _resets), strict=True)
-)
+SLOW: Final[dict[str, Callable[[socket.socket, threading.Event], None]]] = {
+    "never": _never,
+    "a byte each half second": _drips,
+    "without an end": _endlessly,
+    "resets the connection": _resets,
+}
+"""What is done instead of sending bytes at once."""

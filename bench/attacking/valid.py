@@ -10,15 +10,15 @@ import numpy as np
 
 from adapters.models import MOTION_ANCHORS
 from bench.attacking.children import run_command
+from bench.attacking.table import arguments
 from benchmark.errors import InputError
 from generation.extensions.golden_sets.built_in import BUILT_IN
-from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from generation.render.schematic import SchematicRenderer
 from tests.benchmark.datasets.nuscenes_tables import VERSION
 from tests.benchmark.datasets.test_scenarionet import recording
+from tests.generation.nuscenes_writer.written_roots import write_root
 from tests.hand_made import Car, scene_on_straight_road
 
-SEARCH: Final = ("--candidates", "16", "--rounds", "1", "--vehicles", "1", "--per-scene", "1", "--renderer", "none")
 RESULT_FORMATS: Final = ("uniad", "vad-out", "opendrivevla")
 """Of result files: tensors in a pickle by token and by place, and JSON."""
 _CARS: Final = (Car(62.0, 194.75, 9.0), Car(95.0, 198.25, 8.0), Car(45.0, 201.75, 8.0))
@@ -58,7 +58,7 @@ def make_valid(folder: Path) -> Path:
     _by_command(valid, "drive", "--split", "val", "--model", "stop", "--agents", "idm")
     (valid / "made" / "drives").rename(valid / "drives")
     write_verdicts(valid)
-    _by_command(valid, "generate", *SEARCH, "--freeze", "frozen.json")
+    _by_command(valid, "generate", *arguments("$SEARCH"), "--freeze", "frozen.json")
     (valid / "made" / "data" / "root" / "adv").rename(valid / "generated")
     write_exchanged(valid)
     shutil.rmtree(valid / "generated" / ".challenger")
@@ -69,9 +69,8 @@ def make_valid(folder: Path) -> Path:
 
 def write_recorded(root: Path) -> None:
     """A data set of one scene, with maps, CAN bus and pictures."""
-    plan = DataSetPlan(root=root, split="val", version=VERSION, renderer=SchematicRenderer(64, 36), frames="keyframes")
     scene = scene_on_straight_road(_CARS, seconds=8.0)
-    finish_data_set(plan, [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})])
+    write_root(root, [scene], version=VERSION, renderer=SchematicRenderer(64, 36), frames="keyframes")
     shutil.rmtree(root / ".challenger")
 
 
@@ -84,11 +83,7 @@ def write_verdicts(folder: Path) -> None:
     (reviewed / "said.json").write_text(json.dumps({scene["name"]: said}, indent=1))
     (reviewed / "said.csv").write_text(f"scene,verdict,reason\n{scene['name']},accept,looks right\n")
     shutil.copytree(reviewed / "root", folder / "judged")
-    ended = run_command(
-        ["data", "review", "judged", "--verdicts", "reviewed/said.csv"], folder, folder / "cache", patience=600.0
-    )
-    if ended.code:
-        raise InputError(f"data review failed on what is valid: {ended.err.strip()}; mend it first")
+    _commanded(folder, "data", "review", "judged", "--verdicts", "reviewed/said.csv")
 
 
 def write_weights(folder: Path) -> None:
@@ -130,10 +125,9 @@ def write_exchanged(valid: Path) -> None:
     # What is generated here has no pictures.
     rules = _commanded(valid, "challenge", "rules").replace("required = true", "required = false")
     (valid / "rules.toml").write_text(rules)
-    frozen, generated = str(valid / "frozen.json"), str(valid / "generated")
-    given = ("--root", generated, "--rules", str(valid / "rules.toml"), "--to", str(valid / "package.zip"))
-    _commanded(valid, "data", "pack", frozen, *given)
-    _commanded(valid, "data", "export", "scenarionet", str(valid / "root"), "--to", str(valid / "exported"))
+    given = ("--root", "generated", "--rules", "rules.toml", "--to", "package.zip")
+    _commanded(valid, "data", "pack", "frozen.json", *given)
+    _commanded(valid, "data", "export", "scenarionet", "root", "--to", "exported")
     (exported,) = (valid / "exported").glob("sd_*.pkl")
     # This command's own file.
     scene = pickle.loads(exported.read_bytes())  # noqa: S301
@@ -145,14 +139,14 @@ def write_exchanged(valid: Path) -> None:
     shutil.rmtree(valid / "exported")
 
 
-def _by_command(valid: Path, command: str, *arguments: str) -> None:
+def _by_command(valid: Path, command: str, *more: str) -> None:
     given = ("--data", str(valid / "root"), "--out", str(valid / "made"), "--workers", "1")
-    _commanded(valid, command, *given, *arguments)
+    _commanded(valid, command, *given, *more)
 
 
-def _commanded(valid: Path, *arguments: str) -> str:
-    """Run a command, and say what it printed."""
-    ended = run_command(list(arguments), valid, valid / "cache")
+def _commanded(valid: Path, *words: str) -> str:
+    """Run a command in the folder of valid files, and say what it printed."""
+    ended = run_command(words, valid)
     if ended.code:
-        raise InputError(f"{arguments[0]} failed on what is valid: {ended.err.strip()}; mend it first")
+        raise InputError(f"{words[0]} failed on what is valid: {ended.err.strip()}; mend it first")
     return ended.out

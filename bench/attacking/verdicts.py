@@ -32,10 +32,21 @@ FINE: Final = (Verdict.ANSWERED, Verdict.SAME, Verdict.OTHER_INPUT, Verdict.UNCH
 FALLEN: Final = tuple(each for each in Verdict if each not in FINE)
 
 
+def fall(ended: Ended) -> Verdict | None:
+    """How a command fell, whatever it was given; ``None`` where it ended by itself, within its limits."""
+    if ended.peak_bytes > MEMORY_BYTES:
+        return Verdict.MEMORY
+    if ended.cpu_s > HANG_S or ended.wall_s > ended.patience_s:
+        return Verdict.HANG
+    if ended.code < 0:
+        return Verdict.DEATH
+    return Verdict.TRACEBACK if "Traceback (most recent call last)" in ended.err else None
+
+
 def verdict(
     target: Target, ended: Ended, valid_numbers: str, out: Path, places: tuple[Path, ...], *, may_be_valid: bool
 ) -> Verdict:
-    """Classify an outcome.
+    """Classify what became of a file.
 
     Args:
         target: What was attacked.
@@ -48,17 +59,11 @@ def verdict(
     Returns:
         The worst that can be said.
     """
-    if ended.peak_bytes > MEMORY_BYTES:
-        return Verdict.MEMORY
-    if ended.cpu_s > HANG_S or ended.wall_s > ended.patience_s:
-        return Verdict.HANG
-    if ended.code < 0:
-        return Verdict.DEATH
-    if "Traceback (most recent call last)" in ended.err:
-        return Verdict.TRACEBACK
+    if (found := fall(ended)) is not None:
+        return found
     if ended.code == 0:
         return _accepted(target, ended, valid_numbers, out, may_be_valid=may_be_valid)
-    if out.exists() and not target.keeps_work and any(path.is_file() for path in out.rglob("*")):
+    if not target.keeps_work and any(path.is_file() for path in out.rglob("*")):
         if f"{out}/" not in ended.err:
             return Verdict.WROTE
         # A search that found nothing, as it might with other weights, and names the file that says why.
@@ -78,6 +83,29 @@ def _accepted(target: Target, ended: Ended, valid_numbers: str, out: Path, *, ma
     if target.lists_faults and "warning: " in ended.out:
         return Verdict.ANSWERED
     return Verdict.OTHER_INPUT if may_be_valid else Verdict.SILENT
+
+
+def door_verdict(ended: Ended, out: Path, *, keeps_work: bool = False) -> Verdict:
+    """Classify what became of a command line: 0 is fine, 1 is spoken of, 2 a sentence and nothing written.
+
+    Args:
+        ended: How the command ended.
+        out: Folder that it might write to; nothing was in it before.
+        keeps_work: Whether what is written there may be finished work.
+
+    Returns:
+        The worst that can be said.
+    """
+    if (found := fall(ended)) is not None:
+        return found
+    if ended.code == 0:
+        return Verdict.OTHER_INPUT
+    if ended.code == 1:
+        return Verdict.ANSWERED if (ended.out + ended.err).strip() else Verdict.UNCLEAR
+    if ended.code != 2 or not is_sentence(ended.err):
+        return Verdict.UNCLEAR
+    wrote = any(path.is_file() for path in out.rglob("*"))
+    return Verdict.WROTE if wrote and not keeps_work and f"{out}/" not in ended.err else Verdict.ANSWERED
 
 
 def is_a_list(said: str, places: tuple[Path, ...]) -> bool:

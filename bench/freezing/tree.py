@@ -25,7 +25,7 @@ _SECONDS = ("timings/", "/timing/", "timing.json", "/work.json")
 """What of a path says that seconds are in the file; all else is compared."""
 _OF_THE_COMMIT = re.compile(r'"source": \{\s*"commit": [^}]*\}|\| commit \| [0-9a-f]{40} \|')
 """The commit that made a record or a model; the trees that are compared have two."""
-_DURATION = re.compile(r'"total_s": \{[^}]*\}|"error": [\d.e-]+,(?=[^}]*"quantity": "longest refusal \(s\)")')
+_DURATION = re.compile(r'"total_s": ?\{[^}]*\}|"error": [\d.e-]+,(?=[^}]*"quantity": "longest refusal \(s\)")')
 """What took how long, inside a file of other things."""
 _HASH = re.compile(r"(?<=\")[0-9a-f]{64}(?=\")")
 _MODULE = re.compile(rf"\b(?:{'|'.join(PACKAGES)})(?:[./]\w+)*[./](\w+)(?:\.py)?\b(?![./])")

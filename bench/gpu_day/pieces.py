@@ -1,8 +1,10 @@
 """One piece of a day with a GPU: what it measures, how it is run in a process of its own, and what it leaves."""
 
+import contextlib
 import json
 import multiprocessing
 import os
+import resource
 import shutil
 import subprocess
 import threading
@@ -52,6 +54,15 @@ class Setting:
         """Folder of the figures: those of a trial are never taken for those of a GPU."""
         return self.folder / f"{'cuda' if self.on_gpu else self.device}{'-tiny' if self.tiny else ''}"
 
+    def now(self) -> float:
+        """Seconds: on the wall, once a GPU is done with everything; of the processor, where networks run on that."""
+        if not self.on_gpu:
+            return time.process_time()
+        import torch
+
+        torch.cuda.synchronize()
+        return time.perf_counter()
+
 
 @dataclass(frozen=True, slots=True)
 class Piece:
@@ -72,9 +83,26 @@ class Piece:
     so_far: Callable[[Setting], dict[str, Any]] | None = None
 
 
-def with_random_weights(peak_gib: float | None, frames: int, **figures: Any) -> dict[str, Any]:
-    """Figures of a network that nothing was learned by: those of the piece, and what all such pieces say."""
-    return {**figures, "peak_gib": peak_gib, "frames": frames, "weights": "random"}
+def mean_seconds(
+    setting: Setting, work: Callable[[], object], count: int, before: Callable[[int], object] = int
+) -> tuple[float, dict[str, Any]]:
+    """Mean time of what a network with random weights does, and that with the most memory meanwhile, GiB, as figures.
+
+    What is done before each, given its number, does not count.
+    """
+    import torch
+
+    if setting.on_gpu:
+        torch.cuda.reset_peak_memory_stats()
+    spent = 0.0
+    for number in range(count):
+        before(number)
+        began = setting.now()
+        work()
+        spent += setting.now() - began
+    resident = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    peak = torch.cuda.max_memory_allocated() if setting.on_gpu else resident
+    return spent / count, {"peak_gib": peak / 2**30, "weights": "random"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,27 +188,23 @@ def run_piece(setting: Setting, piece: Piece, limit_s: float = PIECE_LIMIT_S) ->
     process = context.Process(target=_work, args=(piece.work, setting, sending))
     process.start()
     sending.close()
-    answered = receiving.poll(limit_s)
-    figures, failure = _answer(receiving) if answered else (None, f"ended after {limit_s:.0f} s")
-    if not answered:
+    answered, unfinished = receiving.poll(limit_s), False
+    figures: dict[str, Any] | None = None
+    failure: str | None = f"ended after {limit_s:.0f} s"
+    if answered:
+        failure = "its process ended abruptly, as happens where memory runs out"
+        with contextlib.suppress(EOFError):
+            figures, failure = receiving.recv()
+    else:
         process.terminate()
     process.join()
-    unfinished = not answered and piece.so_far is not None
-    if unfinished and piece.so_far is not None:
-        figures, failure = piece.so_far(setting), None
+    if not answered and piece.so_far is not None:
+        figures, failure, unfinished = piece.so_far(setting), None, True
     outcome = Outcome(figures, failure, unfinished, round(time.monotonic() - begun, 1))
     if answered or unfinished or limit_s >= PIECE_LIMIT_S:
         value = {"schema": SCHEMA, "piece": piece.name, "outcome": asdict(outcome), "machine": machine_facts(setting)}
         write_json(kept_path(setting, piece), value)
     return outcome
-
-
-def _answer(receiving: Connection) -> tuple[dict[str, Any] | None, str | None]:
-    try:
-        figures, failure = receiving.recv()
-    except EOFError:
-        return None, "its process ended abruptly, as happens where memory runs out"
-    return figures, failure
 
 
 def _work(work: Callable[[Setting], dict[str, Any]], setting: Setting, sending: Connection) -> None:

@@ -1,7 +1,6 @@
 """Pieces about training: the trajectory prior at its published size, timed and to the end, and one miniature, timed."""
 
 import json
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +19,7 @@ from generation.sources.mini import TownSettings, build_town
 
 FEW, MANY = 50, 350
 """Steps of two runs; what lies between them has no share of reading and writing."""
-FEW_TINY, MANY_TINY = 1, 3
+TINY: Final = (1, 3)
 KEPT_EVERY: Final = 250
 MINIATURE: Final = "vad-mini"
 SPLIT: Final = "val"
@@ -53,16 +52,9 @@ def prior_speed(setting: Setting) -> dict[str, Any]:
         out.with_suffix(".log.jsonl").unlink()
 
     config = prior_training(setting, setting.kept)
-    few, many = (FEW_TINY, MANY_TINY) if setting.tiny else (FEW, MANY)
-    step_s = _seconds_a_step(setting, train, few, many)
     parameters = sum(each.numel() for each in TrajectoryDenoiser(config.denoiser).parameters())
-    return {
-        **_spent(step_s, config.steps),
-        "batch": config.batch,
-        "parameters": parameters,
-        "timed_steps": many - few,
-        "tracks": "given" if setting.tracks else "embedded town",
-    }
+    whose = {"batch": config.batch, "parameters": parameters, "tracks": "given" if setting.tracks else "embedded town"}
+    return _timed(setting, train, (FEW, MANY), config.steps) | whose
 
 
 def prior_to_the_end(setting: Setting) -> dict[str, Any]:
@@ -96,36 +88,24 @@ def miniature_speed(setting: Setting) -> dict[str, Any]:
         for left in (out.with_suffix(".progress.safetensors"), out.with_suffix(".log.jsonl")):
             left.unlink(missing_ok=True)
 
-    few, many = (FEW_TINY, MANY_TINY) if setting.tiny else (FEW // 5, MANY // 5)
-    step_s, steps = _seconds_a_step(setting, train, few, many), sum(phase.recipe.steps for phase in phases)
-    return {**_spent(step_s, steps), "timed_steps": many - few}
+    return _timed(setting, train, (FEW // 5, MANY // 5), sum(phase.recipe.steps for phase in phases))
 
 
-def _spent(step_s: float | None, steps: int) -> dict[str, Any]:
-    known = {} if step_s is None else {"step_ms": 1e3 * step_s, "whole_s": step_s * steps}
-    return {**known, "steps": steps}
-
-
-def _seconds_a_step(setting: Setting, train: Callable[[int], None], few: int, many: int) -> float | None:
-    """Seconds of a step; ``None`` in a trial whose few steps are lost in the noise of reading and writing."""
-    spent = []
+def _timed(setting: Setting, train: Callable[[int], None], runs: tuple[int, int], steps: int) -> dict[str, Any]:
+    """What a step takes, and all steps; nothing in a trial whose few steps are lost in reading and writing."""
+    spent, (few, many) = [], TINY if setting.tiny else runs
     # The first run warms up; the second and third are compared.
-    for steps in (few, few, many):
-        begun = _clock(setting)
-        train(steps)
-        spent.append(_clock(setting) - begun)
+    for count in (few, few, many):
+        begun = setting.now()
+        train(count)
+        spent.append(setting.now() - begun)
+    figures = {"steps": steps, "timed_steps": many - few}
     if spent[2] > spent[1]:
-        return (spent[2] - spent[1]) / (many - few)
+        step_s = (spent[2] - spent[1]) / (many - few)
+        return figures | {"step_ms": 1e3 * step_s, "whole_s": step_s * steps}
     if setting.tiny:
-        return None
+        return figures
     raise ValueError("the steps cannot be told from reading and writing; run the piece again")
-
-
-def _clock(setting: Setting) -> float:
-    if setting.on_gpu:
-        torch.cuda.synchronize()
-        return time.perf_counter()
-    return time.process_time()
 
 
 def _prior(setting: Setting) -> Path:

@@ -1,6 +1,8 @@
-"""The commands that are killed, each on what the ones before it made of one small data set."""
+"""The commands that are killed (``commands.toml``), each on what the ones before it made of one small data set."""
 
 import shutil
+import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -9,15 +11,15 @@ import numpy as np
 
 from adapters.extensions.training.ego_status import HELD_OUT_SOURCES, TRAINING_SOURCES
 from bench.attacking.children import run_command
+from bench.attacking.table import arguments
 from benchmark.errors import InputError
-from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from generation.render.schematic import SchematicRenderer
+from tests.generation.extensions.denoiser_training.test_tracks import drive, write_tracks
+from tests.generation.nuscenes_writer.written_roots import write_root
 from tests.hand_made import Car, scene_on_straight_road
 
 _SCENES: Final = ((Car(62.0, 194.75, 9.0), Car(95.0, 198.25, 8.0)), (Car(45.0, 201.75, 8.0), Car(90.0, 198.25, 7.0)))
-_SMALL: Final = ("--candidates", "16", "--rounds", "1", "--vehicles", "2", "--seed", "3", "--preset", "near")
-_DRAWN: Final = ("--size", "64x40", "--frames", "keyframes")
-_FILMED: Final = ("--width", "320", "--fps", "2", "--until", "4", "--model", "constant-velocity")
+_TABLE: Final = tomllib.loads((Path(__file__).parent / "commands.toml").read_text())
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +29,7 @@ class Killed:
     Attributes:
         name: As the table shows it.
         arguments: Of the command line; ``{data}`` is the recorded data set, ``{tracks}`` a folder of track files beside
-            it, ``{out}`` the folder to write to.
+            it, ``{out}`` the folder to write to, ``{url}`` the address of a model server.
         after: Commands whose results it needs, by name.
         parallel: Whether it has ``--workers``.
         on_ray: Whether it has ``--executor``.
@@ -35,54 +37,20 @@ class Killed:
 
     name: str
     arguments: tuple[str, ...]
-    after: tuple[str, ...] = ()
+    after: Sequence[str] = ()
     parallel: bool = True
     on_ray: bool = False
 
-
-_OF_DATA: Final = ("--data", "{data}", "--out", "{out}")
-_MADE: Final = ("generate", "eval", "sheets")
-COMMANDS: Final = (
-    Killed("generate", ("generate", *_OF_DATA, *_SMALL, *_DRAWN, "--keep-rounds"), on_ray=True),
-    Killed(
-        "generate --surrogate",
-        ("generate", *_OF_DATA, *_SMALL, "--renderer", "none", "--surrogate", "bench.killing.weaving:Weaving"),
-    ),
-    Killed("generate --split val-r", ("generate", *_OF_DATA, *_DRAWN, "--split", "val-r")),
-    Killed(
-        "eval", ("eval", *_OF_DATA, "--split", "adv", "--model", "constant-velocity", "--model", "idm"), ("generate",)
-    ),
-    Killed("drive", ("drive", *_OF_DATA, "--split", "val", "--model", "stop", "--agents", "idm"), on_ray=True),
-    Killed("sheets", ("sheets", *_OF_DATA, "--split", "adv", "--rounds", "--cell-width", "64"), ("generate",)),
-    Killed("film", ("film", *_OF_DATA, "--to", "{out}/films", "--format", "webp", *_FILMED), _MADE, parallel=False),
-    Killed(
-        "film --format png",
-        ("film", *_OF_DATA, "--to", "{out}/films", "--format", "png", *_FILMED),
-        _MADE,
-        parallel=False,
-    ),
-    Killed("leaderboard", ("leaderboard", "--out", "{out}"), (*_MADE, "drive"), parallel=False),
-    Killed(
-        "train denoiser",
-        ("train", "denoiser", "--tracks", "{data}", "--out", "{out}/denoiser.safetensors", "--steps", "6"),
-        parallel=False,
-    ),
-    Killed(
-        "train ego-status",
-        ("train", "ego-status", "--tracks", "{tracks}", "--out", "{out}/ego-status.safetensors"),
-        parallel=False,
-    ),
-    Killed(
-        "train planner",
-        ("train", "planner", "--model", "image-encoder", "--data", "{data}", "--split", "val", "--steps", "4")
-        + ("--device", "cpu", "--out", "{out}/encoder.safetensors"),
-    ),
-)
+    @property
+    def served(self) -> bool:
+        """Whether it asks a model server; the server is killed, not the command."""
+        return any("{url}" in each for each in self.arguments)
 
 
-def command_named(name: str) -> Killed:
-    """The command of a name."""
-    return next(each for each in COMMANDS if each.name == name)
+COMMANDS: Final = {
+    name: Killed(name, arguments(said.pop("line"), _TABLE["words"]), **said) for name, said in _TABLE["command"].items()
+}
+"""By name, in the order in which they begin."""
 
 
 def write_recorded(root: Path) -> Path:
@@ -90,53 +58,19 @@ def write_recorded(root: Path) -> Path:
     if (root / "complete").is_file():
         return root / "road"
     shutil.rmtree(root, ignore_errors=True)
-    renderer = SchematicRenderer(64, 36)
-    plan = DataSetPlan(root=root / "road", split="val", version="v1.0-mini", renderer=renderer, frames="keyframes")
     scenes = [scene_on_straight_road(cars, seconds=10.0, name=f"scene-{n}") for n, cars in enumerate(_SCENES, 9901)]
-    keys = [write_scene(plan, each, name=each.name, source_scene=each.name, report={}) for each in scenes]
-    finish_data_set(plan, keys)
-    _write_tracks(root / "tracks")
+    write_root(root / "road", scenes, version="v1.0-mini", renderer=SchematicRenderer(64, 36), frames="keyframes")
+    # A car that drives straight on and one that turns, in every file that `train ego-status` wants.
+    tracks = [drive(np.full(120, 8.0)), drive(np.full(120, 6.0), 0.05)]
+    (root / "tracks").mkdir()
+    for source in (*TRAINING_SOURCES, *HELD_OUT_SOURCES):
+        write_tracks(root / "tracks" / f"{source}.npz", tracks, source=np.array(source))
     (root / "complete").touch()
     return root / "road"
 
 
-def _write_tracks(folder: Path) -> None:
-    """A car that drives straight on and one that turns, in every track file of ``train ego-status``."""
-    folder.mkdir()
-    seconds = np.arange(120) / 10.0
-    heading = np.concatenate([np.zeros_like(seconds), 0.05 * seconds])
-    x, y = np.concatenate([8.0 * seconds, 120.0 * np.sin(0.05 * seconds)]), 0.0 * heading
-    y[len(seconds) :] = 120.0 * (1.0 - np.cos(0.05 * seconds))
-    for source in (*TRAINING_SOURCES, *HELD_OUT_SOURCES):
-        np.savez(
-            folder / f"{source}.npz",
-            ptr=[0, len(seconds), 2 * len(seconds)],
-            x=x,
-            y=y,
-            heading=heading,
-            length=[4.6, 4.6],
-            cls=["car", "car"],
-            hz=10.0,
-            source=source,
-            licence="none",
-        )
-
-
 def write_needed(command: Killed, data: Path, folder: Path, case: Path) -> Path:
-    """What a command finds in ``--out``: the undisturbed results of the ones before it; made once.
-
-    Args:
-        command: The command.
-        data: The recorded data set.
-        folder: Holds what is made.
-        case: Where commands run: records and sheets are made at one place, whichever command needs them.
-
-    Returns:
-        A folder to copy.
-
-    Raises:
-        InputError: If a command fails.
-    """
+    """What a command finds in ``--out``: what the ones before it leave undisturbed, all at one place; made once."""
     needed = folder / ("-".join(command.after) or "nothing")
     if needed.is_dir():
         return needed
@@ -144,16 +78,17 @@ def write_needed(command: Killed, data: Path, folder: Path, case: Path) -> Path:
     out = case / "out"
     out.mkdir(parents=True)
     for name in command.after:
-        ended = run_command(words(command_named(name), data, out, 1), case, case / "cache")
+        ended = run_command(words(COMMANDS[name], data, out, 1), case)
         if ended.code:
             raise InputError(f"{name} failed undisturbed: {ended.err.strip()[-400:]}; mend it first")
     shutil.copytree(out, needed)
     return needed
 
 
-def words(command: Killed, data: Path, out: Path, workers: int, *, ray: str | None = None) -> list[str]:
-    """The command line of a command; ``ray`` is the address of a cluster."""
-    given = [each.format(data=data, tracks=data.parent / "tracks", out=out) for each in command.arguments]
-    if ray is not None:
+def words(command: Killed, data: Path, out: Path, workers: int, *, ray: str = "", url: str = "") -> list[str]:
+    """The command line of a command; ``ray`` is the address of a cluster, ``url`` that of a model server."""
+    places = {"data": data, "tracks": data.parent / "tracks", "out": out, "url": url}
+    given = [each.format(**places) for each in command.arguments]
+    if ray:
         return [*given, "--executor", "ray", "--address", ray]
     return [*given, "--workers", str(workers)] if command.parallel else given

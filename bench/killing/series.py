@@ -1,7 +1,6 @@
 """One command killed at two moments of chance and run to its end, and every byte that it leaves compared."""
 
 import contextlib
-import hashlib
 import os
 import shutil
 import signal
@@ -10,13 +9,17 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from random import Random
 from typing import Final
 
-from bench.attacking.children import Ended, begin_command, end_command, run_command
+from bench.attacking.children import Begun, Ended, begin_command, run_command
+from bench.attacking.requests import OwnServer
 from bench.killing.commands import Killed, words, write_needed, write_recorded
+from bench.processes import alive, command_line, descendants
 from benchmark.errors import InputError
+from benchmark.machine.storage import file_sha256
 from benchmark.machine.workspace import TIMINGS_FOLDER
 
 TRIES_AT_LAST: Final = 2
@@ -39,6 +42,14 @@ _FULL: Final = ("No space left", "free some space")
 _LOOK_S: Final = 0.01
 _PATIENCE_S: Final = 300.0
 
+WAYS: Final = {
+    "kill": ("killed, {workers} worker{s}", "{workers}"),
+    "ray-worker": ("a worker of Ray killed", "ray"),
+    "ray-driver": ("the driver of Ray killed", "driver"),
+    "disk": ("a full disk", "disk"),
+    "server": ("its model server killed", "server"),
+}
+"""What may be done to a command: how the table says it, and the word for it in a case's seed."""
 Listing = dict[str, str]
 """Hash of each file, the target of each link, by path; folders end with a slash."""
 
@@ -81,19 +92,21 @@ class Bench:
         self._left: dict[str, Listing] = {}
         self._lasting: dict[tuple[str, int], float] = {}
         self._pages: dict[str, int] = {}
-        self._cluster: RayHere | None = None
+        self._beside = contextlib.ExitStack()
 
-    @property
-    def cluster(self) -> "RayHere":
-        """A cluster of Ray of its own, begun where it is first wanted."""
-        if self._cluster is None:
-            self._cluster = RayHere()
-        return self._cluster
+    @cached_property
+    def cluster(self) -> tuple[str, int]:
+        """Address and process of a cluster of Ray of its own, begun where it is first wanted."""
+        return self._beside.enter_context(ray_here())
+
+    @cached_property
+    def server(self) -> OwnServer:
+        """A model server, begun where it is first wanted."""
+        return OwnServer(self.folder / "served")
 
     def end(self) -> None:
         """Stop what runs beside the commands."""
-        if self._cluster is not None:
-            self._cluster.end()
+        self._beside.close()
 
     def undisturbed(self, command: Killed, workers: int) -> tuple[Listing, float]:
         """What a command leaves, and how long it takes with so many workers, seconds."""
@@ -110,79 +123,87 @@ class Bench:
                 raise InputError(f"{command.name} leaves other bytes with {workers} workers: {names[:5]}")
         return self._left[command.name], self._lasting[command.name, workers]
 
-    def killed(self, command: Killed, workers: int, number: int) -> Series:
-        """Kill a command with all its processes twice in a row, then let it end."""
+    def disturbed(self, command: Killed, how: str, workers: int, number: int) -> Series:
+        """Disturb a command in one of the `WAYS`, let it end, and compare what it leaves."""
+        row, word = (each.format(workers=workers, s="s" * (workers > 1)) for each in WAYS[how])
         wanted, lasts_s = self.undisturbed(command, workers)
-        chance, kills = Random(f"{self.seed}/{command.name}/{workers}/{number}"), 0
+        chance = Random(f"{self.seed}/{command.name}/{word}/{number}")
         self._begin(command)
-        for _ in range(2):
-            with self._begun(command, workers) as (child, printed):
+        with contextlib.ExitStack() as until_compared:
+            if how == "disk":
+                kills, said = self._fill_the_disk(command, chance, until_compared)
+            else:
+                kills, said = self._kill(command, how, workers, lasts_s, chance)
+            for _ in range(TRIES_AT_LAST):
+                ended = self._run(command, workers)
+                if ended.code == 0:
+                    break
+                time.sleep(1.0)
+            else:
+                said = said or f"does not go on: {ended.err.strip()[-400:]}"
+            found = listing(self.case)
+        return Series(command.name, row, number, kills, differences(wanted, found), len(wanted), said)
+
+    def _kill(self, command: Killed, how: str, workers: int, lasts_s: float, chance: Random) -> tuple[int, str]:
+        """Kill something at a moment of chance: a command twice in a row, what works for it once; and let it end.
+
+        Returns:
+            How often it met a command at work; what is wrong of one that should have gone on by itself.
+        """
+        kills, said, dies = 0, "", how in ("kill", "ray-driver")
+        ray = self.cluster[0] if how.startswith("ray") else ""
+        for _ in range(1 + dies):
+            with begin_command(self._words(command, workers, ray), self.case) as begun:
+                if ray:
+                    self._busy_on_ray(begun.process)
                 time.sleep(chance.random() * lasts_s)
-                with contextlib.suppress(ProcessLookupError):
-                    # The first worker notices that its command is gone; at times it goes alone.
-                    (os.kill if chance.random() < 0.3 else os.killpg)(child, signal.SIGKILL)
-                kills += end_command(child, printed, _PATIENCE_S).code == -signal.SIGKILL
-        return self._compared(command, f"killed, {workers} worker{'s' * (workers > 1)}", number, kills, wanted, workers)
+                met = self._strike(how, begun, chance)
+                ended = begun.end(_PATIENCE_S)
+            kills += ended.code == -signal.SIGKILL if dies else met
+            said = "" if dies or ended.code == 0 else ended.err.strip()[-400:]
+        return kills, said
 
-    def worker_killed_on_ray(self, command: Killed, number: int) -> Series:
-        """Kill a worker of Ray while a command runs; the command goes on by itself."""
-        wanted, lasts_s = self.undisturbed(command, 1)
-        chance, kills = Random(f"{self.seed}/{command.name}/ray/{number}"), 0
-        self._begin(command)
-        with self._begun(command, 0, ray=self.cluster.address) as (child, printed):
-            wait, began = chance.random() * lasts_s, time.monotonic()
-            working: float | None = None
-            while alive(child) and time.monotonic() - began < _PATIENCE_S and not kills:
-                workers = busy_ray_workers(self.cluster.head)
-                working = working or (time.monotonic() if workers else None)
-                if working is not None and workers and time.monotonic() - working > wait:
-                    with contextlib.suppress(ProcessLookupError):
-                        os.kill(chance.choice(workers), signal.SIGKILL)
-                        kills += 1
-                time.sleep(_LOOK_S)
-            ended = end_command(child, printed, _PATIENCE_S)
-        said = "" if ended.code == 0 else ended.err.strip()[-400:]
-        return self._compared(command, "a worker of Ray killed", number, kills, wanted, 1, said)
+    def _strike(self, how: str, begun: Begun, chance: Random) -> bool:
+        """Kill what is to be killed; whether a command was there that it works for."""
+        met = alive(begun.process)
+        if how == "server":
+            self.server.end()
+            self.server.begin()
+        elif how == "kill" and chance.random() >= 0.3:
+            begun.kill()
+        else:
+            # The first worker of a command notices that it is gone; so does Ray.
+            victims = self._busy_on_ray(begun.process) if how == "ray-worker" else [begun.process]
+            met &= bool(victims)
+            with contextlib.suppress(ProcessLookupError, IndexError):
+                os.kill(victims[0] if len(victims) == 1 else chance.choice(victims), signal.SIGKILL)
+        return met
 
-    def driver_killed_on_ray(self, command: Killed, number: int) -> Series:
-        """Kill the command that works on Ray, once its workers are at work; then the same command goes on."""
-        wanted, lasts_s = self.undisturbed(command, 1)
-        chance, kills = Random(f"{self.seed}/{command.name}/driver/{number}"), 0
-        self._begin(command)
-        for _ in range(2):
-            with self._begun(command, 0, ray=self.cluster.address) as (child, printed):
-                began = time.monotonic()
-                while (
-                    alive(child) and not busy_ray_workers(self.cluster.head) and time.monotonic() - began < _PATIENCE_S
-                ):
-                    time.sleep(_LOOK_S)
-                time.sleep(chance.random() * lasts_s)
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(child, signal.SIGKILL)
-                kills += end_command(child, printed, _PATIENCE_S).code == -signal.SIGKILL
-        return self._compared(command, "the driver of Ray killed", number, kills, wanted, 1)
+    def _busy_on_ray(self, child: int) -> list[int]:
+        """Workers of Ray as soon as some have a unit of work, which their titles name; none if the command ends."""
+        until = time.monotonic() + _PATIENCE_S
+        while alive(child) and time.monotonic() < until:
+            if busy := [each for each in descendants(self.cluster[1]) if command_line(each).startswith(_RAY_WORKER)]:
+                return busy
+            time.sleep(_LOOK_S)
+        return []
 
-    def full_disk(self, command: Killed, number: int) -> Series:
-        """Run a command on a disk that gets full, then with room; needs the right to mount."""
-        wanted, _ = self.undisturbed(command, 1)
-        chance = Random(f"{self.seed}/{command.name}/disk/{number}")
-        self._begin(command)
-        out = self.case / "out"
+    def _fill_the_disk(self, command: Killed, chance: Random, until_compared: contextlib.ExitStack) -> tuple[int, str]:
+        """Run a command on a disk that gets full, then give it room; needs the right to mount."""
+        out, before = self.case / "out", self.folder / "before"
         has = pages_below(out)
         # One page less than all is the most that is too little.
         room = has + 1 + int(chance.random() * max(1, self._pages[command.name] - has - 1))
-        before = self.folder / "before"
         shutil.rmtree(before, ignore_errors=True)
         out.rename(before)
         out.mkdir()
-        with mounted(out, room) as give_room:
-            shutil.copytree(before, out, dirs_exist_ok=True)
-            ended = self._run(command, 1)
-            said = "" if ended.code == 0 else ended.err.strip().splitlines()[-1][:400]
-            full = ended.code == 2 and said.startswith("error: ") and any(each in said for each in _FULL)
-            give_room()
-            wrong = "" if full or ended.code == 0 else f"a full disk: exit code {ended.code}, {said}"
-            return self._compared(command, "a full disk", number, int(full), wanted, 1, wrong)
+        give_room = until_compared.enter_context(mounted(out, room))
+        shutil.copytree(before, out, dirs_exist_ok=True)
+        ended = self._run(command, 1)
+        said = "" if ended.code == 0 else ended.err.strip().splitlines()[-1][:400]
+        full = ended.code == 2 and said.startswith("error: ") and any(each in said for each in _FULL)
+        give_room()
+        return int(full), "" if full or ended.code == 0 else f"a full disk: exit code {ended.code}, {said}"
 
     def _begin(self, command: Killed) -> None:
         """An ``--out`` with what the command needs, nothing else."""
@@ -190,34 +211,12 @@ class Bench:
         shutil.rmtree(self.case, ignore_errors=True)
         shutil.copytree(needed, self.case / "out")
 
+    def _words(self, command: Killed, workers: int, ray: str = "") -> list[str]:
+        url = self.server.url if command.served else ""
+        return words(command, self.data, self.case / "out", workers, ray=ray, url=url)
+
     def _run(self, command: Killed, workers: int) -> Ended:
-        given = words(command, self.data, self.case / "out", workers)
-        return run_command(given, self.case, self.case / "cache", patience=_PATIENCE_S)
-
-    @contextlib.contextmanager
-    def _begun(
-        self, command: Killed, workers: int, *, ray: str | None = None
-    ) -> Iterator[tuple[int, tuple[Path, Path]]]:
-        given = words(command, self.data, self.case / "out", workers, ray=ray)
-        child, printed = begin_command(given, self.case, self.case / "cache")
-        try:
-            yield child, printed
-        finally:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(child, signal.SIGKILL)
-
-    def _compared(
-        self, command: Killed, how: str, number: int, kills: int, wanted: Listing, workers: int, said: str = ""
-    ) -> Series:
-        for _ in range(TRIES_AT_LAST):
-            ended = self._run(command, workers)
-            if ended.code == 0:
-                break
-            time.sleep(1.0)
-        else:
-            said = said or f"does not go on: {ended.err.strip()[-400:]}"
-        found = listing(self.case)
-        return Series(command.name, how, number, kills, differences(wanted, found), len(wanted), said)
+        return run_command(self._words(command, workers), self.case, patience=_PATIENCE_S)
 
 
 def pages_below(folder: Path) -> int:
@@ -225,26 +224,15 @@ def pages_below(folder: Path) -> int:
     return sum(-(-path.lstat().st_size // 4096) for path in folder.rglob("*") if path.is_file())
 
 
-class RayHere:
-    """A cluster of two processors on this machine, which ends with this process.
-
-    Attributes:
-        address: HOST:PORT.
-        head: The process below which all of it runs.
-    """
-
-    def __init__(self) -> None:
-        process = subprocess.Popen(
-            [sys.executable, "-c", _CLUSTER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+@contextlib.contextmanager
+def ray_here() -> Iterator[tuple[str, int]]:
+    """A cluster of two processors on this machine: its address, and the process below which all of it runs."""
+    command, pipe = [sys.executable, "-c", _CLUSTER], subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as process:
         assert process.stdin is not None and process.stdout is not None
         said = (line.strip() for line in process.stdout)
-        self.address = next(line.removeprefix(_AT) for line in said if line.startswith(_AT))
-        self.head, self._process = process.pid, process
-
-    def end(self) -> None:
-        """Stop it."""
-        self._process.communicate(timeout=_PATIENCE_S)
+        yield next(line.removeprefix(_AT) for line in said if line.startswith(_AT)), process.pid
+        process.communicate(timeout=_PATIENCE_S)
 
 
 @contextlib.contextmanager
@@ -280,41 +268,14 @@ def listing(folder: Path) -> Listing:
         elif path.is_dir():
             found[f"{name}/"] = ""
         else:
-            found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+            found[name] = file_sha256(path)
     return found
 
 
 def differences(wanted: Listing, found: Listing) -> list[str]:
     """What is missing, too many, or other bytes."""
-    named = {name: ("missing" if name not in found else "left over" if name not in wanted else "other bytes")
-             for name in sorted(wanted.keys() | found.keys())}  # fmt: skip
-    return [f"{name}: {what}" for name, what in named.items() if wanted.get(name) != found.get(name)]
-
-
-def alive(child: int) -> bool:
-    """Whether a child process runs; it is not waited for."""
-    try:
-        state = Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[0]
-    except OSError:
-        return False
-    return state != "Z"
-
-
-def busy_ray_workers(child: int) -> list[int]:
-    """Workers of Ray below a process that have a unit of work: their titles name its function."""
-    parents = {}
-    titles = {}
-    for path in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError, IndexError, ValueError):
-            parents[int(path.name)] = int((path / "stat").read_text().rpartition(")")[2].split()[1])
-            titles[int(path.name)] = (path / "cmdline").read_bytes().split(b"\0")[0].decode(errors="replace")
-
-    def below(number: int) -> bool:
-        while number > 1:
-            number = parents.get(number, 0)
-            if number == child:
-                return True
-        return False
-
-    busy = [each for each, title in titles.items() if title.startswith(_RAY_WORKER)]
-    return [each for each in busy if below(each)]
+    names = sorted(name for name in wanted.keys() | found.keys() if wanted.get(name) != found.get(name))
+    missing, more = wanted.keys() - found.keys(), found.keys() - wanted.keys()
+    return [
+        f"{name}: {'missing' if name in missing else 'left over' if name in more else 'other bytes'}" for name in names
+    ]

@@ -2,20 +2,18 @@
 
 import numpy as np
 
+from adapters.planners.stop import Stop
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
-from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
+from benchmark.planning import Observation, Plan, PlanFrame
 
 _SPEED = 8.0
 _LANE_M = 3.5
 
 
-class Weaving:
+class Weaving(Stop):
     """Drives from lane to lane at each step, so that it hits whoever is near."""
 
     name = "weaving"
-
-    def reset(self, scene: SceneInfo) -> None:
-        """Nothing is remembered."""
 
     def plan(self, observation: Observation) -> Plan:
         """Left and right in turn."""

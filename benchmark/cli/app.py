@@ -6,7 +6,7 @@ from typing import Annotated, Final
 
 import typer
 
-from benchmark.cli import data, demo, drive, evaluate, generate, models, packages, shards, show, verify, weights
+from benchmark.cli import data, demo, drive, evaluate, generate, models, packages, show, verify, weights
 from benchmark.cli.extensions import Groups, add_command_of_extension, add_commands_of_others
 from benchmark.cli.streams import replace_what_cannot_be_shown
 from benchmark.cli.whole_help import WholeSummaries
@@ -51,7 +51,6 @@ app.command("eval")(evaluate.eval_command)
 app.command("drive")(drive.drive_command)
 add_command_of_extension("serve", _GROUPS)
 app.command("models")(models.models_command)
-app.command("merge")(shards.merge_command)
 app.command("rescore")(evaluate.rescore_command)
 app.command("transfer")(evaluate.transfer_command)
 add_command_of_extension("quality", _GROUPS)

@@ -42,6 +42,7 @@ def demo_command(
         files = [str(path) for path in full_demo(out, to, workers=workers)]
         print_json({"files": files}) if json_output else typer.echo("\n".join(files))
         return
+    from leaderboard.frame.runs import Frame
     from leaderboard.tables.collision import run_tables
     from leaderboard.tables.effect import effect_table
     from leaderboard.tables.transfer import transfer_matrices, transfer_table
@@ -52,7 +53,7 @@ def demo_command(
         print_json({"leaderboard": str(out / "leaderboard"), "generated": report.as_json()})
         return
     tell("")
-    caused = effect_table("demo", records)
+    caused = effect_table(Frame("demo", records))
     for table in (*(() if caused is None else (caused,)), *run_tables("demo", records, ("exact",), allow_partial=True)):
         tell(table.plain(wide=wide))
     for name, matrix in transfer_matrices(records, "adv").items():

@@ -38,6 +38,7 @@ from benchmark.cli.options import (
     say_plan,
 )
 from benchmark.cli.result_files import ReadAs, opened_results, results_planner, write_dumps
+from benchmark.cli.shards import say_shard
 from benchmark.cli.what_next import same_place, say_next
 from benchmark.errors import InputError
 from benchmark.report.words import counted
@@ -317,18 +318,11 @@ def _plan_shard(
     again: str,
 ) -> None:
     """Plan one shard and say what is left to do."""
-    from benchmark.runs.sharded import plan_shard
+    from benchmark.evaluation import plan_shard
 
     found = plan_shard(dataset, split, planners, root, shard)
-    if json_output:
-        print_json(
-            [{"directory": str(each.directory), "planned": each.planned, "scenes": each.scenes} for each in found]
-        )
-    for each in found:
-        typer.echo(
-            f"{each.directory}: shard {shard}, {each.planned} of {counted(each.scenes, 'scene')}", err=json_output
-        )
-    say_next(f"shard {shard} is planned", (f"merge{again}", "when all shards are"), json_output=json_output)
+    step = (f"eval{again}", "with the same options and no --shard, when all shards are")
+    say_shard(shard, found, "planned", step, json_output=json_output)
 
 
 def rescore_command(

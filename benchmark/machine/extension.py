@@ -40,7 +40,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     "renderer": {"magicdrive": "generation.extensions.magicdrive.cli:Photorealistic"},
     # Pictures of scenes for ``data show``.
     "pictures": {"conditions": "generation.extensions.magicdrive.condition_pictures:write_condition_pictures"},
-    # From records of a kind to `leaderboard.tables.sections.Section`, in the order of the page.
+    # From records of a kind to `leaderboard.page.sections.Section`, in the order of the page.
     "section": {
         "challenges": "leaderboard.extensions.challenge.tables:sections",
         "quality": "leaderboard.extensions.quality.tables:sections",

@@ -22,6 +22,8 @@ from benchmark.records.planner_cost import PlannerCost
 from benchmark.records.run_schema import RateRow, SceneFacts
 from benchmark.records.store import FileNames, read_each, read_own, replace_files, validated
 from benchmark.records.stored import Stored
+from benchmark.report.notebook import html_table
+from benchmark.report.words import counted
 from benchmark.untrusted.limits import RECORD
 
 DRIVE_FILE, ROWS_FILE, SUMMARY_FILE = "drive.json", "drives.jsonl", "summary.json"
@@ -49,6 +51,22 @@ class DriveRecord:
     rows: tuple[DriveRow, ...]
     summary: DriveSummary
     cost: PlannerCost | None = field(default=None, compare=False)
+
+    def __repr__(self) -> str:
+        return f"<DriveRecord: {self._what}>"
+
+    def _repr_html_(self) -> str:
+        rates = self.summary.columns.items()
+        rows = [
+            (name, "–" if rate.value is None else f"{rate.value:.4g}", f"{rate.denominator}") for name, rate in rates
+        ]
+        return html_table(self._what, ("column", "mean or rate", "drives"), rows)
+
+    @property
+    def _what(self) -> str:
+        facts = self.facts
+        drives = counted(self.summary.drives, "drive")
+        return f"{self.planner} on {facts.data.name} {facts.split}, {drives}, {facts.measured.world}"
 
     @property
     def planner(self) -> str:

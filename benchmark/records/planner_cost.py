@@ -6,6 +6,7 @@ Costs are the clock's and the machine's: they lie in ``<out>/timings``, so that 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from glob import escape
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -143,19 +144,19 @@ def shard_cost_path(whole: Path, number: int, of: int) -> Path:
     return whole.with_name(f"{whole.name.removesuffix('.timing.json')}.shard-{number}-of-{of}.timing.json")
 
 
-def gather_costs(whole: Path, facts: PlannerFacts, of: int) -> None:
+def gather_costs(whole: Path, facts: PlannerFacts) -> None:
     """Put what the shards of a run noted into the note of the run.
 
     Args:
         whole: File of the cost of the run, from `cost_path`.
         facts: Who planned.
-        of: How many shards there are.
 
     Raises:
         InputError: If it cannot be written.
     """
     scenes: dict[str, SceneCost | None] = {}
-    parts = [shard_cost_path(whole, number, of) for number in range(1, of + 1)]
+    stem = escape(whole.name.removesuffix(".timing.json"))
+    parts = sorted(whole.parent.glob(f"{stem}.shard-*-of-*.timing.json"))
     for part in parts:
         try:
             known = cost_of(part, facts)

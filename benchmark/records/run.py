@@ -40,6 +40,8 @@ from benchmark.records.store import (
     validated,
 )
 from benchmark.records.stored import Stored
+from benchmark.report.notebook import html_table, percent
+from benchmark.report.words import counted
 from benchmark.untrusted.json_text import is_plain, parse_line
 from benchmark.untrusted.limits import RECORD
 
@@ -83,6 +85,24 @@ class RunRecord:
     def __post_init__(self) -> None:
         """Keep the rows compressed, whoever made them."""
         object.__setattr__(self, "rows", Rows.of(self.rows))
+
+    def __repr__(self) -> str:
+        return f"<RunRecord: {self._what}>"
+
+    def _repr_html_(self) -> str:
+        rates = {name: said.columns["collision"] for name, said in self.summary.protocols.items()}
+        horizons = list(dict.fromkeys(horizon for own in rates.values() for horizon in own))
+        rows = [
+            (name, *(percent(own[each].value) if each in own else "" for each in horizons))
+            for name, own in rates.items()
+        ]
+        return html_table(f"{self._what}: collisions", ("protocol", *horizons), rows)
+
+    @property
+    def _what(self) -> str:
+        run, summary = self.run, self.summary
+        failed = f", {counted(summary.failed, 'failed sample')}" if summary.failed else ""
+        return f"{self.planner} on {run.data.name} {run.split}, {counted(summary.samples, 'sample')}{failed}"
 
     @property
     def planner(self) -> str:

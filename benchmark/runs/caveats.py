@@ -1,7 +1,8 @@
 """The caveats of a run record, put together in one place; each kind is decided in the room that knows of it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import chain
+from typing import Final
 
 from benchmark.records.caveats import OF_THE_DOOR, Caveat, in_order
 from benchmark.records.drive_schema import DriveRow, Measured
@@ -12,6 +13,20 @@ from benchmark.runs.time_caveat import time_caveats
 from benchmark.runs.truth_caveats import drive_truth, run_truth
 from benchmark.untrusted.plan_verdicts import plan_caveats
 from benchmark.untrusted.plans_beside_recording import ComparedPlans
+
+_Scenes = Mapping[str, SceneFacts]
+_OF_RUNS: Final[tuple[Callable[[PlannerFacts, _Scenes, Rows], Iterable[Caveat]], ...]] = (
+    lambda _, scenes, rows: run_truth(scenes, rows),
+    lambda _, scenes, __: time_caveats(scenes),
+    lambda _, scenes, __: data_caveats(scenes),
+    planner_caveats,
+)
+_OF_DRIVES: Final[tuple[Callable[[PlannerFacts, _Scenes, Measured], Iterable[Caveat]], ...]] = (
+    lambda _, scenes, __: drive_truth(scenes),
+    lambda _, scenes, __: time_caveats(scenes),
+    lambda _, scenes, __: data_caveats(scenes),
+    drive_input_caveats,
+)
 
 
 def run_caveats(
@@ -30,16 +45,9 @@ def run_caveats(
         The caveats, in order.
     """
     columns = rows.columns
-    return in_order(
-        chain(
-            _of_the_door(known),
-            run_truth(scenes, rows),
-            time_caveats(scenes),
-            data_caveats(scenes),
-            planner_caveats(planner, scenes, rows),
-            _of_plans(ComparedPlans.of(columns.in_lidar, columns.recorded), known),
-        )
-    )
+    compared = ComparedPlans.of(columns.in_lidar, columns.recorded)
+    found = (find(planner, scenes, rows) for find in _OF_RUNS)
+    return in_order(chain(_of_the_door(known), *found, _of_plans(compared, known)))
 
 
 def drive_caveats(
@@ -63,16 +71,8 @@ def drive_caveats(
     Returns:
         The caveats, in order.
     """
-    return in_order(
-        chain(
-            _of_the_door(known),
-            drive_truth(scenes),
-            time_caveats(scenes),
-            data_caveats(scenes),
-            drive_input_caveats(planner, scenes, measured),
-            _of_plans(compared, known),
-        )
-    )
+    found = (find(planner, scenes, measured) for find in _OF_DRIVES)
+    return in_order(chain(_of_the_door(known), *found, _of_plans(compared, known)))
 
 
 def _of_the_door(known: Sequence[Caveat]) -> list[Caveat]:

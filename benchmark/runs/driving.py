@@ -19,11 +19,10 @@ from benchmark.closed_loop.riding import RideMaker
 from benchmark.closed_loop.scoring import VERSION
 from benchmark.closed_loop.sensors import NoSensor, RemoteSensor, Sensor
 from benchmark.datasets.annotation_counts import require_annotated
-from benchmark.datasets.scene_facts import frozen_split_of, with_truth
+from benchmark.datasets.scene_facts import with_truth
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
 from benchmark.interactions.driving import LADDER
-from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.pages import keep_pages_of
 from benchmark.machine.progress import Count
 from benchmark.machine.storage import content_key, file_name, only_writer, writing_to
@@ -35,20 +34,19 @@ from benchmark.records.drives import DriveRecord, write_drives
 from benchmark.records.planner_cost import cost_path, gather_costs, note_cost, shard_cost_path
 from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run_schema import PlannerFacts
-from benchmark.records.seed_splits import generated_facts
 from benchmark.report.words import counted
 from benchmark.runs.caveats import drive_caveats
 from benchmark.runs.drive_jobs import KEPT, Job, Task, Unit
 from benchmark.runs.drive_rows import with_labels
 from benchmark.runs.drive_work import Planners, UnitResult, costs_of, kept_drive, work_here, work_in_worker
-from benchmark.runs.kept_shards import DRIVES, FinishedShard, note_done, require_shards
+from benchmark.runs.judges import JudgedScenes, described
 from benchmark.runs.plan_rows import PlannerFactory, supervision_said
 from benchmark.runs.planner_facts import facts_of
 from benchmark.runs.reading import truths_of
 from benchmark.runs.redriving import can_of
 from benchmark.runs.run_directory import run_directory
 from benchmark.runs.scene_work import reopening
-from benchmark.runs.shards import Shard, forget_shards, shard_folder
+from benchmark.runs.shards import FinishedShard, Shard
 from benchmark.untrusted.plans_beside_recording import ComparedPlans
 
 if TYPE_CHECKING:
@@ -259,8 +257,6 @@ def drive_shard(
 ) -> list[FinishedShard]:
     """Drive the scenes of one shard and keep the drives; no record is written.
 
-    `drive_planners` with the same settings makes the records once all shards are there, and names one that is not.
-
     Args:
         data: The data set.
         split: Which of its splits.
@@ -274,7 +270,7 @@ def drive_shard(
         What was done, for each planner.
 
     Raises:
-        InputError: As in `drive_split`, and if another command drives the same shard.
+        InputError: As in `drive_split`.
     """
     jobs, settings, elsewhere = _ready(data, split, planners, out, settings, reopen)
     scenes = settings.chosen(data, split)
@@ -283,17 +279,12 @@ def drive_shard(
     tasks = [Task(job, unit) for unit in units for job in jobs]
     who = jobs[0].planner.name if len(jobs) == 1 else counted(len(jobs), "planner")
     label = f"{who} drive{'s' if len(jobs) == 1 else ''} {split}, shard {shard}"
-    with ExitStack() as writing:
-        for job in jobs:
-            writing.enter_context(only_writer(shard_folder(job.directory, shard)))
-        here = partial(work_here, data, Planners())
-        groups = settings.groups(tasks)
-        results = list(_results(groups, here, elsewhere, settings, label)) if tasks else []
-        for place, job in enumerate(jobs):
-            if job.costs is not None:
-                part = shard_cost_path(job.costs, shard.number, shard.of)
-                note_cost(part, job.planner, costs_of(job, results[place :: len(jobs)], settings.processes))
-            note_done(job.directory, DRIVES, shard, mine)
+    groups = settings.groups(tasks)
+    results = list(_results(groups, partial(work_here, data, Planners()), elsewhere, settings, label)) if tasks else []
+    for place, job in enumerate(jobs):
+        if job.costs is not None:
+            part = shard_cost_path(job.costs, shard.number, shard.of)
+            note_cost(part, job.planner, costs_of(job, results[place :: len(jobs)], settings.processes))
     return [FinishedShard(job.directory, len(mine), len(scenes)) for job in jobs]
 
 
@@ -337,27 +328,22 @@ def _records(
     with ExitStack() as writing:
         for job in jobs:
             writing.enter_context(only_writer(job.directory))
-            division = require_shards(job.directory, DRIVES)
-            if division is not None and job.costs is not None:
-                gather_costs(job.costs, job.planner, division.of)
         results = list(_results(settings.groups(tasks), partial(work_here, data, planners), elsewhere, settings, label))
         records = []
         truths = truths_of(data, scenes)
         for place, job in enumerate(jobs):
-            described = _described(data, split, job, scenes, settings)
-            described["scene_facts"] = with_truth(described["scene_facts"], truths)
+            said = _described(data, split, job, scenes, settings)
+            said["scene_facts"] = with_truth(said["scene_facts"], truths)
             own = results[place :: len(jobs)]
             rows = with_labels([result.row for result in own], truths)
             door = getattr(job.factory, "caveats", ())
             compared = ComparedPlans.joined(result.compared for result in own)
-            described["caveats"] = drive_caveats(
-                job.planner, described["scene_facts"], rows, job.measured, compared, door
-            )
-            records.append(write_drives(job.directory, described, rows, seed=settings.seed))
+            said["caveats"] = drive_caveats(job.planner, said["scene_facts"], rows, job.measured, compared, door)
+            records.append(write_drives(job.directory, said, rows, seed=settings.seed))
             if job.costs is not None:
+                gather_costs(job.costs, job.planner)
                 note_cost(job.costs, job.planner, costs_of(job, own, settings.processes))
             _tidy(job, units)
-            forget_shards(job.directory)
     return records
 
 
@@ -435,16 +421,9 @@ def _were_there(results: list[UnitResult]) -> bool:
 def _described(
     data: "DataSet", split: str, job: Job, scenes: tuple[str, ...], settings: DriveSettings
 ) -> dict[str, Any]:
-    return {
+    shared = described(JudgedScenes(data, split, scenes), "scene_facts", "frozen_split", "review", "generated")
+    return shared | {
         "planner": job.planner,
-        "data": {"name": data.name, "version": data.version, "fingerprint": data.fingerprint()},
-        "split": split,
-        "scenes": list(scenes),
-        "scenes_in_split": len(data.scene_names(split)),
-        "scene_facts": data.scene_facts(scenes),
-        "frozen_split": frozen_split_of(data.provenance()),
-        "review": data.review(split).facts,
-        "generated": generated_facts(data.provenance()),
         "measured": settings.measured,
         "runs": settings.runs_made,
         "scoring": VERSION,
@@ -454,7 +433,6 @@ def _described(
             **supervision_said(job.factory),
             **({"categories": dict(data.categories)} if data.categories else {}),
         },
-        "environment": environment_facts(),
     }
 
 

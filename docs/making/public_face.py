@@ -12,7 +12,7 @@ PACKAGES = {
 
 def defined_in() -> dict[str, str]:
     """Where each name of the public face is defined, as ``module.name``; nothing is imported."""
-    face: dict[str, str] = vars(benchmark)["_FACE"]
+    face: dict[str, str] = vars(benchmark)["_PLACES"]
     return {name: place.replace(":", ".") for name, place in sorted(face.items())}
 
 

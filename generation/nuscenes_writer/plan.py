@@ -23,10 +23,6 @@ SHARED_TABLES_VERSION: Final = 2
 """Raised when what scenes share is written differently: labels, maps. Scenes that are written stay; 2 has the table of
 32 categories, and maps of all cities."""
 STATE_FOLDER: Final = ".challenger"
-SEARCH_FOLDER: Final = f"{STATE_FOLDER}/search"
-"""Where shards of a search leave their notes, below the root; gone when the data set is finished."""
-DRAWING_FOLDER: Final = f"{STATE_FOLDER}/drawing"
-"""The same of shards that draw, which may be fewer or more."""
 _PLAIN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
 
 

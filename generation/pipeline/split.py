@@ -5,7 +5,6 @@ Every step is resumable and gives the same bytes for any executor, on processors
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 from benchmark.datasets.annotation_counts import require_annotated
@@ -17,7 +16,6 @@ from benchmark.records.attempts import ATTEMPTS_FILE
 from benchmark.records.review import Judged
 from benchmark.records.seed_splits import seed_of
 from benchmark.report.words import counted
-from benchmark.runs.kept_shards import SEARCH, require_shards
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
@@ -26,7 +24,6 @@ from generation.pipeline.profile import runtime_table
 from generation.pipeline.report import BuildReport
 from generation.pipeline.selection import Selection, select
 from generation.pipeline.settings import BuildSettings
-from generation.pipeline.shard_notes import forget_notes, require_drawn, search_folder, search_work, work_of_jobs
 from generation.pipeline.writing import (
     WritingJob,
     publish_judgements,
@@ -303,11 +300,8 @@ def selected(
 def _build_adversarial(
     source: DataSet, split: str, search: Search, names: Sequence[str], settings: BuildSettings
 ) -> BuildReport:
-    require_shards(search_folder(settings.out), SEARCH, search_work(search, names, settings))
     made = selected(source, split, search, names, settings)
     found, chosen, plan, report = made.found, made.chosen, made.plan, made.report
-    require_drawn(settings.out, partial(work_of_jobs, source, plan, chosen.jobs))
-    forget_notes(settings.out)
     publish_reports(settings.out, made.files)
     if not chosen.jobs:
         withdraw(settings.out)
@@ -382,8 +376,6 @@ def _build_originals(source: DataSet, names: Sequence[str], settings: BuildSetti
     plan, jobs, files = originals(source, names, settings)
     report = _report_of_originals(source, jobs, settings)
     with only_writer(settings.out):
-        require_drawn(settings.out, partial(work_of_jobs, source, plan, jobs))
-        forget_notes(settings.out)
         publish_reports(settings.out, files)
         notes = _write(source, plan, jobs, settings)
     return replace(report, runtime=runtime_table([], notes))

@@ -19,7 +19,6 @@ from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.nuscenes_writer.scenes import read_state
 from generation.pipeline.estimate import Estimate, rendering_estimate, workers_of
 from generation.pipeline.settings import BuildSettings
-from generation.pipeline.shard_notes import drawing_work, forget_notes, require_drawn
 from generation.pipeline.writing import WritingJob, publish_judgements, publish_realism, publish_reports, write_scenes
 from generation.search.adversary import ALGORITHM_VERSION
 from generation.search.ground_truth_checks import masked_line, masked_steps, masked_together
@@ -163,9 +162,6 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *,
     # Everything is looked at before anything is written.
     jobs, tables, masked = frozen_jobs(source, plan, chosen, split)
     with only_writer(settings.out):
-        scenes = [[frozen.name, variant] for frozen, variant in chosen]
-        require_drawn(settings.out, partial(drawing_work, source, plan, scenes, chosen[0][0].source))
-        forget_notes(settings.out)
         write_json(plan.state / _MARK, {"name": split.name, "content": report.content})
         publish_reports(settings.out, said_of_frozen(report))
         keys = write_scenes(

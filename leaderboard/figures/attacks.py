@@ -22,8 +22,10 @@ from benchmark.records.run import RunRecord
 from benchmark.report.lettering import drawable
 from benchmark.report.plots import Theme, for_pages, new_figure
 from benchmark.report.words import split_of
-from leaderboard.figures.charts import MARKERS, NamedFigure, plain_text, planner_name
-from leaderboard.tables.rows import in_table_order, split_place
+from leaderboard.figures.charts import MARKERS, name_below, planner_name
+from leaderboard.frame.rows import in_table_order, split_place
+from leaderboard.frame.runs import Frame
+from leaderboard.page.sections import NamedFigure
 
 NAME: Final = "attack-realism"
 TITLE: Final = "Attributable attack success against realism"
@@ -80,20 +82,15 @@ def generator_settings(records: Sequence[RunRecord]) -> list[Setting]:
     return settings
 
 
-def attack_figures(data_name: str, records: Sequence[RunRecord]) -> tuple[NamedFigure, ...]:
-    """The figure of a data set.
+def attack_figures(frame: Frame) -> tuple[NamedFigure, ...]:
+    """The figure of a data set, or none where none of its own settings can be drawn (`nothing_drawn`).
 
-    Args:
-        data_name: Its name; its own settings stand out.
-        records: Of all data sets: settings of a generator are compared with one another.
-
-    Returns:
-        One figure, or none where none of its own settings can be drawn (`nothing_drawn`).
+    Settings of a generator are compared with one another, those of other data sets too; its own stand out.
     """
-    settings = generator_settings(records)
-    if not any(setting.data_name == data_name for setting in settings):
+    settings = generator_settings(frame.against or frame.given)
+    if not any(setting.data_name == frame.data_name for setting in settings):
         return ()
-    return (NamedFigure(NAME, TITLE, *for_pages(partial(_figure, data_name, settings))),)
+    return (NamedFigure(NAME, TITLE, *for_pages(partial(_figure, frame.data_name, settings))),)
 
 
 def nothing_drawn(data_name: str, records: Sequence[RunRecord]) -> str | None:
@@ -132,7 +129,10 @@ def _figure(data_name: str, settings: Sequence[Setting], theme: Theme) -> Figure
     shown[0].set_ylim(-3, 108)
     figure.tight_layout(rect=(0, below / figure.get_figheight(), 1, 0.94))
     _say(figure, f"{drawable(data_name)}: attributable attack success against realism", words, theme)
-    _name_planners(figure, planners, style, _LINE * len(words) + 0.08)
+    lines = [mpl.lines.Line2D([], [], **look) for look in style.values()]
+    above = (0.5, (_LINE * len(words) + 0.08) / figure.get_figheight())
+    names = [planner_name(run) for run in planners.values()]
+    name_below(figure, lines, names, min(_LEGEND_COLUMNS, len(planners)), bbox_to_anchor=above)
     return figure
 
 
@@ -142,21 +142,6 @@ def _frame(axes: Axes, head: str, theme: Theme) -> None:
     axes.grid(color=theme.rule, linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-
-
-def _name_planners(
-    figure: Figure, planners: Mapping[str, RunRecord], style: Mapping[str, dict[str, Any]], above_inches: float
-) -> None:
-    legend = figure.legend(
-        [mpl.lines.Line2D([], [], **style[name]) for name in planners],
-        [planner_name(run) for run in planners.values()],
-        loc="lower center",
-        bbox_to_anchor=(0.5, above_inches / figure.get_figheight()),
-        ncols=min(_LEGEND_COLUMNS, len(planners)),
-        frameon=False,
-        fontsize="small",
-    )
-    plain_text(legend.get_texts())
 
 
 def _say(figure: Figure, heading: str, words: Sequence[str], theme: Theme) -> None:

@@ -1,8 +1,7 @@
 """Figures from run records: collision rate over the horizon, disagreement of protocols, who fails which manoeuvre."""
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -17,10 +16,13 @@ from benchmark.metrics.confusion import comparisons
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.effect import says_whom, touched_scenes
 from benchmark.records.run import NATIVE, RunRecord, protocol_of, scene_failures
+from benchmark.records.run_schema import ProtocolSummary, RateRow
 from benchmark.report.lettering import drawable
 from benchmark.report.plots import Sketch, Theme, for_pages, new_figure
 from benchmark.report.words import titled
-from leaderboard.tables.rows import in_table_order, judges, marked, splits_of
+from leaderboard.frame.rows import judges, name_cell, splits_of
+from leaderboard.frame.runs import Frame, Row
+from leaderboard.page.sections import NamedFigure
 
 MARKERS: Final = "osD^vPX*"
 """Told apart in print; with the palette's six colours they repeat after 24 planners."""
@@ -32,115 +34,59 @@ _LEGEND_COLUMNS: Final = 3
 UNLABELLED: Final = "unlabelled"
 
 
-@dataclass(frozen=True, slots=True)
-class NamedFigure:
-    """One picture.
-
-    Attributes:
-        name: File stem.
-        title: What it shows.
-        png: For screens.
-        svg: For print and light pages.
-        dark: SVG for dark pages.
-    """
-
-    name: str
-    title: str
-    png: bytes
-    svg: bytes
-    dark: bytes
-
-
-def data_set_figures(data_name: str, records: Sequence[RunRecord]) -> tuple[NamedFigure, ...]:
-    """Every figure that the records of one data set allow, beside the heat maps of transfer.
-
-    Args:
-        data_name: Its name.
-        records: At most one for each planner and split.
-
-    Returns:
-        The figures, in the order in which they are looked at.
-    """
-    own = any(run.run.planner.native_protocol is not None for run in records)
+def run_figures(frame: Frame) -> list[NamedFigure]:
+    """Collision rates over the horizon, manoeuvres, and protocols against ``exact``."""
     drawn = [
-        (
-            f"rates-{judge}",
-            f"Collision rate over the horizon, {judges(judge)}",
-            rates_over_horizon(data_name, judge, records),
-        )
-        for judge in (EXACT, *((NATIVE,) if own else ()))
+        *(
+            (f"rates-{judge}", f"Collision rate over the horizon, {judges(judge)}", rates_over_horizon(frame, judge))
+            for judge in (EXACT, *((NATIVE,) if frame.has_native else ()))
+        ),
+        ("manoeuvres-exact", "Adversarial scenes failed by manoeuvre, protocol exact", manoeuvre_figure(frame, EXACT)),
+        *(
+            (f"disagreement-{split}", f"Protocols against exact, split {split}", disagreement_figure(frame, split))
+            for split in frame.splits
+        ),
     ]
-    title = "Adversarial scenes failed by manoeuvre, protocol exact"
-    drawn.append(("manoeuvres-exact", title, manoeuvre_figure(data_name, EXACT, records)))
-    for split in splits_of(records):
-        title = f"Protocols against exact, split {split}"
-        drawn.append((f"disagreement-{split}", title, disagreement_figure(data_name, split, records)))
-    found = []
-    for name, title, sketch in drawn:
-        if sketch is not None:
-            found.append(NamedFigure(name, title, *for_pages(sketch)))
-    return tuple(found)
+    return [NamedFigure(name, title, *for_pages(sketch)) for name, title, sketch in drawn if sketch is not None]
 
 
-def rates_over_horizon(data_name: str, protocol: str, records: Sequence[RunRecord]) -> Sketch | None:
-    """Collision rate at 1, 2 and 3 s of every planner, a panel a split, with 95 % bands.
-
-    Args:
-        data_name: Name of the data set, for the title.
-        protocol: Whose verdicts, or ``native``.
-        records: Runs on this data set.
-
-    Returns:
-        What draws it, or ``None`` where no record has verdicts of the protocol.
-    """
-    runs = [run for run in in_table_order(records) if protocol_of(run, protocol) in run.summary.protocols]
-    if not runs:
-        return None
-    return partial(_horizon_figure, data_name, protocol, runs)
+def rates_over_horizon(frame: Frame, protocol: str) -> Sketch | None:
+    """Collision rate at 1, 2 and 3 s of every planner, a panel a split, with 95 % bands; ``None`` without verdicts."""
+    rows = frame.judged(protocol)
+    return partial(_horizon_figure, frame.data_name, protocol, rows) if rows else None
 
 
-def disagreement_figure(data_name: str, split: str, records: Sequence[RunRecord]) -> Sketch | None:
+def disagreement_figure(frame: Frame, split: str) -> Sketch | None:
     """How much of what ``exact`` sees each protocol misses, and how much of what it reports is false.
-
-    Args:
-        data_name: Name of the data set, for the title.
-        split: The split.
-        records: Runs on this data set.
 
     Returns:
         What draws it, or ``None`` where no record of the split was judged by ``exact`` and another protocol.
     """
-    runs = [run for run in in_table_order(records) if run.run.split == split and EXACT in run.run.protocols]
+    runs = [run for run in frame.runs if run.run.split == split and EXACT in run.run.protocols]
     found = [(run, comparisons(run)) for run in runs]
     if not any(compared for _, compared in found):
         return None
-    return partial(_disagreement, data_name, split, found)
+    return partial(_disagreement, frame.data_name, split, found)
 
 
-def manoeuvre_figure(data_name: str, protocol: str, records: Sequence[RunRecord]) -> Sketch | None:
+def manoeuvre_figure(frame: Frame, protocol: str) -> Sketch | None:
     """How many adversarial scenes there are of each manoeuvre, and in how many each planner hits the adversary first.
 
     Where records do not say whom contacts are with: how many it fails.
 
-    Args:
-        data_name: Name of the data set, for the title.
-        protocol: Whose verdicts, or ``native``.
-        records: Runs on this data set; those of split ``adv`` whose records say what the adversaries do are drawn.
-
     Returns:
-        What draws it, or ``None`` where there is no such record.
+        What draws it, or ``None`` where no record of split ``adv`` says what the adversaries do.
     """
     runs = [
         run
-        for run in in_table_order(records)
+        for run in frame.runs
         if run.run.split == "adv" and protocol_of(run, protocol) in run.run.protocols and _manoeuvres(run)
     ]
-    if not runs:
-        return None
-    return partial(_manoeuvre_panels, data_name, protocol, runs)
+    return partial(_manoeuvre_panels, frame.data_name, protocol, runs) if runs else None
 
 
-def _horizon_figure(data_name: str, protocol: str, runs: Sequence[RunRecord], theme: Theme) -> Figure:
+def _horizon_figure(data_name: str, protocol: str, rows: Sequence[Row[ProtocolSummary]], theme: Theme) -> Figure:
+    runs = [row.record for row in rows]
     shown = splits_of(runs)
     planners = list(dict.fromkeys(run.planner for run in runs))
     names_of = {run.planner: planner_name(run) for run in runs}
@@ -150,9 +96,9 @@ def _horizon_figure(data_name: str, protocol: str, runs: Sequence[RunRecord], th
     figure = new_figure(max(_PAIRED_INCHES, 0.8 + 1.9 * len(shown)), 2.9 + below)
     panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
     for axes, split in zip(panels, shown):
-        for run in runs:
-            if run.run.split == split:
-                _band(axes, run, protocol_of(run, protocol), style[run.planner])
+        for row in rows:
+            if row.split == split:
+                _band(axes, row.found.columns["collision"], style[row.record.planner])
         axes.set_title(drawable(split), parse_math=False)
         axes.set_xticks([float(name.removesuffix("s")) for name in HORIZON_STEPS], list(HORIZON_STEPS))
         axes.grid(axis="y", color=theme.rule, linewidth=0.6)
@@ -163,16 +109,12 @@ def _horizon_figure(data_name: str, protocol: str, runs: Sequence[RunRecord], th
     lines = [mpl.lines.Line2D([], [], **style[name]) for name in planners]
     names = [names_of[name] for name in planners]
     figure.tight_layout(rect=(0, below / figure.get_figheight(), 1, 0.93))
-    legend = figure.legend(
-        lines, names, loc="lower center", ncols=_LEGEND_COLUMNS, frameon=False, fontsize="small", columnspacing=1.2
-    )
-    plain_text(legend.get_texts())
+    name_below(figure, lines, names, _LEGEND_COLUMNS, columnspacing=1.2)
     _heading(figure, f"{drawable(data_name)}: collision rate over the horizon, {judges(protocol)}")
     return figure
 
 
-def _band(axes: Axes, run: RunRecord, judge: str, style: dict[str, Any]) -> None:
-    rates = run.summary.protocols[judge].columns["collision"]
+def _band(axes: Axes, rates: Mapping[str, RateRow], style: dict[str, Any]) -> None:
     drawn = [
         (float(horizon.removesuffix("s")), rates[horizon])
         for horizon in HORIZON_STEPS
@@ -218,8 +160,7 @@ def _disagreement(
     figure.tight_layout(rect=(0, (0.1 + 0.22 * -(-len(found) // 2)) / figure.get_figheight(), 1, 0.92))
     patches = [Patch(color=theme.planner(place)) for place in range(len(found))]
     names = [planner_name(run) for run, _ in found]
-    legend = figure.legend(patches, names, loc="lower center", ncols=2, frameon=False, fontsize="small")
-    plain_text(legend.get_texts())
+    name_below(figure, patches, names, 2)
     _heading(figure, f"{drawable(titled(data_name, split))}: protocols against exact (a tick: undefined)")
     return figure
 
@@ -278,13 +219,13 @@ def _heading(figure: Figure, text: str) -> None:
     figure.text(0.5, 0.98, text, ha="center", va="top", fontsize=10.5, parse_math=False)
 
 
-def plain_text(texts: Sequence[Any]) -> None:
-    """Names of strangers are text, not formulas."""
-    for text in texts:
+def name_below(figure: Figure, drawn: Sequence[Any], names: Sequence[str], columns: int, **place: Any) -> None:
+    """Say below the panels what is whose; names of strangers are text, not formulas."""
+    look = {"loc": "lower center", "ncols": columns, "frameon": False, "fontsize": "small", **place}
+    for text in figure.legend(drawn, names, **look).get_texts():
         text.set_parse_math(False)
 
 
 def planner_name(run: RunRecord) -> str:
     """The planner's name with its marks, as pictures can show it."""
-    planner = run.run.planner
-    return drawable(marked(run.planner, privileged=planner.privileged, miniature=planner.miniature))
+    return drawable(name_cell(run.planner, run.run.planner).text)

@@ -57,11 +57,7 @@ Squares = list[list[Square | None]]
 
 
 def write_heat_map(matrix: TransferMatrix, path: Path) -> None:
-    """Write the picture of a transfer matrix.
-
-    Args:
-        matrix: From `benchmark.metrics.transfer.transfer`.
-        path: A ``.png`` or ``.svg`` file.
+    """Write the picture of a transfer matrix into a ``.png`` or ``.svg`` file.
 
     Raises:
         InputError: If the file has another ending or cannot be written.
@@ -70,29 +66,15 @@ def write_heat_map(matrix: TransferMatrix, path: Path) -> None:
 
 
 def write_lift_map(matrix: TransferMatrix, path: Path) -> None:
-    """Write the picture of the lift and φ of every two planners.
-
-    Args:
-        matrix: From `benchmark.metrics.transfer.transfer`.
-        path: A ``.png`` or ``.svg`` file.
-
-    Raises:
-        InputError: If the file has another ending or cannot be written.
-    """
+    """`write_heat_map` of the lift and φ of every two planners."""
     _write(lift_map, matrix, path)
 
 
 def heat_map(matrix: TransferMatrix, suffix: str, theme: Theme = LIGHT) -> bytes:
-    """The picture's bytes: the same matrix, the same bytes.
+    """Bytes of the picture: the same matrix, the same bytes.
 
-    Args:
-        matrix: From `benchmark.metrics.transfer.transfer`.
-        suffix: ``.png`` or ``.svg``.
-        theme: Colours around the cells.
-
-    Returns:
-        Share and counts in every cell, and the victims' failure rates over all scenes below; cells without a number,
-        and the diagonal, are hatched.
+    Every cell has share and counts, and the victims' failure rates over all scenes are below; cells without a number,
+    and the diagonal, are hatched.
     """
     return picture(partial(_shares, matrix), suffix, theme)
 
@@ -103,16 +85,9 @@ def heat_maps(matrix: TransferMatrix) -> tuple[bytes, bytes, bytes]:
 
 
 def lift_map(matrix: TransferMatrix, suffix: str, theme: Theme = LIGHT) -> bytes:
-    """The picture's bytes: how far two planners fail the same scenes beyond chance.
+    """The same of how far two planners fail the same scenes beyond chance.
 
-    Args:
-        matrix: From `benchmark.metrics.transfer.transfer`.
-        suffix: ``.png`` or ``.svg``.
-        theme: Colours around the cells.
-
-    Returns:
-        Lift above the diagonal and φ below it, each with its interval; colours say how far it is from chance. Cells
-        without a number, and the diagonal, are hatched.
+    Lift is above the diagonal and φ below it, each with its interval; colours say how far it is from chance.
     """
     return picture(partial(_beyond_chance, matrix), suffix, theme)
 

@@ -12,13 +12,14 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmark.records.drives import DriveRecord, columns_of
+from benchmark.records.drives import DriveRecord
 from benchmark.records.run_schema import RateRow
 from benchmark.report.lettering import drawable
 from benchmark.report.plots import Theme, for_pages, new_figure
-from leaderboard.figures.charts import NamedFigure, plain_text, planner_style
+from leaderboard.figures.charts import name_below, planner_style
+from leaderboard.frame.rows import name_cell
+from leaderboard.page.sections import NamedFigure
 from leaderboard.tables.pressure import Pressure, pressure_name, pressures
-from leaderboard.tables.rows import marked
 
 PANELS: Final = (
     ("attributable", "attributable failures, % of drives", True),
@@ -64,7 +65,7 @@ def pressure_figure(title: str, rows: Sequence[Pressure], theme: Theme) -> Figur
     """
     strength = {each.budget: each.candidates for each in rows}
     budgets = sorted(strength, key=lambda budget: (strength[budget], budget))
-    planners = {each.name: each.record.facts.planner for each in rows}
+    planners = {each.row.name: each.row.record.facts.planner for each in rows}
     style = {name: planner_style(place, theme) for place, name in enumerate(planners)}
     width = _PANEL * len(PANELS)
     words = textwrap.wrap(" ".join(map(drawable, title.split())), int(_LETTERS_PER_INCH * width))
@@ -75,26 +76,17 @@ def pressure_figure(title: str, rows: Sequence[Pressure], theme: Theme) -> Figur
         _frame(axes, said, budgets, theme)
         for place, (name, look) in enumerate(style.items()):
             beside = _APART * (place - 0.5 * (len(planners) - 1))
-            found = {each.budget: columns_of(each.record).get(column) for each in rows if each.name == name}
+            found = {each.budget: each.row.rates.get(column) for each in rows if each.row.name == name}
             _line(axes, [found.get(budget) for budget in budgets], beside, look, 100.0 if share else 1.0)
         # The end of the other axis is known once all are drawn.
         axes.set_ylim(*((-4.0, 104.0) if share else (0.0, None)))
     height = figure.get_figheight()
     figure.tight_layout(rect=(0, below / height, 1, 1 - above / height))
     figure.text(0.02, 1 - 0.06 / height, "\n".join(words), va="top", fontsize=9.0, parse_math=False)
-    legend = figure.legend(
-        [mpl.lines.Line2D([], [], **look) for look in style.values()],
-        [
-            drawable(marked(name, privileged=facts.privileged, miniature=facts.miniature))
-            for name, facts in planners.items()
-        ],
-        loc="lower center",
-        bbox_to_anchor=(0.5, 0.02 / height),
-        ncols=min(_LEGEND_COLUMNS, len(planners)),
-        frameon=False,
-        fontsize="small",
-    )
-    plain_text(legend.get_texts())
+    lines = [mpl.lines.Line2D([], [], **look) for look in style.values()]
+    names = [drawable(name_cell(name, facts).text) for name, facts in planners.items()]
+    columns = min(_LEGEND_COLUMNS, len(planners))
+    name_below(figure, lines, names, columns, bbox_to_anchor=(0.5, 0.02 / height))
     return figure
 
 

@@ -27,8 +27,8 @@ from benchmark.records.scenes import (
 )
 from benchmark.report.lettering import drawable
 from benchmark.report.plots import LIGHT, Sketch, Theme, for_pages, new_figure, picture
-from leaderboard.figures.charts import NamedFigure
 from leaderboard.figures.refinement_map import MapView, draw_candidates, draw_road, draw_traffic, view_of
+from leaderboard.page.sections import NamedFigure
 
 SCENES_OF_A_SPLIT: Final = 3
 """Figures of one split: the first traced scenes by name."""

@@ -1,6 +1,8 @@
 """The appendix' tables as the paper lays them out: hyper-parameters, runtime, and the data set in numbers."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from operator import attrgetter
 from typing import Any, Final
 
 from benchmark.published import (
@@ -9,16 +11,18 @@ from benchmark.published import (
     HYPER_PARAMETERS,
     HYPER_PARAMETERS_SOURCE,
     RUNTIME_MACHINE,
-    RUNTIME_S,
     RUNTIME_SOURCE,
 )
 from benchmark.records.ablation import AblationReport
 from benchmark.records.scenes import Sheets, SplitSheet
-from benchmark.report.cells import UNDEFINED, Shown
-from benchmark.report.table import LatexForm, Table, table_of
+from benchmark.records.statistics import Runtime
+from benchmark.report.cells import UNDEFINED
+from benchmark.report.table import LatexForm, Table
 from benchmark.report.words import counted
+from leaderboard.frame.sheets import counts_of, origin_of
+from leaderboard.frame.specification import Values, numbers, places, tabulate, texts, under
 from leaderboard.tables.published import published_rows, published_seconds
-from leaderboard.tables.statistics import by_data_set, origin_of
+from leaderboard.tables.runtime import counted_of, stages_of
 
 COMPONENTS: Final = {
     "sampling": "Traj. sampling",
@@ -74,7 +78,7 @@ def hyper_parameter_tables(sheets: Sheets, ablations: Sequence[AblationReport]) 
 
 
 def _hyper_parameters(data_name: str, searches: Mapping[str, Mapping[str, Any]]) -> Table:
-    rows: list[tuple[str | Shown, ...]] = []
+    rows: list[Values] = []
     differing: dict[str, list[str]] = {}
     for name, printed in HYPER_PARAMETERS.items():
         field, written = _SHOWN[name]
@@ -82,83 +86,71 @@ def _hyper_parameters(data_name: str, searches: Mapping[str, Mapping[str, Any]])
         for which, value in zip(searches, ours, strict=True):
             if value != printed:
                 differing.setdefault(which, []).append(name)
-        rows.append((name, *ours, printed))
+        here = {f"#{place}": value for place, value in enumerate(ours)}
+        rows.append({"Hyperparameter": name, **here, "paper": printed})
     notes = [f"{which} differs from the paper in {', '.join(names)}." for which, names in differing.items()]
     same = [which for which in searches if which not in differing]
     notes += [f"As the paper prints them: {'; '.join(same)}."] if same else []
-    return table_of(
+    return tabulate(
         "paper-hyper-parameters",
         f"{data_name}: hyper-parameters",
-        ("Hyperparameter", *searches, "paper"),
+        [
+            *texts("Hyperparameter"),
+            *(replace(column, text=True) for column in under("here", places(searches))),
+            *under("paper", texts("paper")),
+        ],
         rows,
-        notes=(*notes, "What the paper leaves open has settings of its own: docs/generation.md."),
-        text_columns=2 + len(searches),
-        groups=(("", 1), ("here", len(searches)), ("paper", 1)),
+        (*notes, "What the paper leaves open has settings of its own: docs/generation.md."),
         sources=(HYPER_PARAMETERS_SOURCE,),
         latex_form=LatexForm("l" * (2 + len(searches)), fit=len(searches) > 0),
     )
 
 
-def paper_runtime_tables(sheets: Sheets) -> dict[str, tuple[Table, ...]]:
+def paper_runtime_tables(data_name: str, splits: Sequence[SplitSheet]) -> list[Table]:
     """The paper's runtime breakdown for each split whose generation was timed."""
-
-    def tables(name: str, splits: Sequence[SplitSheet]) -> list[Table]:
-        return [_runtime(name, split) for split in splits if split.runtime is not None]
-
-    return by_data_set(sheets, tables)
+    return [_runtime(data_name, split, split.runtime) for split in splits if split.runtime is not None]
 
 
-def _runtime(data_name: str, split: SplitSheet) -> Table:
-    runtime, origin = split.runtime, origin_of(split)
-    assert runtime is not None, "asked for splits that were timed"
-    each = {stage: runtime.each_s(stage) for stage in (*RUNTIME_S, *sorted(set(runtime.total_s) - set(RUNTIME_S)))}
-    rows: list[tuple[str | Shown, ...]] = []
-    for stage, seconds in each.items():
-        count, of = (runtime.scenes, "scenes") if stage == "rendering" else (runtime.attempts, "attempts")
-        name = COMPONENTS.get(stage, stage.capitalize())
-        rows.append((name, origin.cell(seconds, "s", count, of).shown(2), published_seconds(stage)))
-    total = sum(seconds or 0.0 for seconds in each.values())
-    rows.append(("Total", origin.cell(total, "s", runtime.attempts, "attempts").shown(2), published_seconds("all")))
-    return table_of(
+def _runtime(data_name: str, split: SplitSheet, runtime: Runtime) -> Table:
+    origin, each = origin_of(split), {stage: runtime.each_s(stage) for stage in stages_of(runtime)}
+    rows: list[Values] = [
+        {
+            "Component": COMPONENTS.get(stage, stage.capitalize()),
+            "here": origin.cell(seconds, "s", *counted_of(runtime, stage)),
+            "paper": published_seconds(stage),
+        }
+        for stage, seconds in each.items()
+    ]
+    total = origin.cell(sum(seconds or 0.0 for seconds in each.values()), "s", runtime.attempts, "attempts")
+    return tabulate(
         f"paper-runtime-{split.split}",
         f"{data_name}, split {split.split}: runtime breakdown (s)",
-        ("Component", "here", "paper"),
-        rows,
-        notes=(
+        [*texts("Component"), *under("runtime in s", numbers("here", "paper", digits=2))],
+        [*rows, {"Component": "Total", "here": total, "paper": published_seconds("all")}],
+        (
             f"Here: processor seconds of one attempt and of rendering one scene, means of "
             f"{counted(runtime.attempts, 'attempt')} and {counted(runtime.scenes, 'scene')}. Paper: seconds by the "
             f"clock for one scene of about 240 frames and six cameras on {RUNTIME_MACHINE}. They do not compare.",
         ),
-        groups=(("", 1), ("runtime in s", 2)),
         sources=(RUNTIME_SOURCE,),
     )
 
 
-def paper_data_set_tables(sheets: Sheets) -> dict[str, tuple[Table, ...]]:
+def paper_data_set_tables(data_name: str, splits: Sequence[SplitSheet]) -> list[Table]:
     """The paper's overview of its data set, with a column for each split of ours."""
-
-    def tables(name: str, splits: Sequence[SplitSheet]) -> list[Table]:
-        return [_data_set(name, splits)]
-
-    return by_data_set(sheets, tables)
-
-
-def _data_set(data_name: str, splits: Sequence[SplitSheet]) -> Table:
-    rows: list[tuple[str | Shown, ...]] = []
-    for name in ADV_NUSC:
-        words = name.replace("_", " ")
-        counts = [getattr(split.statistics.counts, name) for split in splits]
-        ours = [
-            Shown(f"{count:,}", origin_of(split).count(count, words))
-            for split, count in zip(splits, counts, strict=True)
-        ]
-        rows.append((f"# {words}", *ours, published_rows(name)))
-    return table_of(
-        "paper-data-set",
-        f"{data_name}: overview of the data set",
-        ("Attribute", *(split.split for split in splits), "Adv-nuSc"),
-        rows,
-        notes=("Adv-nuSc is made from the nuScenes validation split.",),
-        groups=(("", 1), ("here", len(splits)), ("paper", 1)),
-        sources=(DATA_SET_SOURCE,),
-    )
+    rows: list[Values] = [
+        {
+            "Attribute": f"# {name.replace('_', ' ')}",
+            **counts_of(splits, name.replace("_", " "), attrgetter(f"statistics.counts.{name}")),
+            "Adv-nuSc": published_rows(name),
+        }
+        for name in ADV_NUSC
+    ]
+    columns = [
+        *texts("Attribute"),
+        *under("here", places(split.split for split in splits)),
+        *under("paper", numbers("Adv-nuSc")),
+    ]
+    note = "Adv-nuSc is made from the nuScenes validation split."
+    title = f"{data_name}: overview of the data set"
+    return [tabulate("paper-data-set", title, columns, rows, (note,), sources=(DATA_SET_SOURCE,))]

@@ -6,6 +6,7 @@ from benchmark.records.ablation import AblationReport
 from benchmark.records.run import RunRecord
 from benchmark.records.scenes import Sheets
 from benchmark.report.table import Table
+from leaderboard.frame.sheets import by_data_set, by_name
 from leaderboard.paper.appendix import hyper_parameter_tables, paper_data_set_tables, paper_runtime_tables
 from leaderboard.paper.table_1 import paper_table_1
 
@@ -24,11 +25,11 @@ def paper_tables(
         Tables by name of the data set, in the order of the names.
     """
     first = {name: paper_table_1(name, runs) for name, runs in records.items()}
-    parts: list[dict[str, tuple[Table, ...]]] = [
-        {name: (table,) for name, table in first.items() if table is not None},
-        hyper_parameter_tables(sheets, ablations),
-        paper_runtime_tables(sheets),
-        paper_data_set_tables(sheets),
-    ]
-    names = sorted({name for part in parts for name in part})
-    return {name: tuple(table for part in parts for table in part.get(name, ())) for name in names}
+    return by_name(
+        [
+            {name: (table,) for name, table in first.items() if table is not None},
+            hyper_parameter_tables(sheets, ablations),
+            by_data_set(sheets, paper_runtime_tables),
+            by_data_set(sheets, paper_data_set_tables),
+        ]
+    )

@@ -13,7 +13,7 @@ from benchmark.records.scenes import Sheets, SplitSheet
 from benchmark.report.lettering import drawable
 from benchmark.report.plots import Theme, for_pages, new_figure
 from benchmark.report.words import titled
-from leaderboard.figures.charts import NamedFigure
+from leaderboard.page.sections import NamedFigure
 from leaderboard.paper.appendix import COMPONENTS
 
 _SMALLEST_LABEL: Final = 0.03

@@ -28,13 +28,13 @@ from benchmark.records.drives import DriveRecord
 from benchmark.records.scenes import Sheet, SheetAgent, Sheets
 from benchmark.report.overlays import shared_point
 from benchmark.report.placing import agent_box, agent_box_at, ego_box, ego_pose, frame_seconds, placed_waypoints
+from leaderboard.frame.drives import worlds
 from leaderboard.site.considered_data import considered_data
 from leaderboard.site.packing import CENTIMETRE, MILLIRADIAN, packed, packed_path
 from leaderboard.site.scene_data import agent_data
 from leaderboard.site.scene_index import scene_key
 from leaderboard.site.scene_plans import ERROR_CHARACTERS
 from leaderboard.site.scripts import data_script
-from leaderboard.tables.worlds import worlds
 
 _SCENES: Final = "window.CHALLENGER_SCENES = window.CHALLENGER_SCENES || {}"
 _X, _Y, _YAW, _SPEED = range(4)
@@ -126,10 +126,10 @@ def _shown(drives: Sequence[DriveRecord]) -> Iterator[_Shown]:
     """Every drive once, in the order of the tables."""
     done = set()
     for world in worlds(drives):
-        for record, name in zip(world.records, world.planners, strict=True):
-            if record.content_id not in done:
-                done.add(record.content_id)
-                yield from (_Shown(record, name, row) for row in record.rows)
+        for one in world.rows:
+            if one.record.content_id not in done:
+                done.add(one.record.content_id)
+                yield from (_Shown(one.record, one.name, row) for row in one.record.rows)
 
 
 def _has_sheet(one: _Shown, sheets: Sheets) -> bool:

@@ -1,7 +1,7 @@
 """The site's index: everything that is shown without loading a scene."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 from urllib.parse import quote
@@ -9,11 +9,12 @@ from urllib.parse import quote
 from benchmark.machine.storage import file_name
 from benchmark.metrics.disagreement import EXACT
 from benchmark.records.judgement import DRIVER_NAMES
-from benchmark.records.quality import QualityRecord
-from benchmark.records.run import RunRecord
 from benchmark.records.scenes import Sheets
 from benchmark.report.cells import Cell, number
 from benchmark.report.table import Table
+from leaderboard.frame.results import Results
+from leaderboard.frame.runs import Frame
+from leaderboard.site.drive_data import drive_index
 from leaderboard.site.key_table import key_table
 from leaderboard.site.model_index import model_index
 from leaderboard.site.scene_index import scene_index, scene_key
@@ -61,37 +62,28 @@ class PlacedFigure:
 
 
 def index_data(
-    records: Sequence[RunRecord],
-    tables: Sequence[PlacedTable],
-    quality: Sequence[QualityRecord],
-    sheets: Sheets,
-    figures: Sequence[PlacedFigure],
-    written: frozenset[str],
+    results: Results, tables: Sequence[PlacedTable], figures: Sequence[PlacedFigure], written: frozenset[str]
 ) -> dict[str, Any]:
     """The value of ``window.CHALLENGER``.
 
     Args:
-        records: Run records that stand in tables.
+        results: What the leaderboard is made from.
         tables: Tables in the order in which they are read.
-        quality: Records of video quality.
-        sheets: Scene sheets.
         figures: Figures.
         written: Paths of the site's other files.
 
     Returns:
         Something that JSON can hold; lists are in the order in which pages show them.
     """
-    protocols = {name for record in records for name in record.summary.protocols}
+    protocols = {name for frame in results.frames for name in frame.protocols}
     ids, origins = _table_ids(tables), _Origins()
     return {
         "title": TITLE,
         "tables": [_table(placed, ids[index], origins, written) for index, placed in enumerate(tables)],
-        "keyTables": _key_tables(records, origins, written),
+        "keyTables": _key_tables(results.frames, origins, written),
         "figures": [_figure(figure, written) for figure in figures if figure.path in written],
-        "models": model_index(records),
         "drivers": [[name, DRIVER_HEADS[name]] for name in DRIVER_NAMES],
-        "scenes": scene_index(records, sheets, quality, written),
-        "attempts": _attempts(sheets),
+        **{name: say(results, written) for name, say in LISTS.items()},
         "origins": origins.found,
         "words": origins.words,
         "protocols": sorted(protocols, key=lambda name: (name != EXACT, name)),
@@ -109,10 +101,9 @@ def _figure(figure: PlacedFigure, written: frozenset[str]) -> dict[str, Any]:
     }
 
 
-def _key_tables(records: Sequence[RunRecord], origins: "_Origins", written: frozenset[str]) -> list[dict[str, Any]]:
+def _key_tables(frames: Sequence[Frame], origins: "_Origins", written: frozenset[str]) -> list[dict[str, Any]]:
     """Of each data set the table of the first page."""
-    names = sorted({record.run.data.name for record in records})
-    found = [(name, key_table(name, records)) for name in names]
+    found = [(frame.data_name, key_table(frame)) for frame in frames]
     placed = [PlacedTable(table, name, "", "") for name, table in found if table is not None]
     return [_table(each, f"key-{number}", origins, written) for number, each in enumerate(placed)]
 
@@ -206,3 +197,12 @@ def _attempts(sheets: Sheets) -> list[dict[str, Any]]:
             }
             found.append({name: value for name, value in facts.items() if value is not None})
     return found
+
+
+LISTS: Final[dict[str, Callable[[Results, frozenset[str]], list[dict[str, Any]]]]] = {
+    "models": lambda results, _: model_index(results.runs),
+    "scenes": lambda results, written: scene_index(results.runs, results.sheets, results.quality, written),
+    "attempts": lambda results, _: _attempts(results.sheets),
+    "drives": lambda results, _: drive_index(results.drives, results.sheets),
+}
+"""What pages list, by its name in the index."""

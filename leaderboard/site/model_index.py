@@ -10,7 +10,7 @@ from benchmark.records.driving import SUB_SCORES, TOTALS, VERSION
 from benchmark.records.file_plans import file_notes
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import DrivingSummary, ProtocolSummary, RateRow
-from leaderboard.tables.rows import in_table_order, recordings
+from leaderboard.frame.rows import in_table_order, recordings
 
 _SHOWN_COLUMNS: Final = ("collision", "l2")
 _DIGITS: Final = 6

@@ -18,8 +18,8 @@ from benchmark.records.quality import QualityRecord
 from benchmark.records.run import RunRecord
 from benchmark.records.scenes import Sheet, Sheets
 from benchmark.report.words import split_of
+from leaderboard.frame.rows import split_place
 from leaderboard.site.scene_judgements import judgement_entry, severity_entries
-from leaderboard.tables.rows import split_place
 
 SceneName = tuple[str, str, str]
 """Data set, split and scene."""

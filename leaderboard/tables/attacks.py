@@ -3,13 +3,15 @@
 from collections.abc import Sequence
 from typing import Final
 
-from benchmark.metrics.attacks import READINGS, AttackRates, Reading, attack_rates, counts_attacks
+from benchmark.metrics.attacks import AttackRates, Reading, attack_rates, counts_attacks
 from benchmark.metrics.severities import Spread, contacts_of, near_passes_of
 from benchmark.records.run import RunRecord
-from benchmark.report.cells import PERCENT, Origin, Shown, origin_of
-from benchmark.report.table import Brief, Table, table_of
+from benchmark.report.cells import PERCENT, Cell, Origin
+from benchmark.report.table import Table
 from benchmark.report.words import counted
-from leaderboard.tables.rows import in_table_order, name_cell, notes_of_marks, run_notes, with_caveat_mark
+from leaderboard.frame.rows import notes_of_marks
+from leaderboard.frame.runs import Frame, Row, row_notes
+from leaderboard.frame.specification import Columns, Values, estimates, numbers, share, tabulate, texts, under
 
 SEVERITY: Final = "severity"
 """The definition behind these numbers (docs/severity.md), as groups and cells name it."""
@@ -36,196 +38,166 @@ _NEAR_NOTE: Final = (
     "beside what a dry road allows; 1 and more: braking alone is not enough."
 )
 
-Row = tuple[str | Shown, ...]
+
+def _spread(name: str, digits: int, unit: str = "") -> Columns:
+    """Columns of a `Spread`: median, and what the worst tenth reaches."""
+    return numbers(f"{name}, {unit}" if unit else name, f"{name}, worst tenth", digits=digits)
 
 
-def attack_tables(data_name: str, records: Sequence[RunRecord]) -> list[Table]:
-    """Attack success and severity.
+_SAMPLES, _BYSTANDERS = "samples with the adversary first", "samples with a bystander first"
+_WHO: Final = texts("planner", "split")
+_READINGS: Final = (*HEADS.values(), "bystander")
+_SUCCESS: Final = [
+    *_WHO,
+    *under(f"of samples in %, {SEVERITY}", estimates(*_READINGS)),
+    *under(f"of scenes in %, {SEVERITY}", estimates(*(f"{head}, scenes" for head in _READINGS))),
+    *under(f"counted, {SEVERITY}", numbers("samples", "scenes", "judged", "careful survives")),
+]
+_CONTACTS: Final = [
+    *_WHO,
+    *under(f"{_SAMPLES}, {SEVERITY}", numbers("samples")),
+    *under(f"share of them, {SEVERITY}", numbers("at fault %", "front %", "side %", "rear %", "standing %", digits=1)),
+    *under(f"m/s, {SEVERITY}", *(_spread(name, 1) for name in ("impact speed", "delta-v ego", "delta-v other"))),
+    *under(f"%, {SEVERITY}", numbers("P(fatal) mean", "P(fatal) most", digits=2)),
+    *under(
+        f"{_BYSTANDERS}, {SEVERITY}",
+        numbers("samples, bystander"),
+        numbers("at fault %, bystander", "impact speed, bystander", "delta-v ego, bystander", digits=1),
+        numbers("P(fatal) mean, bystander", digits=2),
+    ),
+]
+_UNITS: Final = {"gap": "m", "TTC": "s", "TET": "s", "TIT": "s^2", "PET": "s", "BTN": ""}
+_NEAR: Final = [
+    *_WHO,
+    *under(f"without contact, {SEVERITY}", numbers("samples")),
+    *under(
+        f"plan and adversary, {SEVERITY}",
+        *(_spread(name, 1 if name == "PET" else 2, unit) for name, unit in _UNITS.items()),
+        numbers("BTN >= 1, %", digits=1),
+    ),
+]
 
-    Args:
-        data_name: Name of the data set, for the titles.
-        records: Runs on this data set.
 
-    Returns:
-        Attack success on each planner, on splits with adversaries; severity with contact and without. Runs that
-        cannot tell (`counts_attacks`) are left out; none where no other run has adversaries.
+def attack_tables(frame: Frame) -> list[Table]:
+    """Attack success on each planner on splits with adversaries, and severity with contact and without.
+
+    Runs that cannot tell (`counts_attacks`) are left out; there are no tables where no other run has adversaries.
     """
-    runs = [record for record in in_table_order(records) if counts_attacks(record)]
-    if not runs:
+    rows = frame.rows(SEVERITY, _rates)
+    if not rows:
         return []
-    notes = tuple(run_notes(runs, ()))
-    return [make(data_name, runs, notes) for make in (_success_table, _contact_table, _near_table)]
-
-
-def success_table(data_name: str, records: Sequence[RunRecord]) -> Table | None:
-    """Attack success alone, as ``challenger-bench eval`` prints it; ``None`` where no run has adversaries."""
-    return next(iter(attack_tables(data_name, records)), None)
-
-
-def _success_table(data_name: str, runs: Sequence[RunRecord], notes: tuple[str, ...]) -> Table:
-    title = f"{data_name}: attack success (%)"
-    found = [(record, attack_rates(record)) for record in runs]
-    columns = (
-        *("planner", "split"),
-        *(head for name in READINGS for head in (HEADS[name], f"95 % of {HEADS[name]}")),
-        *("bystander", "95 % of bystander"),
-        *(head for name in READINGS for head in (f"{HEADS[name]}, scenes", f"95 % of {HEADS[name]}, scenes")),
-        *("bystander, scenes", "95 % of bystander, scenes"),
-        *("samples", "scenes", "judged", "careful survives"),
-    )
-    of_scenes = [columns.index(f"{head}, scenes") for head in (*HEADS.values(), "bystander")]
-    shown = (0, 1, *of_scenes, columns.index("judged"))
-    all_notes = (READINGS_NOTE, RULES_NOTE, *_unknown_notes(found), *notes)
-    return table_of(
+    notes, unknown = row_notes(rows), _unknown_notes(rows)
+    success = tabulate(
         "attack-success",
-        title,
-        columns,
-        [_success_row(record, rates) for record, rates in found],
-        notes=all_notes,
-        text_columns=2,
-        groups=(
-            ("", 2),
-            (f"of samples in %, {SEVERITY}", 8),
-            (f"of scenes in %, {SEVERITY}", 8),
-            (f"counted, {SEVERITY}", 4),
-        ),
+        f"{frame.data_name}: attack success (%)",
+        _SUCCESS,
+        map(_success_values, rows),
+        (READINGS_NOTE, RULES_NOTE, *unknown, *notes),
+        brief=("planner", "split", *(f"{head}, scenes" for head in _READINGS), "judged"),
         # The rest of what has to be said of the runs stands below the rates already.
-        brief=Brief(title, shown, (READINGS_NOTE, *notes_of_marks(runs), *_unknown_notes(found)), 2),
+        brief_notes=(READINGS_NOTE, *notes_of_marks(row.record for row in rows), *unknown),
     )
+    contacts = f"{frame.data_name}: how severe the first contact of a plan is"
+    near = f"{frame.data_name}: how near plans without contact come to an adversary"
+    return [
+        success,
+        tabulate("severity-contacts", contacts, _CONTACTS, map(_contact_values, rows), (_CONTACT_NOTE, *notes)),
+        tabulate("severity-near", near, _NEAR, map(_near_values, rows), (_NEAR_NOTE, *notes)),
+    ]
 
 
-def _success_row(record: RunRecord, rates: AttackRates) -> Row:
-    origin, scenes = origin_of(record, SEVERITY), len(record.run.scenes)
-    of_samples = [origin.percent(rate) for rate in (*rates.samples.values(), rates.bystander_samples)]
-    of_scenes = [origin.percent(rate, "scenes") for rate in (*rates.scenes.values(), rates.bystander_scenes)]
-    return (
-        *_who(record),
-        *(shown for cell in (*of_samples, *of_scenes) for shown in (cell.shown(1), cell.interval())),
-        origin.count(rates.samples["contact"].denominator, "samples", record.summary.samples).shown(),
-        origin.count(rates.scenes["contact"].denominator, "scenes", scenes).shown(),
-        origin.count(rates.judged, "scenes", scenes).shown(),
-        origin.count(rates.spared, "scenes", rates.judged).shown(),
+def success_table(frame: Frame) -> Table | None:
+    """Attack success alone, as ``challenger-bench eval`` prints it; ``None`` where no run has adversaries."""
+    return next(iter(attack_tables(frame)), None)
+
+
+def _rates(record: RunRecord) -> AttackRates | None:
+    return attack_rates(record) if counts_attacks(record) else None
+
+
+def _who(row: Row[AttackRates]) -> Values:
+    return {"planner": row.with_caveats, "split": row.split}
+
+
+def _success_values(row: Row[AttackRates]) -> Values:
+    rates, percent = row.found, row.origin.percent
+    samples, scenes = (
+        (*rates.samples.values(), rates.bystander_samples),
+        (*rates.scenes.values(), rates.bystander_scenes),
     )
+    return {
+        **_who(row),
+        **{head: percent(rate) for head, rate in zip(_READINGS, samples, strict=True)},
+        **{f"{head}, scenes": percent(rate, "scenes") for head, rate in zip(_READINGS, scenes, strict=True)},
+        "samples": row.samples(rates.samples["contact"].denominator),
+        "scenes": row.scenes(rates.scenes["contact"].denominator),
+        "judged": row.scenes(rates.judged),
+        "careful survives": row.origin.count(rates.spared, "scenes", rates.judged),
+    }
 
 
-def _unknown_notes(found: Sequence[tuple[RunRecord, AttackRates]]) -> list[str]:
+def _unknown_notes(rows: Sequence[Row[AttackRates]]) -> list[str]:
     """Runs of which something is unknown; what concerns all planners of a split is said once."""
     said: dict[str, None] = {}
-    for record, rates in found:
-        scenes, split = len(record.run.scenes), record.run.split
-        if rates.judged < scenes:
-            some = f"{rates.judged} of {counted(scenes, 'scene')} were judged: attributable is of these alone"
-            said[f"{split}: {some if rates.judged else 'nobody judged its scenes: attributable is unknown'}."] = None
-    for record, rates in found:
-        if rates.unknown_blame:
+    for row in rows:
+        scenes, judged = len(row.record.run.scenes), row.found.judged
+        if judged < scenes:
+            some = f"{judged} of {counted(scenes, 'scene')} were judged: attributable is of these alone"
+            said[f"{row.split}: {some if judged else 'nobody judged its scenes: attributable is unknown'}."] = None
+    for row in rows:
+        if row.found.unknown_blame:
             said[
-                f"{record.planner} on {record.run.split}: {counted(rates.unknown_blame, 'contact')} at the ego's sides "
+                f"{row.who}: {counted(row.found.unknown_blame, 'contact')} at the ego's sides "
                 "without a map of lanes, so that nobody can tell whose fault they are."
             ] = None
     return list(said)
 
 
-def _contact_table(data_name: str, runs: Sequence[RunRecord], notes: tuple[str, ...]) -> Table:
-    quantities = ("impact speed", "delta-v ego", "delta-v other")
-    columns = (
-        *("planner", "split", "samples", "at fault %", "front %", "side %", "rear %", "standing %"),
-        *(head for name in quantities for head in (name, f"{name}, worst tenth")),
-        *("P(fatal) mean", "P(fatal) most"),
-        *(f"{head}, bystander" for head in ("samples", "at fault %", "impact speed", "delta-v ego", "P(fatal) mean")),
-    )
-    return table_of(
-        "severity-contacts",
-        f"{data_name}: how severe the first contact of a plan is",
-        columns,
-        [_contact_row(record) for record in runs],
-        notes=(_CONTACT_NOTE, *notes),
-        text_columns=2,
-        groups=(
-            ("", 2),
-            (f"samples with the adversary first, {SEVERITY}", 1),
-            (f"share of them, {SEVERITY}", 5),
-            (f"m/s, {SEVERITY}", 6),
-            (f"%, {SEVERITY}", 2),
-            (f"samples with a bystander first, {SEVERITY}", 5),
-        ),
-    )
-
-
-def _contact_row(record: RunRecord) -> Row:
-    origin, found, others = origin_of(record, SEVERITY), contacts_of(record), contacts_of(record, bystanders=True)
+def _contact_values(row: Row[AttackRates]) -> Values:
+    origin, found, others = row.origin, contacts_of(row.record), contacts_of(row.record, bystanders=True)
     kinds = found.kinds
     # A contact with what stands, or while the ego itself stands.
     standing = kinds.get("stopped_track", 0) + kinds.get("stopped_ego", 0)
-    parts = (kinds.get("front", 0), kinds.get("lateral", 0), kinds.get("rear", 0), standing)
-    return (
-        *_who(record),
-        origin.count(found.samples, "samples", record.summary.samples).shown(),
-        *(
-            _share(origin, count, found.samples, "samples with the adversary first")
-            for count in (found.at_fault, *parts)
-        ),
-        *_spreads(origin, "m/s", found.impact_speed, found.delta_v_ego, found.delta_v_other, digits=1),
-        *(
-            origin.cell(value, PERCENT, found.samples, "samples with the adversary first", scale=100.0).shown(2)
-            for value in (found.mean_fatal, found.most_fatal)
-        ),
-        origin.count(others.samples, "samples", record.summary.samples).shown(),
-        _share(origin, others.at_fault, others.samples, "samples with a bystander first"),
-        origin.cell(others.impact_speed.median, "m/s", others.samples).shown(1),
-        origin.cell(others.delta_v_ego.median, "m/s", others.samples).shown(1),
-        origin.cell(others.mean_fatal, PERCENT, others.samples, "samples with a bystander first", scale=100.0).shown(2),
-    )
+    parts = {"at fault": found.at_fault, "front": kinds.get("front", 0), "side": kinds.get("lateral", 0)}
+    parts |= {"rear": kinds.get("rear", 0), "standing": standing}
+    fatal = {"mean": found.mean_fatal, "most": found.most_fatal}
+    return {
+        **_who(row),
+        "samples": row.samples(found.samples),
+        **{f"{name} %": share(origin, count, found.samples, _SAMPLES) for name, count in parts.items()},
+        **_cells(origin, "impact speed", "m/s", found.impact_speed),
+        **_cells(origin, "delta-v ego", "m/s", found.delta_v_ego),
+        **_cells(origin, "delta-v other", "m/s", found.delta_v_other),
+        **{
+            f"P(fatal) {name}": origin.cell(value, PERCENT, found.samples, _SAMPLES, scale=100.0)
+            for name, value in fatal.items()
+        },
+        "samples, bystander": row.samples(others.samples),
+        "at fault %, bystander": share(origin, others.at_fault, others.samples, _BYSTANDERS),
+        "impact speed, bystander": origin.cell(others.impact_speed.median, "m/s", others.samples),
+        "delta-v ego, bystander": origin.cell(others.delta_v_ego.median, "m/s", others.samples),
+        "P(fatal) mean, bystander": origin.cell(others.mean_fatal, PERCENT, others.samples, _BYSTANDERS, scale=100.0),
+    }
 
 
-def _near_table(data_name: str, runs: Sequence[RunRecord], notes: tuple[str, ...]) -> Table:
-    units = {"gap": "m", "TTC": "s", "TET": "s", "TIT": "s^2", "PET": "s", "BTN": ""}
-    columns = (
-        *("planner", "split", "samples"),
-        *(
-            head
-            for name, unit in units.items()
-            for head in (f"{name}, {unit}" if unit else name, f"{name}, worst tenth")
-        ),
-        "BTN >= 1, %",
-    )
-    return table_of(
-        "severity-near",
-        f"{data_name}: how near plans without contact come to an adversary",
-        columns,
-        [_near_row(record) for record in runs],
-        notes=(_NEAR_NOTE, *notes),
-        text_columns=2,
-        groups=(("", 2), (f"without contact, {SEVERITY}", 1), (f"plan and adversary, {SEVERITY}", 13)),
-    )
+def _near_values(row: Row[AttackRates]) -> Values:
+    found = near_passes_of(row.record)
+    spreads = {"gap": found.gap, "TTC": found.ttc, "TET": found.tet, "TIT": found.tit, "PET": found.pet}
+    cells: dict[str, Cell] = {}
+    for name, spread in spreads.items():
+        cells |= _cells(row.origin, name, _UNITS[name], spread, f", {_UNITS[name]}")
+    return {
+        **_who(row),
+        "samples": row.samples(found.samples),
+        **cells,
+        **_cells(row.origin, "BTN", "BTN", found.btn),
+        "BTN >= 1, %": share(row.origin, found.critical, found.samples, "samples without contact"),
+    }
 
 
-def _near_row(record: RunRecord) -> Row:
-    origin, found = origin_of(record, SEVERITY), near_passes_of(record)
-    return (
-        *_who(record),
-        origin.count(found.samples, "samples", record.summary.samples).shown(),
-        *_spreads(origin, "m", found.gap, digits=2),
-        *_spreads(origin, "s", found.ttc, found.tet, digits=2),
-        *_spreads(origin, "s^2", found.tit, digits=2),
-        *_spreads(origin, "s", found.pet, digits=1),
-        *_spreads(origin, "BTN", found.btn, digits=2),
-        _share(origin, found.critical, found.samples, "samples without contact"),
-    )
-
-
-def _who(record: RunRecord) -> tuple[Shown, str]:
-    planner = record.run.planner
-    name = name_cell(record.planner, privileged=planner.privileged, miniature=planner.miniature)
-    return with_caveat_mark(name, record.run), record.run.split
-
-
-def _spreads(origin: Origin, unit: str, *spreads: Spread, digits: int) -> list[Shown]:
-    return [
-        origin.cell(value, unit, spread.samples).shown(digits)
-        for spread in spreads
-        for value in (spread.median, spread.worst_tenth)
-    ]
-
-
-def _share(origin: Origin, count: int, among: int, of: str) -> Shown:
-    return origin.cell(count / among if among else None, PERCENT, among, of, scale=100.0).shown(1)
+def _cells(origin: Origin, name: str, unit: str, spread: Spread, after: str = "") -> dict[str, Cell]:
+    """What `_spread` shows."""
+    return {
+        f"{name}{after}": origin.cell(spread.median, unit, spread.samples),
+        f"{name}, worst tenth": origin.cell(spread.worst_tenth, unit, spread.samples),
+    }

@@ -1,90 +1,80 @@
 """Table 1 of the paper: collision rate over 1, 2 and 3 seconds, by planner and split, ours and the published ones."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
-from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.rates import HORIZONS
 from benchmark.metrics.scores import leaves_out_samples, takes_maxima
 from benchmark.published import TABLE_1_SOURCE
 from benchmark.records.driving import PDM
-from benchmark.records.run import NATIVE, RunRecord
+from benchmark.records.run import NATIVE, RunRecord, protocol_of
 from benchmark.records.run_schema import ProtocolSummary
-from benchmark.report.cells import UNDEFINED, Shown, origin_of
-from benchmark.report.table import Brief, Table, table_of
+from benchmark.report.table import Table
+from leaderboard.frame.rows import run_notes, stale_notes
+from leaderboard.frame.runs import Frame, Row, judged, shown_protocols, whose
+from leaderboard.frame.specification import Value, Values, intervals, numbers, tabulate, texts, under
 from leaderboard.tables.attacks import success_table
 from leaderboard.tables.driving import driving_table
 from leaderboard.tables.effect import effect_table
 from leaderboard.tables.further_columns import further_table
 from leaderboard.tables.longer_plans import longer_table
 from leaderboard.tables.published import is_variant, published_rate, published_rates
-from leaderboard.tables.rows import in_table_order, row_name, run_notes, stale_notes
 
 BRIEF_NOTE = (
     "Brackets: 95 % bootstrap interval over recorded scenes; a dash where there are fewer than two or all of them "
     "agree."
 )
-_BRIEF_COLUMNS = ("col. avg", "95 % of avg", "L2 avg", "scenes failed")
-"""What a terminal shows behind planner, split and protocol; nonsense shows at once in L2."""
+_BRIEF = ("planner", "split", "protocol", "col. avg", "95 % of col. avg", "L2 avg", "scenes failed")
+"""What a terminal shows; nonsense shows at once in L2."""
 BEFORE_MASK = "collision_before_mask"
 MASK_COLUMNS = ("avg before mask", "steps masked", "masked for adversaries", "masked for others")
+_MASK_NOTE = (
+    "Mask: steps at which the recorded ego collides too, under the same protocol, do not count. Before it: the "
+    "average without that exclusion; masked: how many colliding steps it removed, at which the recorded ego "
+    "touches an adversary, and at which it touches something else alone. Where a protocol leaves out whole "
+    "samples (safemvdrive), the colliding steps of these are counted, and there is no average before it."
+)
+_PAPER_NOTE = (
+    "Paper: what it prints for the model of that name under the same protocol on nuScenes-val, nuScenes-val-R "
+    "and Adv-nuSc; on other data it is a reference and no target."
+)
 
 
-def collision_table(data_name: str, protocol: str, records: Sequence[RunRecord]) -> Table:
-    """Collision rates and L2 of our runs under one protocol.
+def collision_table(frame: Frame, protocol: str) -> Table:
+    """Collision rates and L2 of our runs under one protocol, or the paper's Table 1.
 
     Args:
-        data_name: Name of the data set, for the title.
-        protocol: Protocol of every number in the table.
-        records: Runs on this data set; those without the protocol are named below the table.
+        frame: The runs; those without the protocol are named below the table.
+        protocol: Protocol of every number in the table. ``native`` is that of each planner's own repository: then
+            planners without one come after the others, under ``exact``, and those whose own protocol takes maxima or
+            latches stand in its own table alone.
 
     Returns:
         One row per planner and split: rates with the 95 % scene-bootstrap interval of their average, what the
         protocol's exclusion of recorded collisions removed (where it has one), L2, and what was counted.
     """
-    runs = [record for record in in_table_order(records) if protocol in record.summary.protocols]
-    versions = sorted({record.summary.protocols[protocol].version for record in runs})
-    return _table(
-        f"collision-{protocol}",
-        f"{data_name}: collision rate (%) and L2 (m), protocol {protocol} "
-        f"(version {', '.join(str(version) for version in versions)})",
-        in_table_order(records),
-        lambda record: protocol,
-        notes=(),
-    )
+    title = f"{frame.data_name}: collision rate (%) and L2 (m), "
+    if protocol == NATIVE:
+        maxima = [record for record in frame.runs if takes_maxima(record.native_protocol)]
+        runs = [record for record in frame.runs if not takes_maxima(record.native_protocol)]
+        runs.sort(key=lambda record: record.run.planner.native_protocol is None)
+        title += "each planner under its own protocol"
+        return _table(runs, protocol, title, _native_notes(runs, maxima))
+    versions = ", ".join(str(version) for version in sorted({row.found.version for row in frame.judged(protocol)}))
+    return _table(frame.runs, protocol, f"{title}protocol {protocol} (version {versions})", ())
 
 
-def native_table(data_name: str, records: Sequence[RunRecord]) -> Table:
-    """The paper's Table 1: every planner under the protocol of its own repository.
-
-    Args:
-        data_name: Name of the data set, for the title.
-        records: Runs on this data set.
-
-    Returns:
-        One row per planner and split that says whose protocol it is; planners without one of their own come after the
-        others, under ``exact``. Planners whose own protocol takes maxima or latches stand in its own table alone.
-    """
-    maxima = [record for record in records if takes_maxima(record.native_protocol)]
-    records = [record for record in records if not takes_maxima(record.native_protocol)]
-    ordered = sorted(in_table_order(records), key=lambda record: record.run.planner.native_protocol is None)
-    without = any(record.run.planner.native_protocol is None for record in records)
+def _native_notes(runs: Sequence[RunRecord], maxima: Sequence[RunRecord]) -> list[str]:
+    without = any(record.run.planner.native_protocol is None for record in runs)
     said = " The last rows, under exact, are planners without a repository of their own." if without else ""
-    return _table(
-        "collision-native",
-        f"{data_name}: collision rate (%) and L2 (m), each planner under its own protocol",
-        ordered,
-        lambda record: record.native_protocol,
-        notes=(
-            "As in the paper, each row quotes the protocol of the planner's own repository: rows of different "
-            f"protocols are not comparable.{said}",
-            *(
-                f"{record.planner} on {record.run.split}: {record.native_protocol} says whether there is any contact "
-                "up to the horizon, which shares no column with values at a step or means; see its own table."
-                for record in in_table_order(maxima)
-            ),
+    return [
+        "As in the paper, each row quotes the protocol of the planner's own repository: rows of different "
+        f"protocols are not comparable.{said}",
+        *(
+            f"{record.planner} on {record.run.split}: {record.native_protocol} says whether there is any contact "
+            "up to the horizon, which shares no column with values at a step or means; see its own table."
+            for record in maxima
         ),
-        names_protocol=True,
-    )
+    ]
 
 
 def run_tables(
@@ -110,101 +100,83 @@ def run_tables(
         further rates where it has some, and unasked one for plans that go on beyond 3 s and one for attack success
         where there are adversaries; none if there are no runs to show.
     """
-    shown = records if allow_partial else [record for record in records if record.complete]
-    own = any(record.run.planner.native_protocol for record in shown)
-    names = protocols or ((EXACT, NATIVE) if own else (EXACT,))
-    by_name = {NATIVE: native_table, PDM: driving_table}
-    tables = [
-        (by_name[name](data_name, shown), None)
-        if name in by_name
-        else (collision_table(data_name, name, shown), further_table(data_name, name, shown))
-        for name in names
-        if shown
+    shown = Frame(data_name, [record for record in records if allow_partial or record.complete], against)
+    unasked = protocols is None
+    tables: list[Table | None] = [effect_table(shown)] if unasked else []
+    for name in shown_protocols(shown, protocols) if shown.runs else ():
+        tables += [driving_table(shown)] if name == PDM else [collision_table(shown, name), further_table(shown, name)]
+    tables += [longer_table(shown), success_table(shown)] if unasked else []
+    return [table for table in tables if table is not None]
+
+
+def _table(runs: Sequence[RunRecord], protocol: str, title: str, notes: Sequence[str]) -> Table:
+    rows, who, own = judged(runs, protocol), whose(protocol), protocol == NATIVE
+    has_mask = any(map(_is_masked, rows))
+    has_paper = any(published_rate(row.record, row.judge) is not None for row in rows)
+    columns = [
+        *texts("planner", "split", *(("protocol",) if own else ())),
+        *under(
+            f"collision rate in %, {who}",
+            numbers(*(f"col. {horizon}" for horizon in HORIZONS), digits=2),
+            intervals({"95 % of avg": "col. avg"}),
+        ),
+        *(under(f"mask, {who}", numbers(MASK_COLUMNS[0], digits=2), numbers(*MASK_COLUMNS[1:])) if has_mask else ()),
+        *under(f"L2 in m, {who}", numbers(*(f"L2 {horizon}" for horizon in HORIZONS), digits=2)),
+        *under(f"counted, {who}", numbers("samples", "scenes", "scenes failed"), numbers("coverage", digits=1)),
+        *under(
+            f"paper, collision rate in %, {who}",
+            numbers(*(f"paper {horizon}" for horizon in HORIZONS if has_paper)),
+        ),
     ]
-    unasked = [longer_table(data_name, shown), success_table(data_name, shown)] if protocols is None else []
-    first = [effect_table(data_name, shown, against)] if protocols is None else []
-    return [table for table in (*first, *(table for both in tables for table in both), *unasked) if table is not None]
-
-
-def _table(
-    name: str,
-    title: str,
-    records: Sequence[RunRecord],
-    judge_of: Callable[[RunRecord], str],
-    *,
-    notes: Sequence[str],
-    names_protocol: bool = False,
-) -> Table:
-    """Rows of all records that have their judge's verdicts, in the order given."""
-    runs = [record for record in records if judge_of(record) in record.summary.protocols]
-    has_mask = any(_is_masked(run, judge_of(run)) for run in runs)
-    has_paper = any(published_rate(run, judge_of(run)) is not None for run in runs)
-    rows: list[tuple[str | Shown, ...]] = []
-    for run in runs:
-        judge = judge_of(run)
-        rows.append(
-            (
-                *(row_name(run, judge), run.run.split, *((judge,) if names_protocol else ())),
-                *_numbers(run, judge, has_mask=has_mask),
-                *_distances_and_counts(run, judge),
-                *(published_rates(published_rate(run, judge)) if has_paper else ()),
-            )
-        )
-    who = "own protocol" if names_protocol else next((judge_of(run) for run in runs), "")
-    columns = (
-        *("planner", "split", *(("protocol",) if names_protocol else ())),
-        *(*(f"col. {horizon}" for horizon in HORIZONS), "95 % of avg"),
-        *(MASK_COLUMNS if has_mask else ()),
-        *(f"L2 {horizon}" for horizon in HORIZONS),
-        *("samples", "scenes", "scenes failed", "coverage"),
-        *((f"paper {horizon}" for horizon in HORIZONS) if has_paper else ()),
-    )
-    texts = 3 if names_protocol else 2
-    said = _run_notes(records, judge_of)
-    of_columns = _column_notes(records, judge_of, has_mask=has_mask, has_paper=has_paper)
-    return table_of(
-        name,
+    said = _run_notes(runs, protocol)
+    of_columns = [
+        *([_PAPER_NOTE] if has_paper else []),
+        *_variants(runs, protocol),
+        *([_MASK_NOTE] if has_mask else []),
+    ]
+    return tabulate(
+        f"collision-{protocol}",
         title,
         columns,
-        rows,
-        notes=(*notes, BRIEF_NOTE, *of_columns, *said),
-        brief=Brief(
-            title,
-            (*range(texts), *(columns.index(head) for head in _BRIEF_COLUMNS)),
-            (*notes, BRIEF_NOTE, *_mask_notes(records, judge_of), *said),
-            texts,
-        ),
-        text_columns=texts,
-        groups=(
-            ("", 3 if names_protocol else 2),
-            (f"collision rate in %, {who}", 5),
-            (f"mask, {who}", len(MASK_COLUMNS) if has_mask else 0),
-            (f"L2 in m, {who}", 4),
-            (f"counted, {who}", 4),
-            (f"paper, collision rate in %, {who}", 4 if has_paper else 0),
-        ),
+        map(_values, rows),
+        (*notes, BRIEF_NOTE, *of_columns, *said),
+        brief=_BRIEF,
+        brief_notes=(*notes, BRIEF_NOTE, *_masked_in_words(rows), *said),
         sources=(TABLE_1_SOURCE,) if has_paper else (),
     )
 
 
-def _numbers(record: RunRecord, judge: str, *, has_mask: bool) -> tuple[Shown, ...]:
-    """Collision rates, the interval of their average, and what a mask takes away."""
-    origin, summary = origin_of(record, judge), record.summary.protocols[judge]
-    collision = {horizon: origin.percent(rate) for horizon, rate in summary.columns["collision"].items()}
-    shown = (*(collision[horizon].shown(2) for horizon in HORIZONS), collision["avg"].interval())
-    if not has_mask:
-        return shown
-    masked = summary.mask_removed_steps
-    if not _is_masked(record, judge):
-        return (*shown, *(Shown(UNDEFINED) for _ in MASK_COLUMNS))
-    # Where whole samples are left out there is no rate of the same samples without that.
-    before = origin.percent(summary.columns[BEFORE_MASK]["avg"]).shown(2) if BEFORE_MASK in summary.columns else None
+def _values(row: Row[ProtocolSummary]) -> Values:
+    summary, origin = row.found, row.origin
+    paper = published_rates(published_rate(row.record, row.judge))
+    decided = summary.scenes_decided
+    return {
+        **row.names,
+        "protocol": row.judge,
+        **row.by_horizon("col. {}", "collision", summary.columns["collision"]),
+        **(_mask_values(row) if _is_masked(row) else {}),
+        **row.by_horizon("L2 {}", "l2", summary.columns["l2"]),
+        "samples": row.samples(summary.counted),
+        "scenes": row.scenes_of_split(),
+        "scenes failed": origin.count(summary.scenes_failed, "scenes", decided).shown(after=f"/{decided}"),
+        "coverage": origin.cell(row.record.summary.coverage, "%", row.record.summary.samples, scale=100.0),
+        **{f"paper {horizon}": rate for horizon, rate in zip(HORIZONS, paper, strict=True)},
+    }
+
+
+def _mask_values(row: Row[ProtocolSummary]) -> dict[str, Value]:
+    """What a mask takes away; where whole samples are left out there is no rate of the same samples without that."""
+    summary, masked = row.found, row.found.mask_removed_steps
+    before = summary.columns.get(BEFORE_MASK)
     counts = (masked, summary.mask_removed_for_adversary, _masked_for_others(summary))
-    return (*shown, before or Shown(UNDEFINED), *(origin.count(count, "steps", masked).shown() for count in counts))
+    return {
+        MASK_COLUMNS[0]: None if before is None else row.origin.percent(before["avg"]),
+        **{head: row.origin.count(count, "steps", masked) for head, count in zip(MASK_COLUMNS[1:], counts)},
+    }
 
 
-def _is_masked(record: RunRecord, judge: str) -> bool:
-    return BEFORE_MASK in record.summary.protocols[judge].columns or leaves_out_samples(judge)
+def _is_masked(row: Row[ProtocolSummary]) -> bool:
+    return BEFORE_MASK in row.found.columns or leaves_out_samples(row.judge)
 
 
 def _masked_for_others(summary: ProtocolSummary) -> int | None:
@@ -212,72 +184,33 @@ def _masked_for_others(summary: ProtocolSummary) -> int | None:
     return None if masked is None or for_adversary is None else masked - for_adversary
 
 
-def _mask_notes(records: Sequence[RunRecord], judge_of: Callable[[RunRecord], str]) -> list[str]:
+def _masked_in_words(rows: Sequence[Row[ProtocolSummary]]) -> list[str]:
     """What a terminal, which does not show the columns, says of masked steps."""
-    found = [(record, record.summary.protocols.get(judge_of(record))) for record in records]
-    counted = [(run, summary) for run, summary in found if summary is not None and summary.mask_removed_steps]
-    if not counted:
-        return []
-    told = (
-        f"{run.planner} on {run.run.split} {summary.mask_removed_for_adversary} / {_masked_for_others(summary)}"
-        if summary.mask_removed_for_adversary is not None
-        else f"{run.planner} on {run.run.split} {summary.mask_removed_steps} in all"
-        for run, summary in counted
-    )
-    return [
-        "Colliding steps masked because the recorded ego touches an adversary / something else under the same "
-        f"protocol: {', '.join(told)}."
+    told = [
+        f"{row.who} {row.found.mask_removed_for_adversary} / {_masked_for_others(row.found)}"
+        if row.found.mask_removed_for_adversary is not None
+        else f"{row.who} {row.found.mask_removed_steps} in all"
+        for row in rows
+        if row.found.mask_removed_steps
     ]
-
-
-def _distances_and_counts(record: RunRecord, judge: str) -> tuple[Shown, ...]:
-    origin, summary, run = origin_of(record, judge), record.summary.protocols[judge], record.run
-    return (
-        *(origin.amount(summary.columns["l2"][horizon], "m").shown(2) for horizon in HORIZONS),
-        origin.count(summary.counted, "samples", record.summary.samples).shown(),
-        origin.count(len(run.scenes), "scenes", run.scenes_in_split).shown(),
-        origin.count(summary.scenes_failed, "scenes", summary.scenes_decided).shown(after=f"/{summary.scenes_decided}"),
-        origin.cell(record.summary.coverage, "%", record.summary.samples, scale=100.0).shown(1),
+    said = (
+        "Colliding steps masked because the recorded ego touches an adversary / something else under the same protocol"
     )
+    return [f"{said}: {', '.join(told)}."] if told else []
 
 
-def _column_notes(
-    records: Sequence[RunRecord], judge_of: Callable[[RunRecord], str], *, has_mask: bool, has_paper: bool
-) -> list[str]:
-    """What the columns mean that a terminal does not show unasked."""
-    notes = _paper_notes(records, judge_of, has_paper=has_paper)
-    if has_mask:
-        notes.append(
-            "Mask: steps at which the recorded ego collides too, under the same protocol, do not count. Before it: the "
-            "average without that exclusion; masked: how many colliding steps it removed, at which the recorded ego "
-            "touches an adversary, and at which it touches something else alone. Where a protocol leaves out whole "
-            "samples (safemvdrive), the colliding steps of these are counted, and there is no average before it."
-        )
-    return notes
-
-
-def _run_notes(records: Sequence[RunRecord], judge_of: Callable[[RunRecord], str]) -> list[str]:
+def _run_notes(runs: Sequence[RunRecord], protocol: str) -> list[str]:
     told = []
-    for record in records:
-        judge, who = judge_of(record), f"{record.planner} on {record.run.split}"
+    for record in runs:
+        judge, who = protocol_of(record, protocol), f"{record.planner} on {record.run.split}"
         if judge not in record.summary.protocols:
             told.append(f"{who}: no verdicts under protocol {judge}; run challenger-bench rescore.")
         told += stale_notes(record, (judge,))
-    return run_notes(records, told)
+    return run_notes(runs, told)
 
 
-def _paper_notes(records: Sequence[RunRecord], judge_of: Callable[[RunRecord], str], *, has_paper: bool) -> list[str]:
-    """What the paper's numbers beside ours are, and beside whom they do not stand."""
-    notes = []
-    if has_paper:
-        notes.append(
-            "Paper: what it prints for the model of that name under the same protocol on nuScenes-val, nuScenes-val-R "
-            "and Adv-nuSc; on other data it is a reference and no target."
-        )
-    variants = sorted({record.run.planner.name for record in records if is_variant(record, judge_of(record))})
-    if variants:
-        notes.append(
-            f"No published row stands beside {', '.join(variants)}: a miniature or a variant is not the model that the "
-            "paper ran."
-        )
-    return notes
+def _variants(runs: Sequence[RunRecord], protocol: str) -> list[str]:
+    """Beside whom the paper's numbers do not stand."""
+    variants = {each.run.planner.name for each in runs if is_variant(each, protocol_of(each, protocol))}
+    some = f"No published row stands beside {', '.join(sorted(variants))}"
+    return [f"{some}: a miniature or a variant is not the model that the paper ran."] if variants else []

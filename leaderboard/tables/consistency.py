@@ -1,62 +1,40 @@
 """How far consecutive plans of each planner disagree about the same place and time."""
 
-from collections.abc import Sequence
+from benchmark.metrics.consistency import INSTANTS, MEAN, Consistency, consistency
+from benchmark.report.table import Table
+from leaderboard.frame.runs import Frame, Row, row_notes
+from leaderboard.frame.specification import Values, estimates, numbers, tabulate, texts, under
 
-from benchmark.metrics.consistency import INSTANTS, MEAN, consistency
-from benchmark.records.run import RunRecord
-from benchmark.report.cells import Shown, origin_of
-from benchmark.report.table import Brief, Table, table_of
-from leaderboard.tables.rows import in_table_order, name_cell, run_notes
+_AFTER = {instant: f"after {instant}" for instant in INSTANTS}
+_COLUMNS = [
+    *texts("planner", "split"),
+    *under("distance in m", estimates(MEAN, digits=2), numbers(*_AFTER.values(), digits=2)),
+    *under("counted", numbers("pairs")),
+]
+_NOTE = (
+    "Two plans half a second apart, the recorded motion between them taken out: distance at the same instants, by "
+    "seconds after the later one. Brackets: 95 % bootstrap interval over recorded scenes. 0: one fixed path is "
+    "followed. Who changes a plan for a good reason is not told from who dithers."
+)
 
 
-def consistency_table(data_name: str, records: Sequence[RunRecord]) -> Table | None:
-    """Distances between consecutive plans, from rows alone.
-
-    Args:
-        data_name: Name of the data set, for the title.
-        records: Runs on this data set.
-
-    Returns:
-        One row per planner and split, or ``None`` where no two consecutive samples have plans.
-    """
-    found = [(record, consistency(record)) for record in in_table_order(records)]
-    shown = [(record, one) for record, one in found if one.pairs]
-    if not shown:
+def consistency_table(frame: Frame) -> Table | None:
+    """Distances between consecutive plans; ``None`` where no two consecutive samples have plans."""
+    rows = [row for row in frame.rows("", consistency) if row.found.pairs]
+    if not rows:
         return None
-    title = f"{data_name}: how far consecutive plans disagree about the same place and time (m)"
-    told = [
-        f"{record.planner} on {record.run.split}: {one.without} pairs are left out because a plan is missing."
-        for record, one in shown
-        if one.without
-    ]
-    notes = (
-        "Two plans half a second apart, the recorded motion between them taken out: distance at the same instants, by "
-        "seconds after the later one. Brackets: 95 % bootstrap interval over recorded scenes. 0: one fixed path is "
-        "followed. Who changes a plan for a good reason is not told from who dithers.",
-        *run_notes([record for record, _ in shown], told),
-    )
-    columns = ("planner", "split", MEAN, f"95 % of {MEAN}", *(f"after {instant}" for instant in INSTANTS), "pairs")
-    rows: list[tuple[str | Shown, ...]] = []
-    for record, one in shown:
-        origin, planner = origin_of(record, None), record.run.planner
-        cells = {name: origin.amount(rate, "m", "pairs") for name, rate in one.distances.items()}
-        rows.append(
-            (
-                name_cell(record.planner, privileged=planner.privileged, miniature=planner.miniature),
-                record.run.split,
-                cells[MEAN].shown(2),
-                cells[MEAN].interval(),
-                *(cells[instant].shown(2) for instant in INSTANTS),
-                origin.count(one.pairs, "pairs", one.pairs + one.without).shown(),
-            )
-        )
-    return table_of(
-        "consistency",
-        title,
-        columns,
-        rows,
-        notes=notes,
-        brief=Brief(title, (0, 1, 2, 3, len(columns) - 1), notes, text_columns=2),
-        text_columns=2,
-        groups=(("", 2), ("distance in m", 2 + len(INSTANTS)), ("counted", 1)),
-    )
+    title = f"{frame.data_name}: how far consecutive plans disagree about the same place and time (m)"
+    without = [(row.who, row.found.without) for row in rows if row.found.without]
+    told = [f"{who}: {count} pairs are left out because a plan is missing." for who, count in without]
+    brief = ("planner", "split", MEAN, f"95 % of {MEAN}", "pairs")
+    return tabulate("consistency", title, _COLUMNS, map(_values, rows), (_NOTE, *row_notes(rows, told)), brief=brief)
+
+
+def _values(row: Row[Consistency]) -> Values:
+    found, origin = row.found, row.origin
+    return {
+        "planner": row.planner,
+        "split": row.split,
+        **{_AFTER.get(at, at): origin.amount(rate, "m", "pairs") for at, rate in found.distances.items()},
+        "pairs": origin.count(found.pairs, "pairs", found.pairs + found.without),
+    }

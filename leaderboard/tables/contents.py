@@ -1,39 +1,71 @@
-"""Which tables and figures the records of one data set give."""
+"""Which tables there are, and in which order they are read."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Final
 
-from benchmark.errors import InputError
 from benchmark.metrics.attacks import has_adversaries, says_severity
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.scores import require_current
-from benchmark.metrics.transfer import TransferMatrix
 from benchmark.records.ablation import AblationReport
+from benchmark.records.drives import DriveRecord
 from benchmark.records.driving import PDM
-from benchmark.records.run import NATIVE, RunRecord, protocol_of
+from benchmark.records.run import RunRecord
 from benchmark.records.scenes import Sheets
 from benchmark.report.table import Table
+from leaderboard.frame.runs import Frame
+from leaderboard.frame.sheets import OfSplits, by_data_set, by_name
 from leaderboard.tables.ablation import ablation_tables
 from leaderboard.tables.attacks import attack_tables
-from leaderboard.tables.collision import collision_table, native_table
-from leaderboard.tables.comparisons import Verdicts, planner_table, split_table
+from leaderboard.tables.collision import collision_table
+from leaderboard.tables.comparisons import planner_table, split_table
 from leaderboard.tables.consistency import consistency_table
-from leaderboard.tables.cost import cost_table
+from leaderboard.tables.cost import cost_table, drive_cost_table
 from leaderboard.tables.diagnosis import diagnosis_tables
-from leaderboard.tables.disagreement import disagreement_table
+from leaderboard.tables.disagreement import disagreement_tables
 from leaderboard.tables.drawn_seeds import drawn_seeds_table
-from leaderboard.tables.driving import driving_table
+from leaderboard.tables.drives import drive_tables
+from leaderboard.tables.driving import driving_tables
 from leaderboard.tables.effect import effect_table
 from leaderboard.tables.further_columns import further_table
 from leaderboard.tables.judgements import judgement_tables
 from leaderboard.tables.longer_plans import longer_table
+from leaderboard.tables.loops import loop_tables
 from leaderboard.tables.manoeuvres import manoeuvre_tables
-from leaderboard.tables.rows import in_table_order, part_of_split, splits_of
+from leaderboard.tables.pressure import pressure_tables
 from leaderboard.tables.runtime import runtime_tables
 from leaderboard.tables.seeds import seed_spread_table
-from leaderboard.tables.slices import DIAGNOSIS, slice_tables
+from leaderboard.tables.slices import DIAGNOSIS, slices_of
 from leaderboard.tables.statistics import statistics_tables
-from leaderboard.tables.transfer import both_matrices, lift_table, transfer_table
+from leaderboard.tables.transfer import transfer_tables
+
+Made = Table | None | Iterable[Table]
+FIRST: Final[tuple[Callable[[Frame], Made], ...]] = (effect_table,)
+UNDER: Final[tuple[Callable[[Frame, str], Made], ...]] = (
+    collision_table,
+    further_table,
+    seed_spread_table,
+    drawn_seeds_table,
+    split_table,
+)
+"""Under a protocol, or ``native``."""
+ON: Final[tuple[Callable[[Frame, str, str], Made], ...]] = (planner_table, transfer_tables)
+"""Under a protocol on a split."""
+LAST: Final[tuple[Callable[[Frame], Made], ...]] = (
+    attack_tables,
+    judgement_tables,
+    longer_table,
+    consistency_table,
+    diagnosis_tables,
+    disagreement_tables,
+    driving_tables,
+    cost_table,
+)
+OF_GENERATION: Final[tuple[OfSplits, ...]] = (
+    statistics_tables,
+    manoeuvre_tables,
+    runtime_tables,
+)
+"""Made from scene sheets."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,24 +73,16 @@ class DataSetTables:
     """Tables of one data set, in the order in which they are read.
 
     Attributes:
-        data_name: Name of the data set.
+        frame: What they are made from; no part of what makes them equal.
         front: Under ``exact`` and under the planners' own protocols, then diagnosis, disagreement and driving scores.
         slices: By place, light, manoeuvre, speed and command: the same judges as ``front``.
         others: Under each other protocol; the collision table comes first.
-        matrices: Transfer matrices that get a picture of shares, by the name of their table.
-        lifts: Those that get one of lift and φ, by the name of that table.
-        records: What they are made from.
-        notes: Sentences on what records lack.
     """
 
-    data_name: str
+    frame: Frame = field(compare=False, repr=False)
     front: tuple[Table, ...]
     slices: tuple[Table, ...]
     others: dict[str, tuple[Table, ...]]
-    matrices: dict[str, TransferMatrix]
-    lifts: dict[str, TransferMatrix]
-    records: tuple[RunRecord, ...]
-    notes: tuple[str, ...]
 
     @property
     def tables(self) -> tuple[Table, ...]:
@@ -66,53 +90,54 @@ class DataSetTables:
         return (*self.front, *self.slices, *(table for tables in self.others.values() for table in tables))
 
 
-def data_set_tables(data_name: str, records: Sequence[RunRecord], against: Sequence[RunRecord] = ()) -> DataSetTables:
-    """Every table that the records of one data set allow.
+def data_set_tables(frame: Frame) -> DataSetTables:
+    """Every table that the records of one data set allow: at most one for each planner and split."""
+    front = (
+        *(frame.once(make) for make in FIRST),
+        *_under(frame, frame.judges),
+        *(make(frame) for make in LAST),
+    )
+    others = {}
+    for name in sorted(frame.protocols - {EXACT}):
+        # Verdicts of one protocol at a time are in memory.
+        frame.forget_verdicts()
+        others[name] = (*_flat(_under(frame, [name])), *_slices(frame, name))
+    frame.forget_verdicts()
+    return DataSetTables(frame, _flat(front), _slices(frame, *frame.judges, PDM, DIAGNOSIS), others)
+
+
+def _under(frame: Frame, judges: Sequence[str]) -> Iterable[Made]:
+    yield from (frame.once(make, judge) for make in UNDER for judge in judges)
+    yield from (make(frame, judge, split) for split in frame.splits for make in ON for judge in judges)
+
+
+def _flat(made: Iterable[Made]) -> tuple[Table, ...]:
+    """Tables, one after the other."""
+    parts = ([part] if isinstance(part, Table) else part or () for part in made)
+    return tuple(table for part in parts for table in part)
+
+
+def _slices(frame: Frame, *asked: str) -> tuple[Table, ...]:
+    """Tables by slice that have rows; what old records lack is said once, in the notes."""
+    return tuple(table for table in slices_of(frame, asked) if table.rows)
+
+
+def closed_loop_tables(data_name: str, drives: Sequence[DriveRecord], runs: Sequence[RunRecord]) -> tuple[Table, ...]:
+    """Every table of drives through one data set, beside open loop where the planners ran there too.
 
     Args:
         data_name: Its name.
-        records: At most one for each planner and split.
-        against: Records of other data sets, which may have the unchanged recordings of its adversarial scenes.
+        drives: Records of drives through it.
+        runs: Run records.
 
     Returns:
         The tables.
+
+    Raises:
+        InputError: If two records of drives would share a row.
     """
-    protocols = {name for record in records for name in record.summary.protocols}
-    splits, verdicts = splits_of(records), Verdicts()
-    front: list[Table | None] = [effect_table(data_name, records, against)]
-    matrices: dict[str, TransferMatrix] = {}
-    lifts: dict[str, TransferMatrix] = {}
-    names = [name for name in (EXACT, NATIVE) if name in protocols or (name == NATIVE and _has_native(records))]
-    front += [
-        native_table(data_name, records) if name == NATIVE else collision_table(data_name, name, records)
-        for name in names
-    ]
-    front += [seed_spread_table(data_name, name, records) for name in names]
-    front += [drawn_seeds_table(data_name, name, records) for name in names]
-    front += [split_table(data_name, name, records, verdicts) for name in names]
-    for split in splits:
-        front += [planner_table(data_name, split, name, records, verdicts) for name in names if name != NATIVE]
-        for name in names:
-            found, of_transfer = _transfer_tables(data_name, split, name, records)
-            front += of_transfer
-            matrices |= zip([table.name for table in of_transfer[::2]], found)
-            if found and name == EXACT:
-                # Where it is known who is an adversary, contacts with bystanders say nothing of attacks.
-                lifts[of_transfer[-1].name] = found[-1]
-    front += [*attack_tables(data_name, records), *judgement_tables(data_name, records)]
-    front += [longer_table(data_name, records), consistency_table(data_name, records)]
-    if EXACT in protocols:
-        front += diagnosis_tables(data_name, records)
-        disagreements = (disagreement_table(data_name, split, records) for split in splits)
-        front += [table for table in disagreements if table.rows]
-    if any(record.summary.driving is not None for record in records):
-        front.append(driving_table(data_name, records))
-    front.append(cost_table(data_name, records))
-    # Verdicts of one protocol at a time are in memory.
-    others = {name: _tables_under(data_name, name, splits, records) for name in sorted(protocols - {EXACT})}
-    tables = tuple(table for table in front if table is not None)
-    slices = _slices(data_name, records, (*names, PDM, DIAGNOSIS))
-    return DataSetTables(data_name, tables, slices, others, matrices, lifts, tuple(records), _missing(records))
+    made = drive_tables(drives), loop_tables(drives, runs), pressure_tables(drives), drive_cost_table(data_name, drives)
+    return _flat(made)
 
 
 def generation_tables(sheets: Sheets, ablations: Sequence[AblationReport]) -> dict[str, tuple[Table, ...]]:
@@ -128,65 +153,13 @@ def generation_tables(sheets: Sheets, ablations: Sequence[AblationReport]) -> di
     Raises:
         InputError: If a sheet is damaged.
     """
-    parts = (statistics_tables(sheets), manoeuvre_tables(sheets), runtime_tables(sheets), ablation_tables(ablations))
-    names = sorted({name for part in parts for name in part})
-    return {name: tuple(table for part in parts for table in part.get(name, ())) for name in names}
+    return by_name([*(by_data_set(sheets, make) for make in OF_GENERATION), ablation_tables(ablations)])
 
 
-def _tables_under(
-    data_name: str, protocol: str, splits: Sequence[str], records: Sequence[RunRecord]
-) -> tuple[Table, ...]:
-    verdicts = Verdicts()
-    tables = [
-        collision_table(data_name, protocol, records),
-        further_table(data_name, protocol, records),
-        seed_spread_table(data_name, protocol, records),
-        drawn_seeds_table(data_name, protocol, records),
-        split_table(data_name, protocol, records, verdicts),
-    ]
-    for split in splits:
-        tables.append(planner_table(data_name, split, protocol, records, verdicts))
-        tables += _transfer_tables(data_name, split, protocol, records)[1]
-    return (*(table for table in tables if table is not None), *_slices(data_name, records, (protocol,)))
-
-
-def _slices(data_name: str, records: Sequence[RunRecord], asked: Sequence[str]) -> tuple[Table, ...]:
-    """Tables by slice that have rows; what old records lack is said once, in the notes."""
-    return tuple(table for table in slice_tables(data_name, records, asked) if table.rows)
-
-
-def _transfer_tables(
-    data_name: str, split: str, protocol: str, records: Sequence[RunRecord]
-) -> tuple[list[TransferMatrix], list[Table]]:
-    """Matrices of the planners that ran on the whole split, of each a table of shares and one of lift and φ.
-
-    The tables say who is left out.
-    """
-    kept, refused = [], []
-    for record in in_table_order(records):
-        if record.run.split != split:
-            continue
-        if not record.covers_split:
-            ran = part_of_split(len(record.run.scenes), record.run.scenes_in_split)
-            refused.append(f"Left out: {record.planner} ran on {ran}.")
-            continue
-        try:
-            require_current(record, protocol_of(record, protocol))
-        except InputError as refusal:
-            refused.append(f"Left out: {refusal}.")
-            continue
-        kept.append(record)
-    if len(kept) < 2:
-        return [], []
-    matrices = both_matrices(kept, protocol)
-    tables = [make(data_name, each) for each in matrices for make in (transfer_table, lift_table)]
-    return matrices, [replace(table, notes=(*table.notes, *refused)) for table in tables]
-
-
-def _missing(records: Sequence[RunRecord]) -> tuple[str, ...]:
-    """What old records do not say."""
+def missing_notes(frame: Frame) -> list[str]:
+    """Sentences on what old records do not say."""
     notes = []
-    for record in in_table_order(records):
+    for record in frame.runs:
         who = f"{record.planner} on {record.run.split}"
         if record.missing_protocols:
             notes.append(f"{who}: not judged by {', '.join(record.missing_protocols)}; run challenger-bench rescore.")
@@ -205,8 +178,4 @@ def _missing(records: Sequence[RunRecord]) -> tuple[str, ...]:
                 f"{who}: the record does not say which recordings its scenes come from, so that intervals take scenes "
                 "of one recording for independent; run challenger-bench rescore."
             )
-    return tuple(notes)
-
-
-def _has_native(records: Sequence[RunRecord]) -> bool:
-    return any(record.run.planner.native_protocol is not None for record in records)
+    return notes

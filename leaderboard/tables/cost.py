@@ -6,15 +6,15 @@ from typing import Final
 from benchmark.records.drives import DriveRecord
 from benchmark.records.planner_cost import COLD_SAMPLES, PlannerCost, summary_of
 from benchmark.records.run import RunRecord
-from benchmark.report.cells import UNDEFINED, Origin, Shown, named_record
-from benchmark.report.table import Table, table_of
-from leaderboard.tables.drives import origin_of_drives, planner_cell
-from leaderboard.tables.pages import COST
-from leaderboard.tables.rows import in_table_order, mark_notes, notes_of_marks, row_name
-from leaderboard.tables.worlds import worlds
+from benchmark.report.cells import Cell, Origin
+from benchmark.report.table import Table
+from leaderboard.frame.drives import worlds
+from leaderboard.frame.rows import marks_of, notes_of_marks
+from leaderboard.frame.runs import Frame
+from leaderboard.frame.specification import Value, Values, numbers, tabulate, texts
+from leaderboard.page.files import COST
 
 _MS: Final = 1000.0
-_HEADS: Final = ("device", "median, ms", "p95, ms", "memory, MB", "GPU, MB", "processes")
 _NOTE: Final = (
     f"Latency: from asking to the plan, reading images included, by the clock; the first {COLD_SAMPLES} samples of "
     "each scene are left out. Memory: greatest resident memory of the process that plans, the harness included (of "
@@ -24,85 +24,52 @@ _NOTE: Final = (
 _SHARED_NOTE: Final = "Several processes planned side by side; latencies are longer than alone."
 
 
-def cost_table(data_name: str, records: Sequence[RunRecord]) -> Table | None:
-    """Latency and memory of every planner on every split.
-
-    Args:
-        data_name: Name of the data set.
-        records: At most one for each planner and split.
-
-    Returns:
-        The table, or ``None`` where nothing was noted.
-    """
-    known = [(record, record.cost) for record in in_table_order(records) if record.cost is not None]
-    if not known:
-        return None
-    rows = []
-    for record, cost in known:
-        origin = Origin(record=named_record(record.content_id, record.planner, record.run.split))
-        rows.append((row_name(record, ""), record.run.split, *_cells(origin, cost, "scenes")))
-    return table_of(
-        COST,
-        f"{data_name}: what planners cost",
-        ("planner", "split", *_HEADS),
-        rows,
-        notes=(*notes_of_marks([record for record, _ in known]), _NOTE, *_shared([cost for _, cost in known])),
-        text_columns=3,
-    )
+def cost_table(frame: Frame) -> Table | None:
+    """Latency and memory of every planner on every split; ``None`` where nothing was noted."""
+    rows = frame.rows("", _cost)
+    shown = [row.names | _values(row.origin, row.found, "scenes") for row in rows]
+    marks = notes_of_marks(row.record for row in rows)
+    return _table(COST, f"{frame.data_name}: what planners cost", "split", shown, marks)
 
 
 def drive_cost_table(data_name: str, records: Sequence[DriveRecord]) -> Table | None:
-    """Latency and memory of every planner while it drove.
+    """Latency and memory of every planner while it drove; ``None`` where nothing was noted."""
+    shown: list[Values] = []
+    planners = []
+    for row in (row for world in worlds(records) for row in world.rows):
+        facts, cost = row.record.facts, row.record.cost
+        if cost is not None:
+            where = f"{facts.split}, {facts.measured.world}, sensor {facts.measured.sensor}"
+            shown.append({"planner": row.planner, "driven": where, **_values(row.origin, cost, "drives")})
+            planners.append(facts.planner)
+    title = f"{data_name}: what planners cost while they drive"
+    return _table(f"drive-{COST}", title, "driven", shown, marks_of(planners))
 
-    Args:
-        data_name: Name of the data set.
-        records: Of drives through it.
 
-    Returns:
-        The table, or ``None`` where nothing was noted.
+def _cost(record: RunRecord) -> PlannerCost | None:
+    return record.cost
 
-    Raises:
-        InputError: As of `leaderboard.tables.worlds.worlds`.
-    """
-    known = [
-        (record, name, record.cost)
-        for world in worlds(records)
-        for record, name in zip(world.records, world.planners, strict=True)
-        if record.cost is not None
-    ]
-    if not known:
+
+def _table(name: str, title: str, where: str, rows: Sequence[Values], marks: Sequence[str]) -> Table | None:
+    if not rows:
         return None
-    rows = []
-    for record, name, cost in known:
-        facts = record.facts
-        where = f"{facts.split}, {facts.measured.world}, sensor {facts.measured.sensor}"
-        rows.append((planner_cell(record, name), where, *_cells(origin_of_drives(record, name), cost, "drives")))
-    planners = [record.facts.planner for record, _, _ in known]
-    marks = mark_notes(
-        privileged=any(each.privileged for each in planners), miniature=any(each.miniature for each in planners)
-    )
-    return table_of(
-        f"drive-{COST}",
-        f"{data_name}: what planners cost while they drive",
-        ("planner", "driven", *_HEADS),
-        rows,
-        notes=(*marks, _NOTE, *_shared([cost for _, _, cost in known])),
-        text_columns=3,
-    )
+    columns = [
+        *texts("planner", where, "device"),
+        *numbers("median, ms", "p95, ms", digits=2),
+        *numbers("memory, MB", "GPU, MB", "processes"),
+    ]
+    several = any(isinstance(cell := row["processes"], Cell) and (cell.value or 0) > 1 for row in rows)
+    return tabulate(name, title, columns, rows, (*marks, _NOTE, *([_SHARED_NOTE] if several else [])))
 
 
-def _shared(costs: Sequence[PlannerCost]) -> list[str]:
-    return [_SHARED_NOTE] if any(summary_of(cost).workers > 1 for cost in costs) else []
-
-
-def _cells(origin: Origin, cost: PlannerCost, pieces: str) -> tuple[str | Shown, ...]:
-    """Cells of `_HEADS`; pieces are what memory was looked at for."""
+def _values(origin: Origin, cost: PlannerCost, pieces: str) -> dict[str, Value]:
+    """What a planner took; pieces are what memory was looked at for."""
     said, of, count = summary_of(cost), f"samples after the first of their {pieces}", len(cost.scenes)
-    return (
-        "; ".join(said.devices),
-        origin.cell(said.median_s, "ms", said.samples, of, scale=_MS).shown(2),
-        origin.cell(said.p95_s, "ms", said.samples, of, scale=_MS).shown(2),
-        origin.cell(said.peak_memory_mb, "MB", count, pieces).shown(0),
-        origin.cell(said.peak_device_mb, "MB", count, pieces).shown(0) if said.peak_device_mb else UNDEFINED,
-        origin.count(said.workers, "processes").shown(),
-    )
+    return {
+        "device": "; ".join(said.devices),
+        "median, ms": origin.cell(said.median_s, "ms", said.samples, of, scale=_MS),
+        "p95, ms": origin.cell(said.p95_s, "ms", said.samples, of, scale=_MS),
+        "memory, MB": origin.cell(said.peak_memory_mb, "MB", count, pieces),
+        "GPU, MB": origin.cell(said.peak_device_mb, "MB", count, pieces) if said.peak_device_mb else None,
+        "processes": origin.count(said.workers, "processes"),
+    }

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from benchmark.metrics.confusion import Confusion, ProtocolComparison, comparisons
 from benchmark.metrics.disagreement import CAUSES, EXACT, OTHER_INSTANTS, RUNGS
 from benchmark.records.run import RunRecord
-from benchmark.report.cells import Cell, Origin, Shown, number, record_name
-from benchmark.report.table import Brief, Table, table_of
+from benchmark.report.cells import Origin, Shown, number, record_name
+from benchmark.report.table import Table
 from benchmark.report.words import titled
-from leaderboard.tables.rows import (
+from leaderboard.frame.rows import (
     STALE_MARK,
     completeness_notes,
     in_table_order,
@@ -16,6 +16,8 @@ from leaderboard.tables.rows import (
     row_name,
     stale_notes,
 )
+from leaderboard.frame.runs import Frame, Row
+from leaderboard.frame.specification import Values, numbers, tabulate, texts, under
 
 _SHORT = dict(
     zip(
@@ -25,9 +27,7 @@ _SHORT = dict(
     )
 )
 """Column heads."""
-
-
-_Found = tuple[RunRecord, str, ProtocolComparison]
+_Found = Row[ProtocolComparison]
 """A run, a protocol, and how the two compare."""
 
 
@@ -47,64 +47,51 @@ def disagreement_table(data_name: str, split: str, records: Sequence[RunRecord])
         for record in in_table_order(records)
         if record.run.data.name == data_name and record.run.split == split and EXACT in record.run.protocols
     ]
-    found = [(record, protocol, one) for record in runs for protocol, one in comparisons(record).items()]
-    shown = [cause for cause in CAUSES if any(one.causes is not None and one.causes[cause] for _, _, one in found)]
+    rows = [Row(record, protocol, one) for record in runs for protocol, one in comparisons(record).items()]
+    shown = [cause for cause in CAUSES if any(row.found.causes and row.found.causes[cause] for row in rows)]
+    columns = [
+        *texts("planner", "protocol"),
+        *under(
+            "samples, exact and the row's protocol",
+            numbers("samples", "exact +", "official +", "misses", "false alarms"),
+        ),
+        *under("causes, the row's protocol against exact", numbers(*(_short(cause) for cause in shown))),
+        *under("steps, exact and the row's protocol", numbers("mask took", "step misses", "step false alarms")),
+    ]
     title = f"{titled(data_name, split)}: what each protocol misses and invents, measured by exact"
-    notes = _notes(runs, found)
-    return table_of(
-        f"disagreement-{split}",
-        title,
-        (
-            "planner",
-            "protocol",
-            "samples",
-            "exact +",
-            "official +",
-            "misses",
-            "false alarms",
-            *(_short(cause) for cause in shown),
-            "mask took",
-            "step misses",
-            "step false alarms",
-        ),
-        [_row(record, protocol, one, shown) for record, protocol, one in found],
-        notes=notes,
-        brief=Brief(title, (0, 1, 2, 5, 6, 7 + len(shown)), notes, text_columns=2),
-        text_columns=2,
-        groups=(
-            ("", 2),
-            ("samples, exact and the row's protocol", 5),
-            ("causes, the row's protocol against exact", len(shown)),
-            ("steps, exact and the row's protocol", 3),
-        ),
-    )
+    brief = ("planner", "protocol", "samples", "misses", "false alarms", "mask took")
+    return tabulate(f"disagreement-{split}", title, columns, map(_values, rows), _notes(runs, rows), brief=brief)
 
 
-def _row(record: RunRecord, protocol: str, one: ProtocolComparison, shown: Sequence[str]) -> tuple[str | Shown, ...]:
-    origin = Origin(f"{protocol} against {EXACT}", record_name(record))
-    samples, steps, causes = one.samples, one.steps, one.causes
-    compared = samples.compared
-
-    def among(count: int | None) -> Cell:
-        return origin.count(count, "samples", compared)
-
-    removed = origin.count(one.mask_removed_steps, "steps", steps.compared)
-    return (
-        row_name(record, EXACT),
-        f"{protocol} {STALE_MARK}" if protocol in record.stale_protocols else protocol,
-        *(among(count).shown() for count in (compared, samples.exact, samples.official)),
-        *_wrong(origin, samples, "samples"),
-        *(among(None if causes is None else causes[cause]).shown() for cause in shown),
-        removed.shown(after=f" ({one.samples_with_removed_steps})"),
-        *_wrong(origin, steps, "steps"),
-    )
+def disagreement_tables(frame: Frame) -> list[Table]:
+    """`disagreement_table` of each split on which anything compares."""
+    tables = (disagreement_table(frame.data_name, split, frame.runs) for split in frame.splits)
+    return [table for table in tables if table.rows]
 
 
-def _wrong(origin: Origin, found: Confusion, of: str) -> tuple[Shown, Shown]:
+def _values(row: _Found) -> Values:
+    origin, one = Origin(f"{row.judge} against {EXACT}", record_name(row.record)), row.found
+    samples, removed = one.samples, origin.count(one.mask_removed_steps, "steps", one.steps.compared)
+    both = {"samples": samples.compared, "exact +": samples.exact, "official +": samples.official}
+    counts = both | {_short(cause): None if one.causes is None else one.causes[cause] for cause in CAUSES}
+    return {
+        "planner": row_name(row.record, EXACT),
+        "protocol": f"{row.judge} {STALE_MARK}" if row.judge in row.record.stale_protocols else row.judge,
+        **{head: origin.count(count, "samples", samples.compared) for head, count in counts.items()},
+        **_wrong(origin, samples, "samples", ""),
+        "mask took": removed.shown(after=f" ({one.samples_with_removed_steps})"),
+        **_wrong(origin, one.steps, "steps", "step "),
+    }
+
+
+def _wrong(origin: Origin, found: Confusion, of: str, before: str) -> dict[str, Shown]:
     """Misses and false alarms with their shares."""
     missed = origin.count(found.missed, of, found.exact)
     false_alarms = origin.count(found.false_alarms, of, found.official)
-    return missed.shown(after=_share(found.missed_share)), false_alarms.shown(after=_share(found.false_share))
+    return {
+        f"{before}misses": missed.shown(after=_share(found.missed_share)),
+        f"{before}false alarms": false_alarms.shown(after=_share(found.false_share)),
+    }
 
 
 def _share(share: float | None) -> str:
@@ -116,7 +103,7 @@ def _short(cause: str) -> str:
     return f"{kind.partition(' ')[0]}: {_SHORT[rung]}"
 
 
-def _notes(runs: Sequence[RunRecord], found: Sequence[_Found]) -> tuple[str, ...]:
+def _notes(runs: Sequence[RunRecord], rows: Sequence[_Found]) -> tuple[str, ...]:
     notes = [
         "A sample is positive if the plan collides at any time within 3 s; exact looks at all objects all the time, "
         "the official verdict is the one after the protocol's mask. Only samples count that both count. Brackets: % of "
@@ -125,7 +112,7 @@ def _notes(runs: Sequence[RunRecord], found: Sequence[_Found]) -> tuple[str, ...
         "Mask took: steps (and samples with such steps) that a protocol drops because, in its eyes, the recorded ego "
         "collides there too. Steps: the verdicts at the six waypoints, where exact looks at the waypoint alone.",
     ]
-    unknown = sorted({f"{record.planner} ({protocol})" for record, protocol, one in found if one.causes is None})
+    unknown = sorted({f"{row.record.planner} ({row.judge})" for row in rows if row.found.causes is None})
     if unknown:
         notes.append(
             f"No causes in the records of {', '.join(unknown)}; challenger-bench rescore finds them with the data set."

@@ -3,14 +3,16 @@
 from collections.abc import Sequence
 
 from benchmark.errors import InputError
-from benchmark.metrics.drawn_seeds import DrawnSeeds, over_seeds, seeds_in_words
+from benchmark.metrics.drawn_seeds import over_seeds, seeds_in_words
 from benchmark.metrics.rates import HORIZONS, SceneSums
 from benchmark.metrics.scores import scored, source_of_scenes
-from benchmark.records.run import NATIVE, RunRecord, protocol_of
+from benchmark.records.run import RunRecord, protocol_of
 from benchmark.records.seed_splits import seed_of
-from benchmark.report.cells import PERCENT, UNDEFINED, Origin, Shown, record_name
-from benchmark.report.table import Table, table_of
-from leaderboard.tables.rows import in_table_order, judges, name_cell, run_notes
+from benchmark.report.cells import PERCENT, AnyRate, Origin, record_name
+from benchmark.report.table import Table
+from leaderboard.frame.rows import judges, name_cell, run_notes
+from leaderboard.frame.runs import Frame, whose
+from leaderboard.frame.specification import Values, estimates, intervals, numbers, tabulate, texts, under
 
 _AVERAGE = HORIZONS.index("avg")
 _RULE = (
@@ -22,21 +24,19 @@ _RULE = (
 )
 
 
-def drawn_seeds_table(data_name: str, protocol: str, records: Sequence[RunRecord]) -> Table | None:
+def drawn_seeds_table(frame: Frame, protocol: str) -> Table | None:
     """Average collision rate of each planner on the splits of several seeds.
 
     Args:
-        data_name: Name of the data set, for the title.
+        frame: Runs on ``adv-seed-N`` count; what does not belong to the others is named below the table.
         protocol: Whose verdicts; ``native`` is that of the planner's own repository.
-        records: Runs on this data set. Those on ``adv-seed-N`` count; what does not belong to the others is named below
-            the table.
 
     Returns:
         For each planner that ran on at least two seeds a row a seed, and one for all; ``None`` where there is none.
     """
-    rows: list[tuple[str | Shown, ...]] = []
+    rows: list[Values] = []
     notes, shown = [_RULE], []
-    for runs in _by_planner(records):
+    for runs in _by_planner(frame.runs):
         kept, refused = _comparable(runs, protocol)
         if len(kept) < 2:
             continue
@@ -45,22 +45,29 @@ def drawn_seeds_table(data_name: str, protocol: str, records: Sequence[RunRecord
         shown += list(kept.values())
     if not rows:
         return None
-    who = "own protocol" if protocol == NATIVE else protocol
-    return table_of(
+    columns = [
+        *texts("planner", "protocol", "seed"),
+        *under("counted", numbers("scenes", "recordings")),
+        *under(
+            f"average collision rate in %, {whose(protocol)}",
+            estimates("avg", digits=2, beside="over scenes"),
+            numbers("deviation", digits=2),
+            intervals({"over seeds": "over seeds"}),
+        ),
+    ]
+    return tabulate(
         f"drawn-seeds-{protocol}",
-        f"{data_name}: average collision rate (%) over seeds of the search, {judges(protocol)}",
-        ("planner", "protocol", "seed", "scenes", "recordings", "avg", "over scenes", "deviation", "over seeds"),
+        f"{frame.data_name}: average collision rate (%) over seeds of the search, {judges(protocol)}",
+        columns,
         rows,
-        notes=(*notes, *run_notes(shown, ())),
-        text_columns=3,
-        groups=(("", 3), ("counted", 2), (f"average collision rate in %, {who}", 4)),
+        (*notes, *run_notes(shown, ())),
     )
 
 
 def _by_planner(records: Sequence[RunRecord]) -> list[dict[int, RunRecord]]:
     """Runs on splits of seeds, by planner and then by seed."""
     found: dict[str, dict[int, RunRecord]] = {}
-    for record in in_table_order(records):
+    for record in records:
         seed = seed_of(record.run.split)
         if seed is not None:
             found.setdefault(record.planner, {})[seed] = record
@@ -98,35 +105,31 @@ def _refusal(seed: int, run: RunRecord, first: RunRecord | None, protocol: str) 
     return None
 
 
-def _rows(runs: dict[int, RunRecord], protocol: str) -> list[tuple[str | Shown, ...]]:
+def _rows(runs: dict[int, RunRecord], protocol: str) -> list[Values]:
+    """A row a seed, and one of all, which alone has a deviation and an interval over seeds."""
     found = over_seeds({seed: _sums(run, protocol) for seed, run in runs.items()})
     first = next(iter(runs.values()))
-    planner, judge = first.run.planner, protocol_of(first, protocol)
-    name = name_cell(first.planner, privileged=planner.privileged, miniature=planner.miniature)
-    rows: list[tuple[str | Shown, ...]] = []
-    for one, run in zip(found.seeds, runs.values(), strict=True):
-        origin = Origin(judge, record_name(run))
-        rate = origin.percent(one.rate)
-        sources = set(source_of_scenes(run).values())
-        counts = (origin.count(len(run.run.scenes), "scenes"), origin.count(len(sources), "recorded scenes"))
-        numbers = (*(count.shown() for count in counts), rate.shown(2), rate.interval())
-        rows.append((name, judge, str(one.seed), *numbers, UNDEFINED, UNDEFINED))
-    return [*rows, (name, judge, "all", *_together(found, runs, judge))]
+    judge = protocol_of(first, protocol)
+    who: Values = {"planner": name_cell(first.planner, first.run.planner), "protocol": judge}
 
+    def row(seed: str, of: Sequence[RunRecord], recordings: int, rate: AnyRate) -> Values:
+        origin = Origin(judge, record_name(*of))
+        scenes = origin.count(sum(len(run.run.scenes) for run in of), "scenes")
+        counted = {"scenes": scenes, "recordings": origin.count(recordings, "recorded scenes")}
+        return {**who, "seed": seed, **counted, "avg": origin.percent(rate)}
 
-def _together(found: DrawnSeeds, runs: dict[int, RunRecord], judge: str) -> tuple[Shown, ...]:
-    origin = Origin(judge, record_name(*runs.values()))
-    mean, count = origin.percent(found.mean), len(found.seeds)
-    value = found.mean.value
-    spread = origin.cell(value, PERCENT, count, "seeds", low=found.low, high=found.high, scale=100.0)
-    return (
-        origin.count(sum(len(run.run.scenes) for run in runs.values()), "scenes").shown(),
-        origin.count(found.recordings, "recorded scenes").shown(),
-        mean.shown(2),
-        mean.interval(),
-        origin.cell(found.deviation, PERCENT, count, f"seeds {seeds_in_words(list(runs))}", scale=100.0).shown(2),
-        spread.interval(),
-    )
+    of_each = [(one, run, len(set(source_of_scenes(run).values()))) for one, run in zip(found.seeds, runs.values())]
+    rows = [row(str(one.seed), [run], recordings, one.rate) for one, run, recordings in of_each]
+    origin, count = Origin(judge, record_name(*runs.values())), len(found.seeds)
+    of_seeds = f"seeds {seeds_in_words(list(runs))}"
+    every = {
+        **row("all", list(runs.values()), found.recordings, found.mean),
+        "deviation": origin.cell(found.deviation, PERCENT, count, of_seeds, scale=100.0),
+        "over seeds": origin.cell(
+            found.mean.value, PERCENT, count, "seeds", low=found.low, high=found.high, scale=100.0
+        ),
+    }
+    return [*rows, every]
 
 
 def _sums(run: RunRecord, protocol: str) -> SceneSums:

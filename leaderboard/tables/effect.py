@@ -6,14 +6,16 @@ from typing import Final
 from benchmark.errors import InputError
 from benchmark.metrics.attacks import has_adversaries, knows_adversaries
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import AdversaryEffect, PairedEffect, effect_of, says_whom
+from benchmark.metrics.effect import AT_3_S, AdversaryEffect, PairedEffect, effect_of, says_whom
 from benchmark.metrics.paired_interval import PairedDifference
 from benchmark.metrics.unchanged import sees_images, unchanged_record
 from benchmark.records.run import RunRecord
-from benchmark.report.cells import UNDEFINED, Origin, Shown, record_name
-from benchmark.report.table import Brief, Table, table_of
+from benchmark.report.cells import PERCENT, Cell, Origin, record_name
+from benchmark.report.table import Table
 from benchmark.report.words import counted
-from leaderboard.tables.rows import FEW_NOTE, in_table_order, notes_of_marks, row_name, run_notes
+from leaderboard.frame.rows import FEW_NOTE, notes_of_marks, row_name, run_notes
+from leaderboard.frame.runs import Frame
+from leaderboard.frame.specification import Values, estimates, numbers, tabulate, texts, under
 
 _NOTE: Final = (
     "Adversary: samples whose plan touches the adversary before anything else within 3 s (avg: mean of 1, 2 and 3 s); "
@@ -25,12 +27,21 @@ _OTHERS_NOTE: Final = (
     "New others: contacts with another than the adversary that the planner does not have on the unchanged recording; "
     "lost others: the reverse."
 )
-_COLUMNS: Final = (
-    *("planner", "split"),
-    *("adversary avg", "adversary 3s", "at fault avg", "at fault 3s"),
-    *("any, adv", "any, unchanged", "difference", "95 % of difference", "ratio", "new others", "lost others"),
-    *("pairs", "recordings", "differing", "compared with"),
-)
+_COLUMNS: Final = [
+    *texts("planner", "split"),
+    *under(
+        f"touches the adversary first, in %, {EXACT}",
+        numbers("adversary avg", "adversary 3s", "at fault avg", "at fault 3s", digits=1),
+    ),
+    *under(
+        f"paired with the unchanged recordings, {EXACT}",
+        numbers("any, adv", "any, unchanged", digits=1),
+        estimates("difference", signed=True),
+        numbers("ratio", digits=1, after=" times"),
+        numbers("new others", "lost others", digits=1),
+    ),
+    *under(f"counted, {EXACT}", numbers("pairs", "recordings", "differing", "compared with")),
+]
 _BRIEF: Final = (
     "planner",
     "split",
@@ -42,87 +53,72 @@ _BRIEF: Final = (
 )
 
 
-def effect_table(data_name: str, records: Sequence[RunRecord], against: Sequence[RunRecord] = ()) -> Table | None:
-    """What adversaries do to planners.
-
-    Args:
-        data_name: Name of the data set, for the title.
-        records: Runs on this data set.
-        against: Further records that they may be compared with, the newest last.
-
-    Returns:
-        A row for each planner and split with adversaries; ``None`` where there is none.
-    """
-    runs = [record for record in in_table_order(records) if has_adversaries(record)]
+def effect_table(frame: Frame) -> Table | None:
+    """What adversaries do: a row for each planner and split with adversaries; ``None`` where there is none."""
+    runs = [record for record in frame.runs if has_adversaries(record)]
     if not runs:
         return None
-    candidates = (*against, *records)
-    rows, refused = [], []
+    rows: list[Values] = []
     found: list[AdversaryEffect] = []
+    refused: dict[str, None] = {}
     for record in runs:
         effect = None
         try:
-            effect = effect_of(record, unchanged_record(record, candidates))
+            effect = effect_of(record, unchanged_record(record, (*frame.against, *frame.given)))
         except InputError as refusal:
-            refused.append(f"Left out: {refusal}.")
-        rows.append(_row(record, effect))
+            refused[f"Left out: {refusal}."] = None
         found += [] if effect is None else [effect]
-    title = f"{data_name}: effect of the adversary (%, samples), protocol {EXACT}"
-    lacking = (*_missing(runs, found), *dict.fromkeys(refused))
+        rows.append({"planner": row_name(record, EXACT), "split": record.run.split, **_values(effect)})
+    lacking = (*_missing(runs, found), *refused)
     # Of other tables' intervals: this one's hold over few recordings, or are not given.
     told = [note for note in run_notes(runs, ()) if note != FEW_NOTE]
-    return table_of(
+    return tabulate(
         "effect",
-        title,
+        f"{frame.data_name}: effect of the adversary (%, samples), protocol {EXACT}",
         _COLUMNS,
         rows,
-        notes=(_NOTE, _OTHERS_NOTE, *lacking, *told),
-        text_columns=2,
-        groups=(
-            ("", 2),
-            (f"touches the adversary first, in %, {EXACT}", 4),
-            (f"paired with the unchanged recordings, {EXACT}", 7),
-            (f"counted, {EXACT}", 4),
-        ),
+        (_NOTE, _OTHERS_NOTE, *lacking, *told),
+        brief=_BRIEF,
         # The rest of what has to be said of the runs stands below the rates already.
-        brief=Brief(title, tuple(_COLUMNS.index(head) for head in _BRIEF), (_NOTE, *lacking, *notes_of_marks(runs)), 2),
+        brief_notes=(_NOTE, *lacking, *notes_of_marks(runs)),
     )
 
 
-def _row(record: RunRecord, effect: AdversaryEffect | None) -> tuple[str | Shown, ...]:
-    who = row_name(record, EXACT), record.run.split
+def _values(effect: AdversaryEffect | None) -> Values:
     if effect is None:
-        return (*who, *(UNDEFINED,) * (len(_COLUMNS) - 2))
-    origin = Origin(EXACT, record_name(*(run for run in (record, effect.unchanged) if run is not None)))
-    touched = [
-        origin.cell(None if rates is None else rates[place], "%", effect.samples, scale=100.0).shown(1)
-        for rates in (effect.touched, effect.at_fault)
-        for place in (3, 2)
-    ]
+        return {}
     paired, unchanged = effect.paired, effect.unchanged
+    origin = Origin(EXACT, record_name(*(run for run in (effect.record, unchanged) if run is not None)))
+
+    def percent(value: float | None, count: int) -> Cell:
+        return origin.cell(value, PERCENT, count, scale=100.0)
+
+    touched = {
+        f"{head} {horizon}": percent(None if rates is None else rates[place], effect.samples)
+        for head, rates in (("adversary", effect.touched), ("at fault", effect.at_fault))
+        for horizon, place in (("avg", AT_3_S + 1), ("3s", AT_3_S))
+    }
     if paired is None or unchanged is None:
-        return (*who, *touched, *(UNDEFINED,) * (len(_COLUMNS) - 2 - len(touched)))
-    return (*who, *touched, *_paired_cells(origin, paired), unchanged.run.split)
-
-
-def _paired_cells(origin: Origin, paired: PairedEffect) -> list[str | Shown]:
-    """From the rates of both sides to the counts."""
+        return touched
     found = paired.difference
-    difference = origin.cell(
-        found.value, "points", found.recordings, "recordings", low=found.low, high=found.high, scale=100.0
-    )
-    return [
-        origin.cell(paired.adversarial, "%", paired.pairs, scale=100.0).shown(1),
-        origin.cell(paired.unchanged, "%", paired.pairs, scale=100.0).shown(1),
-        difference.shown(1, signed=True),
-        difference.interval(1),
-        origin.cell(paired.ratio, "times", paired.pairs).shown(1, after=" times"),
-        origin.cell(paired.new_others, "%", paired.pairs, scale=100.0).shown(1),
-        origin.cell(paired.lost_others, "%", paired.pairs, scale=100.0).shown(1),
-        origin.count(paired.pairs, "samples").shown(),
-        origin.count(found.recordings, "recordings").shown(),
-        origin.count(found.differing, "recordings", found.recordings).shown(),
-    ]
+    rates = {
+        "any, adv": paired.adversarial,
+        "any, unchanged": paired.unchanged,
+        "new others": paired.new_others,
+        "lost others": paired.lost_others,
+    }
+    return {
+        **touched,
+        **{name: percent(rate, paired.pairs) for name, rate in rates.items()},
+        "difference": origin.cell(
+            found.value, "points", found.recordings, "recordings", low=found.low, high=found.high, scale=100.0
+        ),
+        "ratio": origin.cell(paired.ratio, "times", paired.pairs),
+        "pairs": origin.count(paired.pairs, "samples"),
+        "recordings": origin.count(found.recordings, "recordings"),
+        "differing": origin.count(found.differing, "recordings", found.recordings),
+        "compared with": unchanged.run.split,
+    }
 
 
 def _missing(runs: Sequence[RunRecord], found: Sequence[AdversaryEffect]) -> list[str]:

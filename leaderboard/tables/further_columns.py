@@ -1,14 +1,15 @@
 """Rates of a protocol that are no collision rates of its table: at the kerb, off the road, other averages."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from benchmark.metrics.rates import HORIZONS
-from benchmark.records.run import RunRecord
-from benchmark.report.cells import Shown, origin_of
-from benchmark.report.table import Brief, Table, table_of
-from leaderboard.tables.rows import in_table_order, row_name, run_notes, stale_notes
+from benchmark.records.run import NATIVE
+from benchmark.report.cells import AnyRate
+from benchmark.report.table import Table
+from leaderboard.frame.runs import Frame, Row, row_notes
+from leaderboard.frame.specification import Value, intervals, numbers, tabulate, texts, under
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,52 +41,40 @@ COLUMNS: Final = (
 """Each is one average and never another: no column here is comparable with one beside it."""
 
 
-def further_table(data_name: str, protocol: str, records: Sequence[RunRecord]) -> Table | None:
-    """Rates of a protocol beside its collision rates.
-
-    Args:
-        data_name: Name of the data set, for the title.
-        protocol: The protocol.
-        records: Runs on this data set.
-
-    Returns:
-        One row per planner and split, or ``None`` where the protocol has no such columns or nobody was judged by it.
-    """
-    runs = [record for record in in_table_order(records) if protocol in record.summary.protocols]
-    there = {name for record in runs for name in record.summary.protocols[protocol].columns}
-    columns = [column for column in COLUMNS if column.name in there]
-    if not columns:
+def further_table(frame: Frame, protocol: str) -> Table | None:
+    """Rates of a protocol beside its collision rates; ``None`` where it has no such columns, and under ``native``."""
+    rows = [] if protocol == NATIVE else frame.judged(protocol)
+    there = {name for row in rows for name in row.found.columns}
+    further = [column for column in COLUMNS if column.name in there]
+    if not further:
         return None
-    title = f"{data_name}: further rates (%), protocol {protocol}"
-    heads = [f"{column.head} {horizon}" for column in columns for horizon in HORIZONS]
-    intervals = [f"95 % of {column.head}" for column in columns]
-    averages = [2 + 4 * place + 3 for place in range(len(columns))]
-    told = [note for record in runs for note in stale_notes(record, (protocol,))]
-    notes = (*(column.says for column in columns), *run_notes(runs, told))
-    return table_of(
-        f"further-{protocol}",
-        title,
-        ("planner", "split", *heads, *intervals),
-        [_row(record, protocol, columns) for record in runs],
-        notes=notes,
-        brief=Brief(title, (0, 1, *averages), notes, text_columns=2),
-        text_columns=2,
-        groups=(
-            ("", 2),
-            *((f"{column.head} in %, {protocol}", len(HORIZONS)) for column in columns),
-            (f"intervals of the averages, {protocol}", len(columns)),
+    heads = [column.head for column in further]
+    columns = [
+        *texts("planner", "split"),
+        *(
+            column
+            for head in heads
+            for column in under(
+                f"{head} in %, {protocol}", numbers(*(f"{head} {horizon}" for horizon in HORIZONS), digits=2)
+            )
         ),
-    )
-
-
-def _row(record: RunRecord, protocol: str, columns: Sequence[FurtherColumn]) -> tuple[str | Shown, ...]:
-    origin, summary = origin_of(record, protocol), record.summary.protocols[protocol]
-    cells = [
-        {horizon: origin.percent(rate) for horizon, rate in summary.columns[column.name].items()} for column in columns
+        *under(
+            f"intervals of the averages, {protocol}", intervals({f"95 % of {head}": f"{head} avg" for head in heads})
+        ),
     ]
-    return (
-        row_name(record, protocol),
-        record.run.split,
-        *(of_column[horizon].shown(2) for of_column in cells for horizon in HORIZONS),
-        *(of_column["avg"].interval() for of_column in cells),
+    return tabulate(
+        f"further-{protocol}",
+        f"{frame.data_name}: further rates (%), protocol {protocol}",
+        columns,
+        [row.names | further_values(row, further, row.found.columns) for row in rows],
+        (*(column.says for column in further), *row_notes(rows)),
+        brief=("planner", "split", *(f"{head} avg" for head in heads)),
     )
+
+
+def further_values(
+    row: Row[Any], further: Sequence[FurtherColumn], rates: Mapping[str, Mapping[str, AnyRate]]
+) -> dict[str, Value]:
+    """What a row shows in some of the columns, at every horizon."""
+    found = [row.by_horizon(f"{column.head} {{}}", column.name, rates[column.name]) for column in further]
+    return dict(item for values in found for item in values.items())

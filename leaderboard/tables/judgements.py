@@ -1,16 +1,18 @@
 """Tables about scenes, not planners: who survives them, how real their adversaries move, what is wrong with those."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from benchmark.metrics.judgements import SplitLadder, judged_scenes, split_ladders
 from benchmark.records.judgement import DRIVER_NAMES, FAULT_NAMES, DriverName, FeatureRow, SplitRealism
 from benchmark.records.run import RunRecord
-from benchmark.report.cells import PERCENT, Origin, Shown, origin_of
-from benchmark.report.table import Table, table_of
+from benchmark.report.cells import Origin, origin_of
+from benchmark.report.table import Table
 from benchmark.report.words import counted, titled
-from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, in_table_order, recordings, review_notes, split_place
+from leaderboard.frame.rows import FEW_NOTE, FEW_SCENES, recordings, review_notes, split_place
+from leaderboard.frame.runs import Frame
+from leaderboard.frame.specification import Value, Values, estimates, intervals, numbers, share, tabulate, texts, under
 
 LADDER: Final = "reference drivers"
 REALISM: Final = "realism"
@@ -56,30 +58,65 @@ _VALIDITY_NOTE: Final = (
 )
 CTG: Final = "ctg-realism@code"
 WORST_MARK: Final = "(worst)"
+_DRIVERS: Final = [DRIVER_HEADS[name] for name in DRIVER_NAMES]
+_LADDER: Final = [
+    *texts("split"),
+    *under(
+        f"survived by, % of the scenes, {LADDER}",
+        numbers(*_DRIVERS, digits=1),
+        intervals({"95 % of careful human": DRIVER_HEADS["cc"]}),
+    ),
+    *under(
+        f"time to avoid it, {LADDER}",
+        numbers("unsolvable"),
+        numbers("margin, s", "margin, worst tenth", digits=1),
+        numbers("margin < 0"),
+    ),
+    *under(f"recorded ego, {LADDER}", numbers("ego's gap, m", "ego's TTC, s", "ego's BTN", digits=2)),
+    *under(f"% of the scenes, {VALIDITY}", numbers("no fault", digits=1)),
+    *under(f"counted, {LADDER}", numbers("judged", "recordings")),
+]
+_FAULTS: Final = [
+    *texts("split", "fault"),
+    *under(f"adversaries, {VALIDITY}", numbers("with it", "could be told"), numbers("%", digits=1)),
+]
+_REAL: Final = under(f"1 − JSD, {REALISM}", estimates("realism", digits=3, ends=3), numbers("halves", digits=3))
+_HEADLINES: Final = [
+    *texts("split", "worst feature"),
+    *_REAL,
+    *under(f"W1, {REALISM}", numbers("W1 in halves", digits=1)),
+    *under(CTG, numbers(CTG, "ctg, relative", digits=4)),
+    *under(f"counted, {REALISM}", numbers("adversaries")),
+]
+_FEATURES: Final = [
+    *texts("feature"),
+    *_REAL,
+    *under(f"W1, {REALISM}", numbers("W1", "W1 of halves", digits=3), numbers("W1 in halves", digits=1)),
+]
 
-Row = tuple[str | Shown, ...]
 
-
-def judgement_tables(data_name: str, records: Sequence[RunRecord]) -> list[Table]:
+def judgement_tables(frame: Frame) -> list[Table]:
     """Everything that records say of scenes.
 
     Args:
-        data_name: Name of the data set, for the titles.
-        records: Runs on this data set, at most one for each planner and split.
+        frame: At most one run for each planner and split.
 
     Returns:
         The ladder, a row a split; what is wrong with adversaries; their worst feature, and a table of all features a
         split with recordings to compare with. None of what no record says.
     """
-    ordered = in_table_order(records)
-    ladders, real = split_ladders(ordered), split_realism(ordered)
-    tables = [] if not ladders else [_ladder_table(data_name, ladders)]
+    name, ladders, real = frame.data_name, split_ladders(frame.runs), split_realism(frame.runs)
+    tables = [_ladder_table(name, [ladders[split] for split in sorted(ladders, key=split_place)])] if ladders else []
     told = [_told(record, said) for record, said in real]
     told += [_told_by_scenes(each) for split, each in ladders.items() if split not in {one.split for one in told}]
-    tables += [] if not told else [_validity_table(data_name, sorted(told, key=lambda each: split_place(each.split)))]
-    compared = [(record, said) for record, said in real if said.headline is not None]
-    tables += [] if not compared else [_headline_table(data_name, compared)]
-    return [*tables, *(_realism_table(data_name, record, said) for record, said in compared)]
+    told.sort(key=lambda each: split_place(each.split))
+    if told:
+        rows = [row for each in told for row in each.values()]
+        notes = (_VALIDITY_NOTE, *dict.fromkeys(note for each in told for note in each.notes))
+        tables.append(tabulate("validity", f"{name}: what is wrong with adversaries", _FAULTS, rows, notes))
+    compared = [(record, said, said.headline) for record, said in real if said.headline is not None]
+    tables += [_headline_table(name, compared)] if compared else []
+    return [*tables, *(_realism_table(name, record, said) for record, said, _ in compared)]
 
 
 def split_realism(records: Sequence[RunRecord]) -> list[tuple[RunRecord, SplitRealism]]:
@@ -91,61 +128,31 @@ def split_realism(records: Sequence[RunRecord]) -> list[tuple[RunRecord, SplitRe
     return [found[split] for split in sorted(found, key=split_place)]
 
 
-def _ladder_table(data_name: str, ladders: dict[str, SplitLadder]) -> Table:
-    found = [ladders[split] for split in sorted(ladders, key=split_place)]
-    drivers = tuple(DRIVER_HEADS[name] for name in DRIVER_NAMES)
+def _ladder_table(data_name: str, found: Sequence[SplitLadder]) -> Table:
     records = [each.record for each in found]
     few = [FEW_NOTE] if any(recordings(record) < FEW_SCENES for record in records) else []
-    return table_of(
-        "ladder",
-        f"{data_name}: who survives the adversarial scenes (%)",
-        (
-            *("split", *drivers, "95 % of careful human", "unsolvable"),
-            *(
-                "margin, s",
-                "margin, worst tenth",
-                "margin < 0",
-                "ego's gap, m",
-                "ego's TTC, s",
-                "ego's BTN",
-                "no fault",
-            ),
-            *("judged", "recordings"),
-        ),
-        [_ladder_row(each) for each in found],
-        notes=(LADDER_NOTE, _CAUTION_NOTE, _MARGIN_NOTE, *few, *review_notes(records), *_ladder_notes(found)),
-        groups=(
-            ("", 1),
-            (f"survived by, % of the scenes, {LADDER}", len(drivers) + 1),
-            (f"time to avoid it, {LADDER}", 4),
-            (f"recorded ego, {LADDER}", 3),
-            (f"% of the scenes, {VALIDITY}", 1),
-            (f"counted, {LADDER}", 2),
-        ),
-    )
+    title = f"{data_name}: who survives the adversarial scenes (%)"
+    notes = (LADDER_NOTE, _CAUTION_NOTE, _MARGIN_NOTE, *few, *review_notes(records), *_ladder_notes(found))
+    return tabulate("ladder", title, _LADDER, map(_ladder_values, found), notes)
 
 
-def _ladder_row(ladder: SplitLadder) -> Row:
+def _ladder_values(ladder: SplitLadder) -> Values:
     record, count = ladder.record, ladder.scenes
-    origin, faults = origin_of(record, LADDER), origin_of(record, VALIDITY)
-    shares = {name: origin.percent(ladder.survives[name], "scenes") for name in DRIVER_NAMES}
-    return (
-        record.run.split,
-        *(shares[name].shown(1) for name in DRIVER_NAMES),
-        shares["cc"].interval(),
-        origin.count(ladder.unsolvable, "scenes", count).shown(),
-        *(
-            origin.cell(value, "s", ladder.margin.samples, "scenes").shown(1)
-            for value in (ladder.margin.median, ladder.margin.worst_tenth)
-        ),
-        origin.count(ladder.too_late, "scenes", ladder.margin.samples).shown(),
-        origin.cell(ladder.gap.median, "m", ladder.gap.samples, "scenes").shown(2),
-        origin.cell(ladder.ttc.median, "s", ladder.ttc.samples, "scenes").shown(2),
-        origin.cell(ladder.btn.median, "BTN", ladder.btn.samples, "scenes").shown(2),
-        faults.percent(ladder.without_fault, "scenes").shown(1),
-        origin.count(count, "scenes", len(record.run.scenes)).shown(),
-        origin.count(recordings(record), "recorded scenes").shown(),
-    )
+    origin, margin = origin_of(record, LADDER), ladder.margin
+    return {
+        "split": record.run.split,
+        **{DRIVER_HEADS[name]: origin.percent(rate, "scenes") for name, rate in ladder.survives.items()},
+        "unsolvable": origin.count(ladder.unsolvable, "scenes", count),
+        "margin, s": origin.cell(margin.median, "s", margin.samples, "scenes"),
+        "margin, worst tenth": origin.cell(margin.worst_tenth, "s", margin.samples, "scenes"),
+        "margin < 0": origin.count(ladder.too_late, "scenes", margin.samples),
+        "ego's gap, m": origin.cell(ladder.gap.median, "m", ladder.gap.samples, "scenes"),
+        "ego's TTC, s": origin.cell(ladder.ttc.median, "s", ladder.ttc.samples, "scenes"),
+        "ego's BTN": origin.cell(ladder.btn.median, "BTN", ladder.btn.samples, "scenes"),
+        "no fault": origin_of(record, VALIDITY).percent(ladder.without_fault, "scenes"),
+        "judged": origin.count(count, "scenes", len(record.run.scenes)),
+        "recordings": origin.count(recordings(record), "recorded scenes"),
+    }
 
 
 def _ladder_notes(found: Sequence[SplitLadder]) -> list[str]:
@@ -184,6 +191,19 @@ class _Told:
     def split(self) -> str:
         return self.record.run.split
 
+    def values(self) -> list[Values]:
+        origin = origin_of(self.record, VALIDITY)
+        return [
+            {
+                "split": self.split,
+                "fault": _words(fault),
+                "with it": origin.count(count, self.of, of),
+                "could be told": origin.count(of, self.of, self.count),
+                "%": share(origin, count, of, self.of),
+            }
+            for fault, count, of in self.rows
+        ]
+
 
 def _told(record: RunRecord, said: SplitRealism) -> _Told:
     apart = [f"not compared with recordings: {said.not_compared}"] if said.not_compared is not None else []
@@ -203,101 +223,55 @@ def _told_by_scenes(ladder: SplitLadder) -> _Told:
     return _Told(ladder.record, "scenes", len(judged), rows, (f"{ladder.record.run.split}: scenes are counted.",))
 
 
-def _validity_table(data_name: str, found: Sequence[_Told]) -> Table:
-    rows: list[Row] = []
-    for told in found:
-        origin = origin_of(told.record, VALIDITY)
-        rows += [
-            (
-                *(told.split, _words(fault)),
-                origin.count(count, told.of, of).shown(),
-                origin.count(of, told.of, told.count).shown(),
-                origin.cell(count / of if of else None, PERCENT, of, told.of, scale=100.0).shown(1),
-            )
-            for fault, count, of in told.rows
-        ]
-    return table_of(
-        "validity",
-        f"{data_name}: what is wrong with adversaries",
-        ("split", "fault", "with it", "could be told", "%"),
-        rows,
-        notes=(_VALIDITY_NOTE, *dict.fromkeys(note for told in found for note in told.notes)),
-        text_columns=2,
-        groups=(("", 2), (f"adversaries, {VALIDITY}", 3)),
-    )
-
-
-def _headline_table(data_name: str, found: Sequence[tuple[RunRecord, SplitRealism]]) -> Table:
-    rows: list[Row] = []
-    for record, said in found:
-        origin, worst, adversaries = origin_of(record, REALISM), said.headline, said.adversaries
-        assert worst is not None
-        ctg = None if said.ctg is None else said.ctg.mean_real_dev
-        inter = None if said.ctg is None else said.ctg.mean_real_dev_int
+def _headline_table(data_name: str, found: Sequence[tuple[RunRecord, SplitRealism, FeatureRow]]) -> Table:
+    rows: list[Values] = []
+    for record, said, worst in found:
+        origin, adversaries = origin_of(record, REALISM), said.adversaries
+        ctg = {} if said.ctg is None else {CTG: said.ctg.mean_real_dev, "ctg, relative": said.ctg.mean_real_dev_int}
         rows.append(
-            (
-                *(record.run.split, _words(worst.name)),
-                *_feature_numbers(origin, worst, 0 if said.samples is None else said.samples[0])[:3],
-                origin.cell(worst.w1_in_halves, "x", adversaries, "adversaries").shown(1),
-                *(origin.cell(value, CTG, adversaries, "adversaries").shown(4) for value in (ctg, inter)),
-                origin.count(adversaries, "adversaries").shown(),
-            )
+            {
+                **_feature_values(origin, worst, 0 if said.samples is None else said.samples[0]),
+                "split": record.run.split,
+                "worst feature": _words(worst.name),
+                "W1 in halves": origin.cell(worst.w1_in_halves, "x", adversaries, "adversaries"),
+                **{
+                    name: origin.cell(ctg.get(name), CTG, adversaries, "adversaries") for name in (CTG, "ctg, relative")
+                },
+                "adversaries": origin.count(adversaries, "adversaries"),
+            }
         )
     versions = [
         f"{record.run.split}: {CTG}, version {said.ctg.version}, normalised by {said.ctg.normalisation}, mask "
         f"{said.ctg.mask}."
-        for record, said in found
+        for record, said, _ in found
         if said.ctg is not None
     ]
-    return table_of(
-        REALISM,
-        f"{data_name}: how real adversaries move, by their worst feature",
-        (
-            *("split", "worst feature", "realism", "95 % of realism", "halves", "W1 in halves"),
-            *(CTG, "ctg, relative", "adversaries"),
-        ),
-        rows,
-        notes=(_REALISM_NOTE, *([_CTG_NOTE] if versions else []), *versions),
-        text_columns=2,
-        groups=(("", 2), (f"1 − JSD, {REALISM}", 3), (f"W1, {REALISM}", 1), (CTG, 2), (f"counted, {REALISM}", 1)),
-    )
+    notes = (_REALISM_NOTE, *([_CTG_NOTE] if versions else []), *versions)
+    title = f"{data_name}: how real adversaries move, by their worst feature"
+    return tabulate(REALISM, title, _HEADLINES, rows, notes)
 
 
 def _realism_table(data_name: str, record: RunRecord, said: SplitRealism) -> Table:
-    split, samples = record.run.split, said.samples or (0, 0)
-    origin = origin_of(record, REALISM)
-    rows: list[Row] = [_feature_row(origin, row, samples[0], worst=row.name == said.worst) for row in said.features]
+    samples, origin = 0 if said.samples is None else said.samples[0], origin_of(record, REALISM)
+    rows: list[Mapping[str, Value]] = []
+    for row in said.features:
+        name = _words(row.name)
+        feature = f"{name} {WORST_MARK}" if row.name == said.worst else name
+        rows.append({"feature": feature, **_feature_values(origin, row, samples)})
     reference = "" if said.reference is None else f" Recordings: {said.reference}."
-    return table_of(
-        f"{REALISM}-{split}",
-        f"{titled(data_name, split)}: how real its adversaries move",
-        ("feature", "realism", "95 % of realism", "halves", "W1", "W1 of halves", "W1 in halves"),
-        rows,
-        notes=(f"{_REALISM_NOTE}{reference}",),
-        groups=(("", 1), (f"1 − JSD, {REALISM}", 3), (f"W1, {REALISM}", 3)),
-    )
+    title = f"{titled(data_name, record.run.split)}: how real its adversaries move"
+    return tabulate(f"{REALISM}-{record.run.split}", title, _FEATURES, rows, (f"{_REALISM_NOTE}{reference}",))
 
 
-def _feature_row(origin: Origin, row: FeatureRow, samples: int, *, worst: bool) -> Row:
-    name = _words(row.name)
-    return (f"{name} {WORST_MARK}" if worst else name, *_feature_numbers(origin, row, samples))
-
-
-def _feature_numbers(origin: Origin, row: FeatureRow, samples: int) -> tuple[Shown, ...]:
+def _feature_values(origin: Origin, row: FeatureRow, samples: int) -> dict[str, Value]:
     low, high = row.interval or (None, None)
-    real = origin.cell(row.realism, REALISM, samples, low=low, high=high)
-
-    def shown(value: float | None, unit: str, digits: int = 3) -> Shown:
-        return origin.cell(value, unit, samples).shown(digits)
-
-    return (
-        real.shown(3),
-        real.interval(3),
-        shown(row.realism_of_halves, REALISM),
-        shown(row.w1, "unit of the feature"),
-        shown(row.w1_of_halves, "unit of the feature"),
-        shown(row.w1_in_halves, "x", 1),
-    )
+    return {
+        "realism": origin.cell(row.realism, REALISM, samples, low=low, high=high),
+        "halves": origin.cell(row.realism_of_halves, REALISM, samples),
+        "W1": origin.cell(row.w1, "unit of the feature", samples),
+        "W1 of halves": origin.cell(row.w1_of_halves, "unit of the feature", samples),
+        "W1 in halves": origin.cell(row.w1_in_halves, "x", samples),
+    }
 
 
 def _words(name: str) -> str:

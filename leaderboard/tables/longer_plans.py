@@ -1,74 +1,41 @@
 """What plans that go on beyond 3 s come to at 4, 5 and 6 s."""
 
-from collections.abc import Sequence
-
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.longer_plans import HORIZONS, longer_rates
-from benchmark.records.run import RunRecord
-from benchmark.report.cells import Shown, origin_of
-from benchmark.report.table import Brief, Table, table_of
-from leaderboard.tables.rows import in_table_order, row_name, run_notes, stale_notes
+from benchmark.metrics.longer_plans import HORIZONS, LongerRates, longer_rates
+from benchmark.report.table import Table
+from leaderboard.frame.runs import Frame, Row, row_notes
+from leaderboard.frame.specification import Values, intervals, numbers, tabulate, texts, under
+
+_COLLISIONS = [f"col. {horizon}" for horizon in HORIZONS]
+_COLUMNS = [
+    *texts("planner", "split"),
+    *under(f"collision rate in %, {EXACT}", numbers(*_COLLISIONS, digits=2)),
+    *under(f"intervals, {EXACT}", intervals({f"95 % of {horizon}": f"col. {horizon}" for horizon in HORIZONS})),
+    *under(f"L2 in m, {EXACT}", numbers(*(f"L2 {horizon}" for horizon in HORIZONS), digits=2)),
+    *under(f"counted, {EXACT}", numbers(*(f"samples {horizon}" for horizon in HORIZONS))),
+]
+_NOTE = (
+    "Any contact up to the horizon, and displacement there, of plans and recordings that both reach it: the "
+    "horizons are not counted over the same samples. No official protocol judges beyond 3 s."
+)
 
 
-def longer_table(data_name: str, records: Sequence[RunRecord]) -> Table | None:
-    """Collision rates and L2 beyond 3 s.
-
-    Args:
-        data_name: Name of the data set, for the title.
-        records: Runs on this data set.
-
-    Returns:
-        One row per planner and split with plans that reach 4 s, or ``None`` where there are none.
-    """
-    found = [(record, longer_rates(record)) for record in in_table_order(records)]
-    rows: list[tuple[str | Shown, ...]] = []
-    runs = []
-    for record, rates in found:
-        if rates is None:
-            continue
-        origin = origin_of(record, EXACT)
-        collision = {horizon: origin.percent(rate) for horizon, rate in rates.collision.items()}
-        runs.append(record)
-        rows.append(
-            (
-                row_name(record, EXACT),
-                record.run.split,
-                *(collision[horizon].shown(2) for horizon in HORIZONS),
-                *(collision[horizon].interval() for horizon in HORIZONS),
-                *(origin.amount(rates.l2[horizon], "m").shown(2) for horizon in HORIZONS),
-                *(
-                    origin.count(rates.collision[horizon].denominator, "samples", record.summary.samples).shown()
-                    for horizon in HORIZONS
-                ),
-            )
-        )
+def longer_table(frame: Frame) -> Table | None:
+    """Collision rates and L2 beyond 3 s; ``None`` where no plan reaches 4 s."""
+    rows = frame.rows(EXACT, longer_rates)
     if not rows:
         return None
-    title = f"{data_name}: collision rate (%) and L2 (m) of plans beyond 3 s, protocol {EXACT}"
-    notes = (
-        "Any contact up to the horizon, and displacement there, of plans and recordings that both reach it: the "
-        "horizons are not counted over the same samples. No official protocol judges beyond 3 s.",
-        *run_notes(runs, [note for record in runs for note in stale_notes(record, (EXACT,))]),
-    )
-    return table_of(
-        "longer-plans",
-        title,
-        (
-            *("planner", "split"),
-            *(f"col. {horizon}" for horizon in HORIZONS),
-            *(f"95 % of {horizon}" for horizon in HORIZONS),
-            *(f"L2 {horizon}" for horizon in HORIZONS),
-            *(f"samples {horizon}" for horizon in HORIZONS),
-        ),
-        rows,
-        notes=notes,
-        brief=Brief(title, (0, 1, 2, 3, 4, 11), notes, text_columns=2),
-        text_columns=2,
-        groups=(
-            ("", 2),
-            (f"collision rate in %, {EXACT}", 3),
-            (f"intervals, {EXACT}", 3),
-            (f"L2 in m, {EXACT}", 3),
-            (f"counted, {EXACT}", 3),
-        ),
-    )
+    title = f"{frame.data_name}: collision rate (%) and L2 (m) of plans beyond 3 s, protocol {EXACT}"
+    notes = (_NOTE, *row_notes(rows))
+    brief = ("planner", "split", *_COLLISIONS, "samples 4s")
+    return tabulate("longer-plans", title, _COLUMNS, map(_values, rows), notes, brief=brief)
+
+
+def _values(row: Row[LongerRates]) -> Values:
+    rates = row.found
+    return {
+        **row.names,
+        **row.by_horizon("col. {}", "collision", rates.collision),
+        **row.by_horizon("L2 {}", "l2", rates.l2),
+        **{f"samples {horizon}": row.samples(rate.denominator) for horizon, rate in rates.collision.items()},
+    }

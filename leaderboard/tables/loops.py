@@ -2,15 +2,23 @@
 
 from collections.abc import Sequence
 
-from benchmark.metrics.loops import OPEN_LOOP, PlannerLoops, RankCorrelation, planner_loops, rank_correlation, run_of
+from benchmark.metrics.loops import (
+    OPEN_LOOP,
+    PlannerLoops,
+    RankCorrelation,
+    SceneLoops,
+    planner_loops,
+    rank_correlation,
+    run_of,
+)
 from benchmark.metrics.scores import source_of_scenes
 from benchmark.records.drives import DriveRecord
 from benchmark.records.run import RunRecord
-from benchmark.report.cells import Cell, Origin, Shown, record_name
-from benchmark.report.table import Brief, Table, table_of
+from benchmark.report.cells import Cell, Origin, record_name
+from benchmark.report.table import Table
 from benchmark.report.words import counted
-from leaderboard.tables.drives import notes_of, origin_of_drives, planner_cell
-from leaderboard.tables.worlds import World, worlds
+from leaderboard.frame.drives import Driven, World, worlds
+from leaderboard.frame.specification import Value, Values, estimates, numbers, tabulate, texts, under
 
 DISAGREEMENTS = "loops-scenes"
 """How names of tables of single scenes begin."""
@@ -24,6 +32,20 @@ _SCENES_NOTE = (
     f"of the recording collides under {OPEN_LOOP}. Contact: of the first run that has one, seconds after the drive "
     "began."
 )
+_Both = tuple[Driven, PlannerLoops]
+"""A planner in closed loop, and in both."""
+_RATES = [
+    *texts("planner", "sensor"),
+    *under("open", estimates("open loop %", beside="95 %")),
+    *under("closed", estimates("contact %", "at fault %", beside="95 %")),
+    *under("both", numbers("only open", "only closed"), numbers("agree %", digits=1), numbers("scenes")),
+]
+_BRIEF_RATES = ("planner", "open loop %", "contact %", "at fault %", "only open", "only closed", "agree %", "scenes")
+_SCENES = [
+    *texts("planner", "scene", "recording", "fails", "contact with", "at fault"),
+    *numbers("contact s", digits=1),
+]
+_BRIEF_SCENES = ("planner", "scene", "fails", "contact with", "at fault", "contact s")
 
 
 def loop_tables(drives: Sequence[DriveRecord], runs: Sequence[RunRecord]) -> list[Table]:
@@ -50,41 +72,30 @@ def loop_tables(drives: Sequence[DriveRecord], runs: Sequence[RunRecord]) -> lis
     return [*rates, *scenes]
 
 
-def _loops_of(one: World, runs: Sequence[RunRecord]) -> tuple[list[tuple[str, PlannerLoops]], list[str]]:
-    """Planners of a world in both loops, by name, and those without an open loop."""
+def _loops_of(one: World, runs: Sequence[RunRecord]) -> tuple[list[_Both], list[str]]:
+    """Planners of a world in both loops, and names of those without an open loop."""
     found, missing = [], []
-    for record, name in zip(one.records, one.planners, strict=True):
-        run = run_of(record, runs)
+    for row in one.rows:
+        run = run_of(row.record, runs)
         if run is None:
-            missing.append(name)
+            missing.append(row.name)
         else:
-            found.append((name, planner_loops(record, run)))
+            found.append((row, planner_loops(row.record, run)))
     return found, missing
 
 
-def _rates_table(one: World, found: Sequence[tuple[str, PlannerLoops]], missing: Sequence[str]) -> Table:
-    columns = ["planner", "sensor", "open loop %", "95 %", "contact %", "95 %", "at fault %", "95 %"]
-    columns += ["only open", "only closed", "agree %", "scenes"]
+def _rates_table(one: World, found: Sequence[_Both], missing: Sequence[str]) -> Table:
     loops = [each for _, each in found]
     ranks = rank_correlation(loops), rank_correlation(loops, at_fault=True)
     left_out = [
-        f"{name}: {counted(len(each.without), 'scene')} left out because a drive or a sample failed."
-        for name, each in found
+        f"{row.name}: {counted(len(each.without), 'scene')} left out because a drive or a sample failed."
+        for row, each in found
         if each.without
     ]
     absent = [f"Without a run record of the same planner and scenes: {', '.join(missing)}."] if missing else []
-    notes = (_RATES_NOTE, *_ranked(*ranks), *left_out, *absent, *notes_of(one))
-    title = f"{one.title}: beside open loop"
-    return table_of(
-        f"loops-{one.name}",
-        title,
-        columns,
-        [_rates_row(name, each) for name, each in found],
-        notes=notes,
-        text_columns=2,
-        groups=(("", 2), ("open", 2), ("closed", 4), ("both", 4)),
-        brief=Brief(title, (0, 2, 4, 6, 8, 9, 10, 11), notes, text_columns=1),
-    )
+    notes = (_RATES_NOTE, *_ranked(*ranks), *left_out, *absent, *one.notes)
+    rows = [_rates_values(row, each) for row, each in found]
+    return tabulate(f"loops-{one.name}", f"{one.title}: beside open loop", _RATES, rows, notes, brief=_BRIEF_RATES)
 
 
 def _ranked(contact: RankCorrelation, at_fault: RankCorrelation) -> list[str]:
@@ -100,43 +111,45 @@ def _ranked(contact: RankCorrelation, at_fault: RankCorrelation) -> list[str]:
     return [f"Kendall's tau-b between open loop and closed loop: {said} (over {where}{miniatures})."]
 
 
-def _rates_row(name: str, each: PlannerLoops) -> list[str | Shown]:
-    here = origin_of_drives(each.drives, name)
-    both = f"{record_name(each.run)}; {here.record}"
-    opened, closed = Origin(OPEN_LOOP, record_name(each.run)), Origin(here.protocol, both)
-    cells: list[str | Shown] = [planner_cell(each.drives, name), each.drives.facts.measured.sensor]
-    for origin, rate in ((opened, each.open_rate), (closed, each.contact), (closed, each.at_fault)):
-        cell = origin.percent(rate, "scenes")
-        cells += [cell.shown(1), cell.interval()]
+def _rates_values(row: Driven, each: PlannerLoops) -> Values:
+    here, count = row.origin, len(each.scenes)
+    opened = Origin(OPEN_LOOP, record_name(each.run))
+    closed = Origin(here.protocol, f"{record_name(each.run)}; {here.record}")
     only_open = sum(scene.open_fails and not scene.closed_fails for scene in each.scenes)
     only_closed = sum(scene.closed_fails and not scene.open_fails for scene in each.scenes)
-    count = len(each.scenes)
-    agree = Cell(None if not count else 100.0 * (count - only_open - only_closed) / count, "%", count, "scenes")
-    return [
-        *cells,
-        closed.count(only_open, "scenes", count).shown(),
-        closed.count(only_closed, "scenes", count).shown(),
-        agree.shown(1),
-        closed.count(count, "scenes", count + len(each.without)).shown(),
+    agree = None if not count else 100.0 * (count - only_open - only_closed) / count
+    return {
+        "planner": row.planner,
+        "sensor": row.record.facts.measured.sensor,
+        "open loop %": opened.percent(each.open_rate, "scenes"),
+        "contact %": closed.percent(each.contact, "scenes"),
+        "at fault %": closed.percent(each.at_fault, "scenes"),
+        "only open": closed.count(only_open, "scenes", count),
+        "only closed": closed.count(only_closed, "scenes", count),
+        "agree %": Cell(agree, "%", count, "scenes"),
+        "scenes": closed.count(count, "scenes", count + len(each.without)),
+    }
+
+
+def _scenes_table(one: World, found: Sequence[_Both]) -> Table:
+    rows = [
+        {"planner": row.planner, "recording": source_of_scenes(each.run)[scene.scene], **_scene_values(scene)}
+        for row, each in found
+        for scene in each.scenes
+        if scene.disagrees
     ]
-
-
-def _scenes_table(one: World, found: Sequence[tuple[str, PlannerLoops]]) -> Table:
-    rows: list[list[str | Shown]] = []
-    for name, each in found:
-        sources = source_of_scenes(each.run)
-        for scene in each.scenes:
-            if not scene.disagrees:
-                continue
-            touched = scene.first.first_contact if scene.first is not None else None
-            whom = "–" if touched is None else f"{touched.category}{', the adversary' if touched.adversary else ''}"
-            blame = "–" if touched is None else ("yes" if touched.at_fault else "no")
-            seconds = Cell(None if touched is None else touched.seconds, "s", 1, "drives")
-            cells: list[str | Shown] = [planner_cell(each.drives, name), scene.scene, sources[scene.scene]]
-            failed = "only open" if scene.open_fails else "only closed"
-            rows.append([*cells, failed, whom, blame, seconds.shown(1)])
     title = f"{one.title}: scenes on which open loop and closed loop disagree"
-    columns = ("planner", "scene", "recording", "fails", "contact with", "at fault", "contact s")
-    notes = (_SCENES_NOTE, *notes_of(one))
-    brief = Brief(title, (0, 1, 3, 4, 5, 6), notes, text_columns=5)
-    return table_of(f"{DISAGREEMENTS}-{one.name}", title, columns, rows, notes=notes, text_columns=6, brief=brief)
+    notes = (_SCENES_NOTE, *one.notes)
+    return tabulate(f"{DISAGREEMENTS}-{one.name}", title, _SCENES, rows, notes, brief=_BRIEF_SCENES)
+
+
+def _scene_values(scene: SceneLoops) -> dict[str, Value]:
+    touched = scene.first.first_contact if scene.first is not None else None
+    adversary = ", the adversary" if touched is not None and touched.adversary else ""
+    return {
+        "scene": scene.scene,
+        "fails": "only open" if scene.open_fails else "only closed",
+        "contact with": None if touched is None else f"{touched.category}{adversary}",
+        "at fault": None if touched is None else ("yes" if touched.at_fault else "no"),
+        "contact s": Cell(None if touched is None else touched.seconds, "s", 1, "drives"),
+    }

@@ -12,11 +12,11 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.metrics.rates import ratios_over_scenes
-from benchmark.records.drives import ATTRIBUTABLE, BYSTANDER, DriveRecord, columns_of
-from benchmark.report.cells import UNDEFINED, Origin, Shown
-from benchmark.report.table import Table, table_of
-from leaderboard.tables.drives import origin_of_drives, planner_cell
-from leaderboard.tables.worlds import worlds
+from benchmark.records.drives import ATTRIBUTABLE, BYSTANDER, DriveRecord
+from benchmark.report.cells import Cell, Origin
+from benchmark.report.table import Table
+from leaderboard.frame.drives import Driven, worlds
+from leaderboard.frame.specification import Column, Value, Values, numbers, places, tabulate, texts
 
 BUDGET: Final = ("every_s", "rounds", "candidates")
 """What a budget is, by the names of a record's `agents_facts`."""
@@ -36,6 +36,21 @@ _TRANSFER_NOTE: Final = (
     "column's has one too; the diagonal is the row's planner against its own tracks. A dash: the row's planner never "
     "failed."
 )
+_SHARES: Final = {
+    ATTRIBUTABLE: "attributable %",
+    BYSTANDER: "bystander %",
+    "at_fault": "at fault %",
+    "survives_cc": "careful survives %",
+}
+_COLUMNS: Final = [
+    *texts("planner", "every s", "rounds", "candidates"),
+    *(
+        column
+        for name, head, digits in (*((*each, 1) for each in _SHARES.items()), ("impact_speed", "impact m/s", 2))
+        for column in (Column(head, name, digits=digits), Column("95 %", name, digits=digits, interval=True))
+    ),
+    *numbers("drives"),
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,13 +58,11 @@ class Pressure:
     """One planner against one budget.
 
     Attributes:
-        record: Its record.
-        name: The planner in tables.
+        row: Its drives.
         budget: Seconds between plans, rounds, candidates.
     """
 
-    record: DriveRecord
-    name: str
+    row: Driven
     budget: tuple[float, int, int]
 
     @property
@@ -71,17 +84,17 @@ def pressures(records: Sequence[DriveRecord]) -> list[tuple[str, list[Pressure]]
     kinds: dict[str, list[Pressure]] = {}
     titles: dict[str, str] = {}
     for world in worlds([each for each in records if _budget(each) is not None]):
-        for record, name in zip(world.records, world.planners, strict=True):
-            facts, budget = record.facts, _budget(record)
+        for row in world.rows:
+            facts, budget = row.record.facts, _budget(row.record)
             assert budget is not None
             rest = _without(facts.measured.agents_facts, (*BUDGET, *_OF_SEARCH))
             key = json.dumps([facts.data.fingerprint, facts.split, facts.scenes, facts.runs, rest, world.sensor])
             said = ", ".join(f"{word.replace('_', ' ')} {value}" for word, value in rest.items())
             titles[key] = f"{facts.data.name} {facts.split}: pressure of an adversary that is planned anew ({said})"
-            kinds.setdefault(key, []).append(Pressure(record, name, budget))
+            kinds.setdefault(key, []).append(Pressure(row, budget))
     several = {key: found for key, found in kinds.items() if len({each.budget for each in found}) > 1}
     return [
-        (titles[key], sorted(found, key=lambda each: (each.name, each.candidates, each.budget)))
+        (titles[key], sorted(found, key=lambda each: (each.row.name, each.candidates, each.budget)))
         for key, found in sorted(several.items(), key=lambda item: titles[item[0]])
     ]
 
@@ -100,27 +113,19 @@ def pressure_tables(records: Sequence[DriveRecord]) -> list[Table]:
     Returns:
         Tables of pressure, then of transfer.
     """
-    found = [_pressure_table(number, title, rows) for number, (title, rows) in enumerate(pressures(records))]
+    found = [
+        tabulate(pressure_name(number), title, _COLUMNS, map(_values, rows), (_PRESSURE_NOTE,))
+        for number, (title, rows) in enumerate(pressures(records))
+    ]
     return [*found, *transfer_tables(records)]
 
 
-def _pressure_table(number: int, title: str, rows: Sequence[Pressure]) -> Table:
-    columns = ["planner", "every s", "rounds", "candidates", "attributable %", "95 %", "bystander %", "95 %"]
-    columns += ["at fault %", "95 %", "careful survives %", "95 %", "impact m/s", "95 %", "drives"]
-    cells: list[list[str | Shown]] = []
-    for each in rows:
-        origin, found = origin_of_drives(each.record, each.name), columns_of(each.record)
-        every_s, rounds, candidates = each.budget
-        line: list[str | Shown] = [planner_cell(each.record, each.name), f"{every_s:g}", str(rounds), str(candidates)]
-        for column in (ATTRIBUTABLE, BYSTANDER, "at_fault", "survives_cc", "impact_speed"):
-            rate, percent = found.get(column), column != "impact_speed"
-            if rate is None:
-                line += [UNDEFINED, UNDEFINED]
-                continue
-            cell = origin.percent(rate, "drives") if percent else origin.amount(rate, "m/s", "drives")
-            line += [cell.shown(1 if percent else 2), cell.interval(1 if percent else 2)]
-        cells.append([*line, origin.count(each.record.summary.drives, "drives").shown()])
-    return table_of(pressure_name(number), title, columns, cells, notes=(_PRESSURE_NOTE,), text_columns=4)
+def _values(each: Pressure) -> Values:
+    row, (every_s, rounds, candidates) = each.row, each.budget
+    budget: Values = {"every s": f"{every_s:g}", "rounds": str(rounds), "candidates": str(candidates)}
+    rates = {name: row.cell(name) for name in _SHARES}
+    impact = row.cell("impact_speed", "m/s")
+    return {"planner": row.planner, **budget, **rates, "impact_speed": impact, "drives": row.drives()}
 
 
 def transfer_tables(records: Sequence[DriveRecord]) -> list[Table]:
@@ -148,18 +153,18 @@ def _transfer_table(number: int, pairs: Sequence[tuple[DriveRecord, DriveRecord]
     by_name = {(source.planner, record.planner): (source, record) for source, record in pairs}
     rows_of = sorted({source for source, _ in by_name})
     columns_of = sorted({victim for _, victim in by_name} | set(rows_of))
-    lines: list[list[str | Shown]] = []
-    for row in rows_of:
-        source = next(pair[0] for (name, _), pair in by_name.items() if name == row)
+    rows: list[dict[str, Value]] = []
+    for name in rows_of:
+        source = next(pair[0] for (by, _), pair in by_name.items() if by == name)
         failed = _failed(source)
-        line: list[str | Shown] = [row, Origin(None, None).count(len(failed), "drives", len(source.rows)).shown()]
-        for column in columns_of:
-            pair = by_name.get((row, column), (source, source) if column == row else None)
-            line.append(UNDEFINED if pair is None else _transferred(*pair, column))
-        lines.append(line)
+        rows.append({"planned against": name, "fails": Origin().count(len(failed), "drives", len(source.rows))})
+        for place, column in enumerate(columns_of):
+            pair = by_name.get((name, column), (source, source) if column == name else None)
+            rows[-1][f"#{place}"] = None if pair is None else _transferred(*pair, column)
     name = "drives-transfer" if not number else f"drives-transfer-{number + 1}"
     title = f"{first.data.name} {first.split}: transfer in closed loop, {first.measured.world}"
-    return table_of(name, title, ("planned against", "fails", *columns_of), lines, notes=(_TRANSFER_NOTE,))
+    columns = [*texts("planned against"), *numbers("fails"), *places(columns_of, 1)]
+    return tabulate(name, title, columns, rows, (_TRANSFER_NOTE,))
 
 
 def _failed(record: DriveRecord) -> set[tuple[str, int]]:
@@ -168,18 +173,18 @@ def _failed(record: DriveRecord) -> set[tuple[str, int]]:
     return {(row.scene, row.run) for row, contact in known if contact.at_fault and contact.adversary}
 
 
-def _transferred(source: DriveRecord, victim: DriveRecord, name: str) -> Shown | str:
+def _transferred(source: DriveRecord, victim: DriveRecord, name: str) -> Cell | None:
     """Share of the source's failures that the victim fails too, with scenes as what is drawn."""
     failed, also = _failed(source), _failed(victim)
     drove = {(row.scene, row.run) for row in victim.rows if row.status == "ok" and not row.unlabelled}
     counted = sorted(failed & drove)
     if not counted:
-        return UNDEFINED
+        return None
     known = source.facts.scene_facts
     scenes = [known[scene].source if scene in known else scene for scene, _ in counted]
     hits = np.array([[float(each in also)] for each in counted])
     (rate,) = ratios_over_scenes(hits, np.ones_like(hits), scenes, seed=source.facts.seed)
-    return origin_of_drives(victim, name).percent(rate, "drives").shown(1)
+    return Driven(victim, name).origin.percent(rate, "drives")
 
 
 def _budget(record: DriveRecord) -> tuple[float, int, int] | None:

@@ -1,64 +1,69 @@
 """Where the time of generation goes, ours beside the paper's: from scene sheets."""
 
+from collections.abc import Sequence
 from typing import Final
 
 from benchmark.published import RUNTIME_MACHINE, RUNTIME_S, RUNTIME_SOURCE
-from benchmark.records.scenes import Sheets, SplitSheet
+from benchmark.records.scenes import SplitSheet
 from benchmark.records.statistics import RENDERING, Runtime
-from benchmark.report.cells import PERCENT, Shown
-from benchmark.report.table import Table, table_of
+from benchmark.report.cells import PERCENT
+from benchmark.report.table import Table
 from benchmark.report.words import counted, titled
+from leaderboard.frame.sheets import origin_of
+from leaderboard.frame.specification import Values, numbers, tabulate, texts, under
 from leaderboard.tables.published import published_seconds
-from leaderboard.tables.statistics import by_data_set, origin_of
 
 ALL: Final = "all"
+_COLUMNS: Final = [
+    *texts("stage"),
+    *under("here, processor seconds", numbers("total, s", "each, s", digits=2), numbers("% of total", digits=1)),
+    *under("paper, seconds by the clock", numbers("paper, s")),
+]
 
 
-def runtime_tables(sheets: Sheets) -> dict[str, tuple[Table, ...]]:
-    """Processor seconds of each stage of generation.
+def runtime_tables(data_name: str, splits: Sequence[SplitSheet]) -> list[Table]:
+    """Processor seconds of each stage of generation, of each split that was timed."""
+    return [_table(data_name, split, split.runtime) for split in splits if split.runtime is not None]
 
-    Args:
-        sheets: Sheets of any splits; those whose generation was not timed have no table.
 
-    Returns:
-        Tables by name of the data set.
-    """
-    return by_data_set(
-        sheets,
-        lambda name, splits: [_table(name, split, split.runtime) for split in splits if split.runtime is not None],
-    )
+def stages_of(runtime: Runtime) -> list[str]:
+    """The paper's stages, then all others."""
+    return [*RUNTIME_S, *sorted(set(runtime.total_s) - set(RUNTIME_S))]
+
+
+def counted_of(runtime: Runtime, stage: str) -> tuple[int, str]:
+    """What the seconds of a stage are counted over: attempts, or of rendering scenes."""
+    return (runtime.scenes, "scenes") if stage == RENDERING else (runtime.attempts, "attempts")
 
 
 def _table(data_name: str, split: SplitSheet, runtime: Runtime) -> Table:
-    stages = [*RUNTIME_S, *sorted(set(runtime.total_s) - set(RUNTIME_S))]
-    return table_of(
+    return tabulate(
         f"runtime-{split.split}",
         f"{titled(data_name, split.split)}: processor seconds of generation",
-        ("stage", "total, s", "each, s", "% of total", "paper, s"),
-        [_row(split, runtime, stage) for stage in (*stages, ALL)],
-        notes=(
+        _COLUMNS,
+        [_values(split, runtime, stage) for stage in (*stages_of(runtime), ALL)],
+        (
             f"Here: seconds of one processor core over {counted(runtime.attempts, 'attempt')} and "
             f"{counted(runtime.scenes, 'rendered scene')}, whatever the machine; each: one attempt, rendering: one "
             "scene.",
             f"Paper: seconds by the clock for one scene of about 240 frames and six cameras on {RUNTIME_MACHINE}. The "
             "two columns have different units of work and do not compare.",
         ),
-        groups=(("", 1), ("here, processor seconds", 3), ("paper, seconds by the clock", 1)),
         sources=(RUNTIME_SOURCE,),
     )
 
 
-def _row(split: SplitSheet, runtime: Runtime, stage: str) -> tuple[str | Shown, ...]:
+def _values(split: SplitSheet, runtime: Runtime, stage: str) -> Values:
     origin, every = origin_of(split), sum(runtime.total_s.values())
     total = every if stage == ALL else runtime.total_s.get(stage, 0.0)
-    count, of = (runtime.scenes, "scenes") if stage == RENDERING else (runtime.attempts, "attempts")
-    return (
-        stage,
-        origin.cell(total, "s", count, of).shown(2),
-        origin.cell(_each(runtime, stage), "s", count, of).shown(2),
-        origin.cell(total / every if every else None, PERCENT, count, of, scale=100.0).shown(1),
-        published_seconds(stage),
-    )
+    count, of = counted_of(runtime, stage)
+    return {
+        "stage": stage,
+        "total, s": origin.cell(total, "s", count, of),
+        "each, s": origin.cell(_each(runtime, stage), "s", count, of),
+        "% of total": origin.cell(total / every if every else None, PERCENT, count, of, scale=100.0),
+        "paper, s": published_seconds(stage),
+    }
 
 
 def _each(runtime: Runtime, stage: str) -> float | None:

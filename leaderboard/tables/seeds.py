@@ -7,10 +7,12 @@ import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.metrics.scores import require_current
-from benchmark.records.run import NATIVE, RunRecord, protocol_of
-from benchmark.report.cells import Cell, Origin, Shown, record_name
-from benchmark.report.table import Table, table_of
-from leaderboard.tables.rows import in_table_order, judges, name_cell, notes_of_marks
+from benchmark.records.run import RunRecord, protocol_of
+from benchmark.report.cells import Origin, record_name
+from benchmark.report.table import Table
+from leaderboard.frame.rows import judges, name_cell, notes_of_marks
+from leaderboard.frame.runs import Frame, whose
+from leaderboard.frame.specification import Values, numbers, tabulate, texts, under
 
 _RULE = (
     "Runs of one planner on one split that differ in the seed and in nothing else that a record names. Deviation: of "
@@ -18,50 +20,44 @@ _RULE = (
 )
 
 
-def seed_spread_table(data_name: str, protocol: str, records: Sequence[RunRecord]) -> Table | None:
+def seed_spread_table(frame: Frame, protocol: str) -> Table | None:
     """Spread of the average collision rate over the seeds of each planner on each split.
 
     Args:
-        data_name: Name of the data set, for the title.
+        frame: Runs of a part of their split, with failed samples, or judged by another version of the protocol are
+            named below the table.
         protocol: Whose verdicts; ``native`` is that of the planner's own repository.
-        records: Runs on this data set. Runs of a part of their split, with failed samples, or judged by another version
-            of the protocol are named below the table.
 
     Returns:
         One row for each planner and split that ran with at least two seeds, or ``None`` where there is none.
     """
     notes = [_RULE]
-    rows, shown = [], []
-    for runs in _versions(records):
-        if len({run.run.planner.seed for run in runs}) < 2:
+    rows, first = [], []
+    for runs in _versions(frame.runs):
+        if len(runs) < 2:
             continue
-        kept = []
-        for run in runs:
-            refusal = _refusal(run, protocol)
-            if refusal is None:
-                kept.append(run)
-            else:
-                notes.append(f"Left out: {refusal}.")
-        rows.append(_row(runs[0], protocol, kept))
-        shown.append(runs[0])
+        refused = [_refusal(run, protocol) for run in runs]
+        notes += [f"Left out: {reason}." for reason in refused if reason is not None]
+        rows.append(_values(runs[0], protocol, [run for run, reason in zip(runs, refused) if reason is None]))
+        first.append(runs[0])
     if not rows:
         return None
-    who = "own protocol" if protocol == NATIVE else protocol
-    return table_of(
-        f"seeds-{protocol}",
-        f"{data_name}: average collision rate (%) over the seeds of a planner, {judges(protocol)}",
-        ("planner", "split", "protocol", "seeds", "mean", "lowest", "highest", "deviation"),
-        rows,
-        notes=(*notes, *notes_of_marks(shown)),
-        text_columns=3,
-        groups=(("", 3), (f"average collision rate in %, {who}", 5)),
-    )
+    columns = [
+        *texts("planner", "split", "protocol"),
+        *under(
+            f"average collision rate in %, {whose(protocol)}",
+            numbers("seeds"),
+            numbers("mean", "lowest", "highest", "deviation", digits=3),
+        ),
+    ]
+    title = f"{frame.data_name}: average collision rate (%) over the seeds of a planner, {judges(protocol)}"
+    return tabulate(f"seeds-{protocol}", title, columns, rows, (*notes, *notes_of_marks(first)))
 
 
 def _versions(records: Sequence[RunRecord]) -> list[list[RunRecord]]:
     """Records of one planner with one set of weights and settings on one split, at most one a seed, by seed."""
     found: dict[str, dict[int, RunRecord]] = {}
-    for record in in_table_order(records):
+    for record in records:
         planner = record.run.planner
         facts = [planner.name, planner.weights_sha256, planner.settings, record.run.split]
         found.setdefault(json.dumps(facts, sort_keys=True), {}).setdefault(planner.seed, record)
@@ -79,26 +75,22 @@ def _refusal(record: RunRecord, protocol: str) -> str | None:
     return None
 
 
-def _row(first: RunRecord, protocol: str, runs: Sequence[RunRecord]) -> tuple[str | Shown, ...]:
+def _values(first: RunRecord, protocol: str, runs: Sequence[RunRecord]) -> Values:
     """One planner; ``runs`` are those that count."""
     planner, judge = first.run.planner, protocol_of(first, protocol)
     found = [run.summary.protocols[judge].columns["collision"]["avg"].value for run in runs]
     rates = [rate for rate in found if rate is not None]
     origin = Origin(judge, record_name(*runs) or None)
-
-    def of_seeds(value: float | None) -> Cell:
-        return origin.cell(value, "%", len(rates), "seeds", scale=100.0)
-
-    numbers = (
-        float(np.mean(rates)) if rates else None,
-        min(rates, default=None),
-        max(rates, default=None),
-        float(np.std(rates, ddof=1)) if len(rates) > 1 else None,
-    )
-    return (
-        name_cell(planner.name, privileged=planner.privileged, miniature=planner.miniature),
-        first.run.split,
-        judge,
-        origin.count(len(rates), "seeds").shown(),
-        *(of_seeds(value).shown(3) for value in numbers),
-    )
+    of_seeds = {
+        "mean": float(np.mean(rates)) if rates else None,
+        "lowest": min(rates, default=None),
+        "highest": max(rates, default=None),
+        "deviation": float(np.std(rates, ddof=1)) if len(rates) > 1 else None,
+    }
+    return {
+        "planner": name_cell(planner.name, planner),
+        "split": first.run.split,
+        "protocol": judge,
+        "seeds": origin.count(len(rates), "seeds"),
+        **{name: origin.cell(value, "%", len(rates), "seeds", scale=100.0) for name, value in of_seeds.items()},
+    }

@@ -10,15 +10,16 @@ from benchmark.metrics.effect import says_whom
 from benchmark.metrics.rates import HORIZONS
 from benchmark.metrics.scores import takes_maxima
 from benchmark.metrics.slices import ADVERSARY, KINDS, Slice, SliceKind, causes_by, driving_by, rates_by, slicing
-from benchmark.records.driving import DEFINITION, PDM, SUB_SCORES, TOTALS
+from benchmark.records.driving import DEFINITION, PDM
 from benchmark.records.row_schema import CAUSES
-from benchmark.records.run import NATIVE, RunRecord
-from benchmark.report.cells import UNDEFINED, Shown, origin_of
-from benchmark.report.table import Brief, Table, table_of
-from leaderboard.tables.driving import driver_name
+from benchmark.records.run import NATIVE, RunRecord, protocol_of
+from benchmark.report.table import Table
+from leaderboard.frame.rows import judges, run_notes
+from leaderboard.frame.runs import Frame, Row, shown_protocols, whose
+from leaderboard.frame.specification import Columns, Values, estimates, intervals, numbers, tabulate, texts, under
+from leaderboard.tables.driving import HEADS, driver_name
 from leaderboard.tables.effect import unsaid_whom
-from leaderboard.tables.further_columns import COLUMNS, FurtherColumn
-from leaderboard.tables.rows import in_table_order, judges, row_name, run_notes
+from leaderboard.tables.further_columns import COLUMNS, FurtherColumn, further_values
 
 SLICES: Final = "slices"
 """First word of the names of these tables."""
@@ -43,11 +44,7 @@ _WHOM: Final = (
     "Adversary: the plan touches the adversary before anything else; any contact: whoever is touched, so that what it "
     "has more is bystanders. A dash: no adversaries, or the record does not say whom contacts are with."
 )
-_HEADS: Final = {"score": "score", "score_without_ec": "without EC", **{name: name.upper() for name in SUB_SCORES}}
-
-_ADVERSARY_HEADS: Final = ("adversary 3s", "adversary avg", "95 % of adversary")
-
-Row = tuple[str | Shown, ...]
+_ADVERSARY: Final = ["adversary 3s", "adversary avg", "95 % of adversary"]
 
 
 def slice_tables(
@@ -65,13 +62,18 @@ def slice_tables(
         For each kind one table for each that is asked; a table without rows says which records lack what it sorts by,
         and there is none where nothing can be sorted, as where no scene has an adversary.
     """
+    return slices_of(Frame(data_name, records), asked, kinds)
+
+
+def slices_of(frame: Frame, asked: Sequence[str], kinds: Sequence[SliceKind] = KINDS) -> list[Table]:
+    """`slice_tables` of a frame."""
     makers = {PDM: _driving_table, DIAGNOSIS: _causes_table}
     tables = [
-        makers[name](data_name, kind, records) if name in makers else _rates_table(data_name, kind, name, records)
+        makers[name](frame, kind) if name in makers else _rates_table(frame, kind, name)
         for kind in kinds
         for name in asked
     ]
-    return [table for table in tables if table is not None]
+    return [table for table in tables if table.rows or any("rescore" in note for note in table.notes)]
 
 
 def run_slices(
@@ -95,189 +97,142 @@ def run_slices(
     Returns:
         The tables.
     """
-    shown = [record for record in records if allow_partial or record.complete]
-    own = any(record.run.planner.native_protocol for record in shown)
-    return slice_tables(data_name, shown, protocols or ((EXACT, NATIVE) if own else (EXACT,)), kinds)
+    shown = Frame(data_name, [record for record in records if allow_partial or record.complete])
+    return slices_of(shown, shown_protocols(shown, protocols), kinds)
 
 
-def _rates_table(data_name: str, kind: SliceKind, protocol: str, records: Sequence[RunRecord]) -> Table | None:
+def _rates_table(frame: Frame, kind: SliceKind, protocol: str) -> Table:
     """Collision rates, L2 and the further rates of a protocol."""
-    own = protocol == NATIVE
-    if own:
-        # As in the whole table: maxima share no column with means, and who has no protocol stands under exact.
-        records = [record for record in records if record.run.planner.native_protocol]
-        records = [record for record in records if not takes_maxima(record.native_protocol)]
-    runs, notes = _of_runs(records, kind, lambda record: rates_by(record, kind, protocol))
-    further = [column for column in COLUMNS if any(column.name in one.columns for _, parts in runs for one in parts)]
-    further = [] if own else further
-    pursued = [record for record, _ in runs if protocol == EXACT and has_adversaries(record)]
+    own, who = protocol == NATIVE, whose(protocol)
+    # As in the whole table: maxima share no column with means, and who has no protocol stands under exact.
+    runs = [run for run in frame.runs if run.run.planner.native_protocol and not takes_maxima(run.native_protocol)]
+    rows, notes = _rows(runs if own else frame.runs, protocol, kind, lambda record: rates_by(record, kind, protocol))
+    further = [column for column in COLUMNS if not own and any(column.name in row.found.columns for row in rows)]
+    pursued = [row.record for row in rows if protocol == EXACT and has_adversaries(row.record)]
     notes += dict.fromkeys(unsaid_whom(record) for record in pursued if not says_whom(record))
-    collision = "any" if pursued else "col."
-    columns = (
-        *("planner", "split", kind, *(("protocol",) if own else ())),
-        *(_ADVERSARY_HEADS if pursued else ()),
-        *(*(f"{collision} {horizon}" for horizon in HORIZONS), f"95 % of {collision} avg"),
-        *(*(f"L2 {horizon}" for horizon in HORIZONS), "95 % of L2 avg"),
-        *(head for column in further for head in (f"{column.head} avg", f"95 % of {column.head}")),
-        *("samples", "scenes"),
-    )
-    texts = 4 if own else 3
+    collision, contact = ("any", "any contact") if pursued else ("col.", "collision rate")
+    columns = [
+        *texts("planner", "split", kind, *(("protocol",) if own else ())),
+        *under(
+            f"touches the adversary first, in %, {who}",
+            numbers(*_ADVERSARY[:2], digits=2) if pursued else [],
+            intervals({_ADVERSARY[2]: _ADVERSARY[1]}) if pursued else [],
+        ),
+        *under(f"{contact} in %, {who}", _at_horizons(collision, 1)),
+        *under(f"L2 in m, {who}", _at_horizons("L2", 2)),
+        *(
+            column
+            for each in further
+            for column in under(
+                f"{each.head} in %, {who}",
+                numbers(f"{each.head} avg", digits=2),
+                intervals({f"95 % of {each.head}": f"{each.head} avg"}),
+            )
+        ),
+        *under(f"counted, {who}", numbers("samples", "scenes")),
+    ]
     # A terminal has no room for everything, and L2 does not ask who is in the way.
-    first = ("adversary avg", "95 % of adversary", "any avg") if pursued else ("col. avg", "95 % of col. avg", "L2 avg")
-    shown = (*range(texts), *(columns.index(head) for head in (*first, "samples")))
-    who = "own protocol" if own else protocol
-    return _table(
-        f"{SLICES}-{kind}-{protocol}",
-        f"{data_name}: collision rate (%) and L2 (m) by {kind}, {judges(protocol)}",
-        columns,
-        [
-            _rates_row(record, protocol, one, further, names_protocol=own, pursued=bool(pursued))
-            for record, parts in runs
-            for one in parts
-        ],
-        notes=(_SAYS[kind], *((_WHOM,) if pursued else ()), *(column.says for column in further), _INTERVALS, *notes),
-        shown=(*shown, columns.index("scenes")),
-        texts=texts,
-        groups=(
-            ("", texts),
-            *(((f"touches the adversary first, in %, {who}", len(_ADVERSARY_HEADS)),) if pursued else ()),
-            (f"{'any contact' if pursued else 'collision rate'} in %, {who}", 5),
-            (f"L2 in m, {who}", 5),
-            *((f"{column.head} in %, {who}", 2) for column in further),
-            (f"counted, {who}", 2),
-        ),
+    first = (
+        ("adversary avg", "95 % of adversary avg", "any avg") if pursued else ("col. avg", "95 % of col. avg", "L2 avg")
     )
+    title = f"{frame.data_name}: collision rate (%) and L2 (m) by {kind}, {judges(protocol)}"
+    notes = [_SAYS[kind], *((_WHOM,) if pursued else ()), *(column.says for column in further), _INTERVALS, *notes]
+    values = [_rate_values(row, kind, collision, further) for row in rows]
+    return _table(f"{SLICES}-{kind}-{protocol}", title, columns, values, notes, first)
 
 
-def _rates_row(
-    record: RunRecord,
-    protocol: str,
-    part: Slice,
-    further: Sequence[FurtherColumn],
-    *,
-    names_protocol: bool,
-    pursued: bool,
-) -> Row:
-    judge = record.native_protocol if protocol == NATIVE else protocol
-    origin = origin_of(record, judge)
-    adversary: Row = (UNDEFINED,) * len(_ADVERSARY_HEADS) if pursued else ()
-    if (said := part.columns.get(ADVERSARY)) is not None:
-        average = origin.percent(said["avg"])
-        adversary = origin.percent(said["3s"]).shown(2), average.shown(2), average.interval()
-    collision = {horizon: origin.percent(part.columns["collision"][horizon]) for horizon in HORIZONS}
-    apart = {horizon: origin.amount(part.columns["l2"][horizon], "m") for horizon in HORIZONS}
-    others = [origin.percent(part.columns[column.name]["avg"]) for column in further]
-    return (
-        *(row_name(record, judge), record.run.split, part.name, *((judge,) if names_protocol else ())),
-        *adversary,
-        *(*(collision[horizon].shown(2) for horizon in HORIZONS), collision["avg"].interval()),
-        *(*(apart[horizon].shown(2) for horizon in HORIZONS), apart["avg"].interval(2)),
-        *(shown for cell in others for shown in (cell.shown(2), cell.interval())),
-        *_counts(record, judge, part),
-    )
+def _at_horizons(head: str, ends: int) -> Columns:
+    rates = [f"{head} {horizon}" for horizon in HORIZONS]
+    return [*numbers(*rates, digits=2), *intervals({f"95 % of {head} avg": f"{head} avg"}, ends)]
 
 
-def _driving_table(data_name: str, kind: SliceKind, records: Sequence[RunRecord]) -> Table | None:
+def _rate_values(row: Row[Slice], kind: SliceKind, collision: str, further: Sequence[FurtherColumn]) -> Values:
+    rates = row.found.columns
+    return {
+        **row.names,
+        kind: row.found.name,
+        "protocol": row.judge,
+        **row.by_horizon("adversary {}", ADVERSARY, rates.get(ADVERSARY, {})),
+        **row.by_horizon(f"{collision} {{}}", "collision", rates["collision"]),
+        **row.by_horizon("L2 {}", "l2", rates["l2"]),
+        **further_values(row, further, rates),
+        "samples": row.samples(row.found.samples),
+        "scenes": row.scenes(row.found.scenes),
+    }
+
+
+def _driving_table(frame: Frame, kind: SliceKind) -> Table:
     """Driving scores."""
-    runs, notes = _of_runs(records, kind, lambda record: driving_by(record, kind))
-    names = (*TOTALS, *SUB_SCORES)
-
-    def row(record: RunRecord, part: Slice) -> Row:
-        origin = origin_of(record, DEFINITION)
-        cells = [origin.percent(part.columns[name]["mean"]) for name in names]
-        told = (shown for cell in cells for shown in (cell.shown(1), cell.interval()))
-        assert record.summary.driving is not None
-        name = driver_name(record, record.summary.driving)
-        return name, record.run.split, part.name, *told, *_counts(record, DEFINITION, part)
-
-    columns = (
-        *("planner", "split", kind),
-        *(head for name in names for head in (_HEADS[name], f"95 % of {_HEADS[name]}")),
-        *("samples", "scenes"),
-    )
-    return _table(
-        f"{SLICES}-{kind}-{PDM}",
-        f"{data_name}: driving scores (%) by {kind}, {DEFINITION}",
-        columns,
-        [row(record, one) for record, parts in runs for one in parts],
-        notes=(_SAYS[kind], _INTERVALS, *notes),
-        shown=(*range(4), *(3 + 2 * place for place in range(2, len(names))), len(columns) - 2, len(columns) - 1),
-        texts=3,
-        groups=(("", 3), (f"mean in %, {DEFINITION}", 2 * len(names)), (f"counted, {DEFINITION}", 2)),
-    )
+    rows, notes = _rows(frame.runs, DEFINITION, kind, lambda record: driving_by(record, kind))
+    columns = [
+        *texts("planner", "split", kind),
+        *under(f"mean in %, {DEFINITION}", estimates(*HEADS.values())),
+        *under(f"counted, {DEFINITION}", numbers("samples", "scenes")),
+    ]
+    values: list[Values] = [
+        {
+            "planner": driver_name(row),
+            "split": row.split,
+            kind: row.found.name,
+            **{head: row.origin.percent(row.found.columns[name]["mean"]) for name, head in HEADS.items()},
+            "samples": row.samples(row.found.samples),
+            "scenes": row.scenes(row.found.scenes),
+        }
+        for row in rows
+    ]
+    title = f"{frame.data_name}: driving scores (%) by {kind}, {DEFINITION}"
+    shown = [head for head in HEADS.values() if head != HEADS["score_without_ec"]]
+    return _table(f"{SLICES}-{kind}-{PDM}", title, columns, values, (_SAYS[kind], _INTERVALS, *notes), shown)
 
 
-def _causes_table(data_name: str, kind: SliceKind, records: Sequence[RunRecord]) -> Table | None:
+def _causes_table(frame: Frame, kind: SliceKind) -> Table:
     """Why plans collide."""
-    runs, notes = _of_runs(records, kind, lambda record: causes_by(record, kind))
-
-    def row(record: RunRecord, part: Slice) -> Row:
-        origin = origin_of(record, EXACT)
-        cells = [origin.percent(part.columns["cause"][cause], "colliding samples") for cause in CAUSES]
-        told = (shown for cell in cells for shown in (cell.shown(1), cell.interval()))
-        return row_name(record, EXACT), record.run.split, part.name, *told, *_counts(record, EXACT, part)
-
-    columns = (
-        *("planner", "split", kind),
-        *(head for cause in CAUSES for head in (cause, f"95 % of {cause}")),
-        *("colliding", "scenes"),
-    )
-    return _table(
-        f"{SLICES}-{kind}-{DIAGNOSIS}",
-        f"{data_name}: why plans collide (% of the colliding samples) by {kind}, protocol {EXACT}",
-        columns,
-        [row(record, one) for record, parts in runs for one in parts],
-        notes=(_SAYS[kind], "The causes are those of docs/diagnosis.md.", _INTERVALS, *notes),
-        shown=(*range(3), *(3 + 2 * place for place in range(len(CAUSES))), len(columns) - 2, len(columns) - 1),
-        texts=3,
-        groups=(
-            ("", 3),
-            (f"% of the colliding samples, {EXACT}", 2 * len(CAUSES)),
-            (f"colliding samples and their scenes, {EXACT}", 2),
-        ),
-    )
+    rows, notes = _rows(frame.runs, EXACT, kind, lambda record: causes_by(record, kind))
+    columns = [
+        *texts("planner", "split", kind),
+        *under(f"% of the colliding samples, {EXACT}", estimates(*CAUSES)),
+        *under(f"colliding samples and their scenes, {EXACT}", numbers("colliding", "scenes")),
+    ]
+    values: list[Values] = [
+        {
+            **row.names,
+            kind: row.found.name,
+            **{
+                cause: row.origin.percent(rate, "colliding samples")
+                for cause, rate in row.found.columns["cause"].items()
+            },
+            "colliding": row.samples(row.found.samples),
+            "scenes": row.scenes(row.found.scenes),
+        }
+        for row in rows
+    ]
+    title = f"{frame.data_name}: why plans collide (% of the colliding samples) by {kind}, protocol {EXACT}"
+    notes = [_SAYS[kind], "The causes are those of docs/diagnosis.md.", _INTERVALS, *notes]
+    return _table(f"{SLICES}-{kind}-{DIAGNOSIS}", title, columns, values, notes, CAUSES)
 
 
-def _of_runs(
-    records: Sequence[RunRecord], kind: SliceKind, sliced: Callable[[RunRecord], list[Slice]]
-) -> tuple[list[tuple[RunRecord, list[Slice]]], list[str]]:
-    """Slices of every run that has some, and what has to be said of the runs."""
-    found, told = [], []
-    for record in in_table_order(records):
+def _rows(
+    runs: Sequence[RunRecord], protocol: str, kind: SliceKind, sliced: Callable[[RunRecord], list[Slice]]
+) -> tuple[list[Row[Slice]], list[str]]:
+    """A row for each slice of each run, and what has to be said of the runs."""
+    rows: list[Row[Slice]] = []
+    told = []
+    for record in runs:
         who = f"{record.planner} on {record.run.split}"
         if slicing(record, kind) is None:
             told += [f"{who}: the record {_LACKING[kind]}; run challenger-bench rescore."] if kind in _LACKING else []
             continue
         try:
-            parts = sliced(record)
+            rows += [Row(record, protocol_of(record, protocol), part) for part in sliced(record)]
         except InputError as refusal:
             told.append(f"Left out: {refusal}.")
-            continue
-        if parts:
-            found.append((record, parts))
-    return found, run_notes([record for record, _ in found], told)
-
-
-def _counts(record: RunRecord, judge: str, part: Slice) -> tuple[Shown, Shown]:
-    origin = origin_of(record, judge)
-    return (
-        origin.count(part.samples, "samples", record.summary.samples).shown(),
-        origin.count(part.scenes, "scenes", len(record.run.scenes)).shown(),
-    )
+    shown = {id(row.record): row.record for row in rows}
+    return rows, run_notes(list(shown.values()), told)
 
 
 def _table(
-    name: str,
-    title: str,
-    columns: tuple[str, ...],
-    rows: Sequence[Row],
-    *,
-    notes: tuple[str, ...],
-    shown: tuple[int, ...],
-    texts: int,
-    groups: tuple[tuple[str, int], ...],
-) -> Table | None:
-    if not rows and not any("rescore" in note for note in notes):
-        return None
-    brief = Brief(title, shown, notes, texts)
-    return table_of(name, title, columns, rows, notes=notes, text_columns=texts, groups=groups, brief=brief)
+    name: str, title: str, columns: Columns, rows: Sequence[Values], notes: Sequence[str], shown: Sequence[str]
+) -> Table:
+    """A table of which a terminal shows the text, some numbers, and what was counted."""
+    brief = [column.name for column in columns if column.text or column.name in ("samples", "colliding", "scenes")]
+    return tabulate(name, title, columns, rows, notes, brief=[*brief, *shown])

@@ -1,19 +1,32 @@
 """Transfer tables: who else fails the scenes that one planner fails, and how far that is more than chance."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
+from benchmark.errors import InputError
 from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.effect import says_whom
 from benchmark.metrics.rates import Estimate, Rate
+from benchmark.metrics.scores import require_current
 from benchmark.metrics.transfer import Agreement, TransferMatrix, transfer
 from benchmark.records.planner_versions import labelled
-from benchmark.records.run import NATIVE, RunRecord
-from benchmark.report.cells import UNDEFINED, Origin, Shown, interval, named_record
-from benchmark.report.table import Table, table_of
+from benchmark.records.run import NATIVE, RunRecord, protocol_of
+from benchmark.report.cells import UNDEFINED, Cell, Origin, Shown, interval, named_record
+from benchmark.report.table import Table
 from benchmark.report.words import counted, titled
-from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, in_table_order, judges, mark_notes, marked
+from leaderboard.frame.rows import (
+    FEW_NOTE,
+    FEW_SCENES,
+    in_table_order,
+    judges,
+    mark_notes,
+    marked,
+    part_of_split,
+)
+from leaderboard.frame.runs import Frame
+from leaderboard.frame.specification import Value, Values, estimates, numbers, places, tabulate, texts, under
 
 
 def transfer_matrices(
@@ -71,6 +84,41 @@ def both_matrices(records: Sequence[RunRecord], protocol: str) -> list[TransferM
     return found
 
 
+def frame_matrices(frame: Frame, protocol: str, split: str) -> tuple[list[TransferMatrix], list[str]]:
+    """`both_matrices` of the planners that ran on the whole split, and sentences on those who are left out.
+
+    Args:
+        frame: The runs.
+        protocol: Whose verdicts count.
+        split: The split.
+
+    Returns:
+        No matrix where fewer than two planners remain.
+    """
+    kept, refused = [], []
+    for record in frame.runs:
+        if record.run.split != split:
+            continue
+        if not record.covers_split:
+            ran = part_of_split(len(record.run.scenes), record.run.scenes_in_split)
+            refused.append(f"Left out: {record.planner} ran on {ran}.")
+            continue
+        try:
+            require_current(record, protocol_of(record, protocol))
+        except InputError as refusal:
+            refused.append(f"Left out: {refusal}.")
+            continue
+        kept.append(record)
+    return (both_matrices(kept, protocol) if len(kept) > 1 else []), refused
+
+
+def transfer_tables(frame: Frame, protocol: str, split: str) -> list[Table]:
+    """Of each of `frame_matrices` a table of shares and one of lift and φ."""
+    matrices, refused = frame.once(frame_matrices, protocol, split)
+    tables = [make(frame.data_name, each) for each in matrices for make in (transfer_table, lift_table)]
+    return [replace(table, notes=(*table.notes, *refused)) for table in tables]
+
+
 def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
     """The transfer matrix with its counts.
 
@@ -82,28 +130,27 @@ def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
         One row per surrogate; cells are percentages with their interval and ``victim fails / surrogate fails``.
     """
     names = planner_names(matrix)
-    rows: list[tuple[str | Shown, ...]] = []
+    rows: list[Values] = []
     for own, (surrogate, cells) in enumerate(zip(names, matrix.cells)):
-        shown = [
-            Shown(UNDEFINED) if victim == own else _cell(cell, _origin(matrix, own, victim))
+        failed = _origin(matrix, own).count(round(cells[own].numerator), "scenes")
+        shares = {
+            f"#{victim}": _share(cell, _origin(matrix, own, victim))
             for victim, cell in enumerate(cells)
-        ]
-        failed = round(cells[own].numerator)
-        rows.append(
-            (
-                Shown(surrogate, miniature=matrix.miniatures[own]),
-                _origin(matrix, own).count(failed, "scenes").shown(),
-                *shown,
-            )
-        )
-    everywhere = (_cell(rate, _origin(matrix, victim)) for victim, rate in enumerate(matrix.base_rates))
-    rows.append(("all scenes", UNDEFINED, *everywhere))
-    return table_of(
-        f"transfer-{matrix.split}-{_kind(matrix)}",
-        f"{titled(data_name, matrix.split)}: transfer of {_failures(matrix)} (%), {judges(matrix.protocol)}",
-        ("surrogate", "its failed scenes", *names),
-        rows,
-        notes=(
+            if victim != own
+        }
+        name = Shown(surrogate, miniature=matrix.miniatures[own])
+        rows.append({"surrogate": name, "its failed scenes": failed, **shares})
+    rates = {f"#{victim}": _share(rate, _origin(matrix, victim)) for victim, rate in enumerate(matrix.base_rates)}
+    columns = [
+        *texts("surrogate"),
+        *under(f"surrogate, {_who(matrix)}", numbers("its failed scenes")),
+        *under(f"failed by the victim in %, {_who(matrix)}", places(names)),
+    ]
+    return tabulate(
+        *name_of_transfer(data_name, matrix),
+        columns,
+        [*rows, {"surrogate": "all scenes", **rates}],
+        (
             "Cell: share of the surrogate's failed scenes that the victim (column) fails too, with counts and the 95 % "
             "bootstrap interval over recorded scenes. "
             f"{UNDEFINED}: the diagonal (100 by construction), or undefined because the surrogate fails no scene.",
@@ -112,7 +159,6 @@ def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
             *_undecided(matrix),
             *_common_notes(matrix),
         ),
-        groups=(("", 1), (f"surrogate, {_who(matrix)}", 1), (f"failed by the victim in %, {_who(matrix)}", len(names))),
     )
 
 
@@ -126,13 +172,18 @@ def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
     Returns:
         One row per pair of planners: counts, phi with its interval, lift.
     """
-    return table_of(
+    columns = [
+        *texts("first", "second"),
+        *under(f"scenes that fail, {_who(matrix)}", numbers("both", "only first", "only second", "neither")),
+        *under(f"agreement, {_who(matrix)}", estimates("φ", "lift", digits=2, ends=2)),
+    ]
+    _, title = name_of_lift(data_name, matrix)
+    return tabulate(
         f"agreement-{matrix.split}-{_kind(matrix)}",
-        f"{titled(data_name, matrix.split)}: do planners fail the same scenes{_BY[matrix.adversary_only]}, "
-        f"{judges(matrix.protocol)}",
-        ("first", "second", "both", "only first", "only second", "neither", "φ", "95 % of φ", "lift", "95 % of lift"),
-        [_agreement_row(matrix, agreement) for agreement in matrix.agreements],
-        notes=(
+        title,
+        columns,
+        [_agreement_values(matrix, agreement) for agreement in matrix.agreements],
+        (
             "φ: correlation of the two verdicts over the scenes that both were judged on: 1 the same scenes, 0 as by "
             f"chance, below 0 other ones; {UNDEFINED} where one of them fails all or none.",
             "Lift: how many times more often they fail together than by chance. It is near 1 where both fail nearly "
@@ -140,8 +191,6 @@ def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
             *_undecided(matrix),
             *_common_notes(matrix),
         ),
-        text_columns=2,
-        groups=(("", 2), (f"scenes that fail, {_who(matrix)}", 4), (f"agreement, {_who(matrix)}", 4)),
     )
 
 
@@ -156,30 +205,30 @@ def lift_table(data_name: str, matrix: TransferMatrix) -> Table:
         One row and one column per planner: lift with its interval above the diagonal, phi with its below it.
     """
     names = planner_names(matrix)
-    cells: dict[tuple[int, int], Shown] = {}
+    rows: list[dict[str, Value]] = [
+        {
+            "planner": Shown(name, miniature=matrix.miniatures[own]),
+            "fails %": _origin(matrix, own).percent(matrix.base_rates[own], "scenes"),
+        }
+        for own, name in enumerate(names)
+    ]
     for agreement in matrix.agreements:
         first, second = (matrix.planners.index(name) for name in agreement.planners)
         origin, scenes = _origin(matrix, first, second), agreement.scenes
         lift = Estimate(agreement.lift, agreement.lift_low, agreement.lift_high)
-        for place, found, unit in (((first, second), lift, "×"), ((second, first), agreement.phi, "φ")):
+        for row, column, found, unit in ((first, second, lift, "×"), (second, first, agreement.phi, "φ")):
             cell = origin.cell(found.value, unit, scenes, "scenes", low=found.low, high=found.high)
-            ends = interval(cell.low, cell.high, digits=1)
-            cells[place] = cell.shown(1, after="" if ends == UNDEFINED else f" {ends}")
-    rows = [
-        (
-            Shown(name, miniature=matrix.miniatures[own]),
-            _origin(matrix, own).percent(matrix.base_rates[own], "scenes").shown(0),
-            *(cells.get((own, other), Shown(UNDEFINED)) for other in range(len(names))),
-        )
-        for own, name in enumerate(names)
+            rows[row][f"#{column}"] = cell.shown(1, after=_ends(cell, 1))
+    columns = [
+        *texts("planner"),
+        *under(f"scenes in %, {_who(matrix)}", numbers("fails %")),
+        *under(f"lift and φ, {_who(matrix)}", places(names)),
     ]
-    return table_of(
-        f"lift-{matrix.split}-{_kind(matrix)}",
-        f"{titled(data_name, matrix.split)}: do planners fail the same scenes{_BY[matrix.adversary_only]}, "
-        f"{judges(matrix.protocol)}",
-        ("planner", "fails %", *names),
+    return tabulate(
+        *name_of_lift(data_name, matrix),
+        columns,
         rows,
-        notes=(
+        (
             "Above the diagonal: lift, how many times more often both fail a scene than their failure rates give by "
             "chance (1: as by chance). Below it: φ, the correlation of the two verdicts (0: as by chance). Brackets: "
             f"95 % bootstrap interval over recorded scenes. {UNDEFINED}: one of them fails all scenes, or none.",
@@ -187,8 +236,21 @@ def lift_table(data_name: str, matrix: TransferMatrix) -> Table:
             *_undecided(matrix),
             *_common_notes(matrix),
         ),
-        groups=(("", 1), (f"scenes in %, {_who(matrix)}", 1), (f"lift and φ, {_who(matrix)}", len(names))),
     )
+
+
+def name_of_transfer(data_name: str, matrix: TransferMatrix) -> tuple[str, str]:
+    """Name and title of what shows a matrix."""
+    failures = "contacts with the adversary" if matrix.adversary_only else "failures"
+    title = f"{titled(data_name, matrix.split)}: transfer of {failures} (%), {judges(matrix.protocol)}"
+    return f"transfer-{matrix.split}-{_kind(matrix)}", title
+
+
+def name_of_lift(data_name: str, matrix: TransferMatrix) -> tuple[str, str]:
+    """Name and title of what shows lift and φ of a matrix."""
+    by = " by contacts with the adversary" if matrix.adversary_only else ""
+    title = f"{titled(data_name, matrix.split)}: do planners fail the same scenes{by}, {judges(matrix.protocol)}"
+    return f"lift-{matrix.split}-{_kind(matrix)}", title
 
 
 def _kind(matrix: TransferMatrix) -> str:
@@ -196,11 +258,6 @@ def _kind(matrix: TransferMatrix) -> str:
     return "adversary" if matrix.adversary_only else matrix.protocol
 
 
-def _failures(matrix: TransferMatrix) -> str:
-    return "contacts with the adversary" if matrix.adversary_only else "failures"
-
-
-_BY: Final = {False: "", True: " by contacts with the adversary"}
 _FAILS: Final = {
     False: "any counted sample of it collides, whoever it is with",
     True: "the first contact of any counted sample is with the adversary",
@@ -242,24 +299,25 @@ def _origin(matrix: TransferMatrix, *planners: int) -> Origin:
     return Origin(judged, "; ".join(records))
 
 
-def _cell(rate: Rate, origin: Origin) -> Shown:
+def _share(rate: Rate, origin: Origin) -> Shown:
     cell = origin.percent(rate, "scenes")
-    ends = interval(cell.low, cell.high, digits=0)
-    shown = "" if ends == UNDEFINED else f" {ends}"
-    return cell.shown(0, after=f"{shown} ({round(rate.numerator)}/{rate.denominator})")
+    return cell.shown(0, after=f"{_ends(cell, 0)} ({round(rate.numerator)}/{rate.denominator})")
 
 
-def _agreement_row(matrix: TransferMatrix, agreement: Agreement) -> tuple[str | Shown, ...]:
-    places = [matrix.planners.index(name) for name in agreement.planners]
+def _ends(cell: Cell, digits: int) -> str:
+    ends = interval(cell.low, cell.high, digits=digits)
+    return "" if ends == UNDEFINED else f" {ends}"
+
+
+def _agreement_values(matrix: TransferMatrix, found: Agreement) -> Values:
+    places = [matrix.planners.index(name) for name in found.planners]
     names, origin = planner_names(matrix), _origin(matrix, *places)
-    counts = (agreement.both, agreement.only_first, agreement.only_second, agreement.neither)
-    phi = origin.cell(agreement.phi.value, "φ", sum(counts), "scenes", low=agreement.phi.low, high=agreement.phi.high)
-    lift = origin.cell(agreement.lift, "×", sum(counts), "scenes", low=agreement.lift_low, high=agreement.lift_high)
-    return (
-        *(Shown(names[place], miniature=matrix.miniatures[place]) for place in places),
-        *(origin.count(count, "scenes", sum(counts)).shown() for count in counts),
-        phi.shown(2),
-        phi.interval(2),
-        lift.shown(2),
-        lift.interval(2),
-    )
+    counts = {"both": found.both, "only first": found.only_first, "only second": found.only_second}
+    counts |= {"neither": found.neither}
+    among = sum(counts.values())
+    return {
+        **{head: Shown(names[at], miniature=matrix.miniatures[at]) for head, at in zip(("first", "second"), places)},
+        **{head: origin.count(count, "scenes", among) for head, count in counts.items()},
+        "φ": origin.cell(found.phi.value, "φ", among, "scenes", low=found.phi.low, high=found.phi.high),
+        "lift": origin.cell(found.lift, "×", among, "scenes", low=found.lift_low, high=found.lift_high),
+    }

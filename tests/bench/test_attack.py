@@ -19,9 +19,9 @@ import bench.attacking.children
 import bench.attacking.verdicts
 from bench.attacking.campaign import Campaign, known_results, run_campaign
 from bench.attacking.children import Ended, run_command
-from bench.attacking.mutations import FORMS
 from bench.attacking.targets import TARGETS
 from bench.attacking.verdicts import FALLEN, Verdict, is_one_sentence, verdict
+from tests.benchmark.untrusted.mutations import FORMS
 
 ROOT = Path(__file__).resolve().parents[2]
 PLANS = tuple(target for target in TARGETS if target.command == "eval --plans, CSV")
@@ -138,7 +138,7 @@ def test_every_way_to_fall_is_seen(
 
 def test_the_same_seed_makes_the_same_variants(tmp_path: Path, campaign: Campaign) -> None:
     def variant(of: Campaign, number: int) -> tuple[str, bytes]:
-        attack = of.attack(number)
+        _, _, attack = of.attack(number)
         file = tmp_path / "plans.csv"
         file.write_bytes((campaign.valid / "plans.csv").read_bytes())
         attack.change(file, file)
@@ -207,6 +207,6 @@ def test_other_numbers_are_a_fall_unless_the_variant_may_be_valid(tmp_path: Path
 
 
 def test_a_command_runs_in_a_process_of_its_own(tmp_path: Path) -> None:
-    ended = run_command(["--version"], tmp_path, tmp_path / "cache")
+    ended = run_command(["--version"], tmp_path)
     assert ended.code == 0 and ended.out.strip() and ended.err == "" and 0 < ended.cpu_s < 20
-    assert run_command(["no-such-command"], tmp_path, tmp_path / "cache").code == 2
+    assert run_command(["no-such-command"], tmp_path).code == 2

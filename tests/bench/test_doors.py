@@ -1,6 +1,9 @@
 """Absurd options and odd planners: a small sample is answered, and ways to fall are seen."""
 
+import os
+import signal
 import socket
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -9,29 +12,37 @@ from bench.attacking.children import Ended
 from bench.attacking.doors import (
     ABSURD,
     BASES,
+    REQUESTS,
     Doors,
     commands_of,
-    door_verdict,
     option_tries,
     planner_tries,
     server_tries,
 )
 from bench.attacking.planners import ODD_PLANNERS
 from bench.attacking.servers import GOOD_PLAN, SLOW, OddServer, odd_answers
-from bench.attacking.verdicts import Verdict, is_sentence
+from bench.attacking.verdicts import FINE, Verdict, door_verdict, is_sentence
 from benchmark.cli.app import app
+from benchmark.extensions.http import model
 
 ENDED = Ended(2, "", "error: --limit must be at least 1, got 0\n", 1.0, 1.0, 20.0, 1 << 28)
 LEFT_OUT = {"demo"}
 
 
 @pytest.fixture(scope="module")
-def doors(tmp_path_factory: pytest.TempPathFactory) -> Doors:
-    return Doors(tmp_path_factory.mktemp("doors"), 0)
+def doors(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Doors]:
+    with pytest.MonkeyPatch.context() as patch:
+        # What it sets for its children shall not hold for the tests that follow.
+        for name in ("RETURN_S", "ALIVE_S"):
+            patch.setattr(model, name, getattr(model, name))
+        made = Doors(tmp_path_factory.mktemp("doors"), 0)
+        yield made
+        if made.server is not None:
+            made.server.end()
 
 
 def test_a_good_planner_of_others_runs_and_a_failing_one_is_a_partial_run(doors: Doors) -> None:
-    places = {(tried.name, tried.arguments[0]): number for number, tried in enumerate(doors.tries)}
+    places = {(tried.name, *tried.arguments[:1]): number for number, tried in enumerate(doors.tries)}
     codes = [doors.run(places[name, "eval"]).code for name in ("a good one", "plans nothing", "cannot be imported")]
     assert codes == [0, 1, 2]
 
@@ -42,6 +53,16 @@ def test_who_would_serve_for_ever_is_interrupted(doors: Doors) -> None:
     refused, interrupted = (doors.run(places[each]).code for each in serving)
     # On a machine that is busy it is interrupted before it serves.
     assert refused == 2 and interrupted in (0, 130)
+
+
+def test_our_server_refuses_requests_that_are_none_and_a_server_that_died_is_seen(doors: Doors) -> None:
+    numbers = [place for place, tried in enumerate(doors.tries) if tried.request is not None]
+    assert len(numbers) == REQUESTS and numbers[-1] == len(doors.tries) - 1
+    assert {doors.run(number).verdict for number in numbers[:12]} <= {Verdict.ANSWERED, Verdict.OTHER_INPUT}
+    assert doors.server is not None
+    os.kill(doors.server.process, signal.SIGKILL)
+    os.waitid(os.P_PID, doors.server.process, os.WEXITED | os.WNOWAIT)
+    assert doors.run(numbers[12]).verdict == Verdict.DEATH and doors.run(numbers[13]).verdict in FINE
 
 
 def test_what_is_attacked_and_what_is_left_out_are_commands() -> None:

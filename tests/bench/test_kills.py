@@ -7,7 +7,7 @@ import pytest
 
 from bench.attacking import children
 from bench.attacking.campaign import preload
-from bench.killing.commands import command_named
+from bench.killing.commands import COMMANDS
 from bench.killing.series import Bench, differences, listing
 from bench.kills import table
 
@@ -18,9 +18,9 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     return Bench(tmp_path_factory.mktemp("kills"), seed=1)
 
 
-@pytest.mark.parametrize("name", ["generate", "drive"])
-def test_a_command_that_is_killed_twice_leaves_what_an_undisturbed_one_leaves(bench: Bench, name: str) -> None:
-    found = bench.killed(command_named(name), 1, 0)
+@pytest.mark.parametrize(("name", "how"), [("generate", "kill"), ("drive", "kill"), ("drive over HTTP", "server")])
+def test_a_command_that_is_disturbed_leaves_what_an_undisturbed_one_leaves(bench: Bench, name: str, how: str) -> None:
+    found = bench.disturbed(COMMANDS[name], how, 1, 0)
     assert found.same and found.files > 10, found
     assert table([found]).splitlines()[2].endswith("| 1 |")
     assert (bench.case / "out" / "timings").is_dir()
@@ -28,14 +28,14 @@ def test_a_command_that_is_killed_twice_leaves_what_an_undisturbed_one_leaves(be
 
 
 def test_a_command_that_leaves_a_trace_of_a_kill_is_found(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    honest = bench.killed(command_named("drive"), 1, 1)
+    honest = bench.disturbed(COMMANDS["drive"], "kill", 1, 1)
 
     def untidy() -> int:
         (bench.case / "out" / f".left.{os.getpid()}").write_bytes(b"")
         return 0
 
     monkeypatch.setattr(children, "_run", untidy)
-    found = bench.killed(command_named("drive"), 1, 1)
+    found = bench.disturbed(COMMANDS["drive"], "kill", 1, 1)
     assert honest.same and not found.same
     assert any("left over" in each for each in found.differences) and any(
         "missing" in each for each in found.differences

@@ -1,6 +1,5 @@
 """The public face: every name, every command, and the examples of the documentation."""
 
-import ast
 import doctest
 import importlib
 import os
@@ -20,8 +19,12 @@ import benchmark
 from benchmark.cli.app import app
 from generation.sources.mini import TownSettings
 from generation.splits.packaged import NamedSplit, newest_split
+from tests.whole_product import command_is_installed, is_installed
 
-NAMES: tuple[str, ...] = vars(benchmark)["__all__"]
+PLACES: dict[str, str] = vars(benchmark)["_PLACES"]
+SHOWN: list[str] = vars(benchmark)["__all__"]
+HERE = {name: place for name, place in PLACES.items() if is_installed(place)}
+"""Names of what is installed."""
 ROOT = Path(__file__).resolve().parents[2]
 FUNCTION_OF = {
     "generate": "generate",
@@ -30,7 +33,6 @@ FUNCTION_OF = {
     "drive": "drive_split",
     "serve": "serve_planner",
     "models": "known_planners",
-    "merge": "merge_shards",
     "rescore": "rescore_all",
     "transfer": "transfer_matrices",
     "quality": "measure_quality",
@@ -81,45 +83,39 @@ def commands(command: Any, name: str = "") -> Iterator[str]:
 
 
 def test_every_command_has_its_function() -> None:
-    assert set(commands(typer.main.get_command(app))) == set(FUNCTION_OF)
+    here = {command: function for command, function in FUNCTION_OF.items() if command_is_installed(command)}
+    found = filter(command_is_installed, commands(typer.main.get_command(app)))
+    assert set(found) == set(here)
     page = (ROOT / "docs" / "python.md").read_text()
-    for function in FUNCTION_OF.values():
+    for function in here.values():
         assert callable(getattr(benchmark, function)) and f"`{function}`" in page
 
 
-def test_every_name_is_there_listed_and_documented() -> None:
-    assert len(set(NAMES)) == len(NAMES) > 60
-    assert set(NAMES) <= set(dir(benchmark))
-    for name in NAMES:
+def test_every_name_is_there_and_documented() -> None:
+    for name in HERE:
         assert getattr(benchmark, name).__doc__, name
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = getattr(benchmark, "nothing")  # noqa: B009 - for type checkers there is no such name
 
 
+def test_sixty_names_are_shown_none_of_them_astray() -> None:
+    assert len(set(SHOWN)) == len(SHOWN) <= 60
+    assert set(SHOWN) - {"__version__"} <= set(PLACES)
+    assert dir(benchmark) == sorted(SHOWN)
+
+
 def test_no_name_is_that_of_a_submodule() -> None:
     # Importing the submodule would put it in the place of the name.
-    assert not {module.name for module in pkgutil.iter_modules(benchmark.__path__)} & set(NAMES)
+    assert not {module.name for module in pkgutil.iter_modules(benchmark.__path__)} & set(PLACES)
 
 
-def test_type_checkers_know_where_every_name_is_defined() -> None:
-    typed = imported_for_types(ROOT / "benchmark" / "__init__.py")
-    assert set(typed) == set(NAMES) - {"__version__"}
-    handed_on = imported_for_types(ROOT / "benchmark" / "api" / "__init__.py")
-    for name, place in typed.items():
-        module, original = handed_on.get(place[1], place) if place[0] == "benchmark.api" else place
+def test_a_name_is_what_its_place_defines() -> None:
+    for name, place in HERE.items():
+        module, _, original = place.partition(":")
         assert getattr(benchmark, name) is getattr(importlib.import_module(module), original)
 
 
-def imported_for_types(path: Path) -> dict[str, tuple[str, str]]:
-    tree = ast.parse(path.read_text())
-    block = next(node for node in tree.body if isinstance(node, ast.If))
-    imported = [node for node in block.body if isinstance(node, ast.ImportFrom)]
-    found = {alias.asname: (str(node.module), alias.name) for node in imported for alias in node.names if alias.asname}
-    # What another package calls otherwise is imported under a private name and assigned.
-    return {name.removeprefix("_"): place for name, place in found.items()}
-
-
-def test_importing_it_is_light_and_a_star_imports_every_name() -> None:
+def test_importing_it_is_light_and_a_star_imports_what_is_shown() -> None:
     program = (
         "import sys, benchmark; assert not {'numpy', 'pydantic', 'typer', 'torch'} & set(sys.modules); "
         "from benchmark import *; assert evaluate is benchmark.evaluate and InputError"

@@ -56,7 +56,7 @@ NOT_HERE: Final = (
         "a split and records of your own; the tests of these commands make some",
     ),
     (r"challenge (check|score)", "entries of others; tests/benchmark/extensions/challenge has some"),
-    (r"--shard |--model MODEL|challenger-bench merge", "several jobs; tests/benchmark/runs/test_sharded.py gives them"),
+    (r"--shard |--model MODEL|generate --data ROOT", "several jobs; tests/benchmark/runs/test_sharded.py gives them"),
     (r"data review (?!.*--(list|verdicts))", "somebody who looks at a page"),
     (r"--verdicts", "a file of verdicts; tests/benchmark/extensions/review has one"),
     (r"reproduce .*ROOT", "a file of expected values"),

@@ -18,6 +18,7 @@ from benchmark.records.drives import DriveRecord
 from benchmark.records.run import RunRecord, find_records
 from benchmark.records.run_schema import SceneFacts
 from leaderboard.build import leaderboard_files, leaderboard_tables, stale_files, write_leaderboard
+from leaderboard.figures.attacks import attack_figures
 from leaderboard.selection import one_run_each
 from leaderboard.tables.published import published_table
 from tests.benchmark.fake_data import town_of_two
@@ -44,7 +45,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunRecord, ...]:
 def few_figures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures have tests of their own; here one test has them drawn, because each takes half a second."""
     if "drawn" not in request.fixturenames:
-        monkeypatch.setattr("leaderboard.build.data_set_figures", lambda name, records: ())
+        monkeypatch.setattr("leaderboard.figures.contents.OF_RUNS", (attack_figures,))
 
 
 @pytest.fixture
@@ -55,7 +56,7 @@ def drawn() -> None:
 def texts(records: Sequence[RunRecord]) -> dict[str, str]:
     with pytest.MonkeyPatch.context() as patch:
         for name in ("heat_maps", "lift_maps"):
-            patch.setattr(f"leaderboard.build.{name}", lambda _: (b"", b"", b""))
+            patch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"", b"", b""))
         files = leaderboard_files(records).items()
     return {name: content.decode() for name, content in files if not name.endswith(".png")}
 
@@ -226,7 +227,7 @@ def test_a_name_from_a_strangers_record_stays_inside_the_folder(
     runs: tuple[RunRecord, ...], name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("heat_maps", "lift_maps"):
-        monkeypatch.setattr(f"leaderboard.build.{name}", lambda _: (b"", b"", b""))
+        monkeypatch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"", b"", b""))
     folder = tmp_path / "board"
     for path in write_leaderboard([named(record, data=name) for record in runs], folder):
         assert path.resolve().is_relative_to(folder.resolve())

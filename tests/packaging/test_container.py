@@ -94,8 +94,8 @@ def test_workflows_call_targets_of_make_and_nothing_else(path: Path) -> None:
     assert all(job["timeout-minutes"] <= 90 for job in workflow["jobs"].values())
 
 
-def test_there_is_a_workflow_for_tests_wheel_and_docs() -> None:
-    assert [path.stem for path in WORKFLOWS] == ["docs", "test", "wheel"]
+def test_there_is_a_workflow_for_tests_wheel_docs_and_the_core_alone() -> None:
+    assert [path.stem for path in WORKFLOWS] == ["docs", "nightly", "test", "wheel"]
 
 
 def test_the_development_container_sets_up_as_everybody_does() -> None:

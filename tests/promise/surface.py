@@ -23,7 +23,7 @@ DEEP = {"columns": 2}
 def face() -> list[str]:
     """The names of ``benchmark``: functions with their parameters, classes with what they are made of and offer."""
     lines: list[str] = []
-    for name in vars(benchmark)["__all__"]:
+    for name in ("__version__", *vars(benchmark)["_PLACES"]):
         found = getattr(benchmark, name)
         if inspect.isclass(found):
             lines += [f"{name} class", *(f"{name}.{member}" for member in class_members(found))]

@@ -11,6 +11,7 @@ from tests.promise import surface
 from tests.promise.answers import Options, of_face, unanswered
 from tests.promise.said import said, small_town
 from tests.promise.snapshots import CHANGELOG, HOW, SNAPSHOTS, broken_unsaid, gone_unsaid, stored, unsaid, word_of
+from tests.whole_product import needs_extensions
 
 MADE_UP = """# Changelog
 
@@ -24,6 +25,7 @@ MADE_UP = """# Changelog
 """
 
 
+@needs_extensions
 @pytest.mark.parametrize("name", SNAPSHOTS)
 def test_names_and_options_are_those_of_the_snapshot(name: str) -> None:
     before, now = set(stored(name)), set(SNAPSHOTS[name]())
@@ -115,6 +117,7 @@ def test_exit_codes_are_as_promised(town: Path, tmp_path: Path, monkeypatch: pyt
 ANSWERS = {"face": of_face, "options": Options(stored("options", "then")).of}
 
 
+@needs_extensions
 @pytest.mark.parametrize("name", SNAPSHOTS)
 def test_whatever_was_promised_answers_or_says_its_new_name(name: str) -> None:
     broken = unanswered(stored(name, "then"), ANSWERS[name])

@@ -1,7 +1,6 @@
 """Closed loop and pictures: stepping, drives with and without images, the wire, the schematic renderer."""
 
 import hashlib
-from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -130,13 +129,9 @@ def looking(size: tuple[int, int], quick: bool, _folder: Path) -> Any:
     return stage, (stack := ExitStack()).enter_context(serving(Looking())), stack
 
 
-def over_http(image_format: str, state: Any) -> tuple[float, Any]:
-    drive(state[0], http_planner(state[1], image_format=image_format))
-    return state[0].most_plans, None
-
-
-def here(state: Any) -> tuple[float, Any]:
-    drive(state[0], Looking())
+def plan(over_http: str | None, state: Any) -> tuple[float, Any]:
+    """Planned by the server, with pictures in a format; or in this process."""
+    drive(state[0], http_planner(state[1], image_format=over_http) if over_http else Looking())
     return state[0].most_plans, None
 
 
@@ -162,18 +157,6 @@ def draw_in(processes: int, state: Any) -> tuple[float, Any]:
     frames = state[1]
     parts = [frames[first::processes] for first in range(processes)]
     return sum(map_ordered(draw_part, parts, workers=processes, label="rendering")), None
-
-
-def _drawing(what: str, step_frames: int) -> Iterator[Case]:
-    for style in STYLES:
-        yield Case(
-            f"rendering/{what}-{style}-style",
-            f"Six views of 448 x 256 of {what.replace('-', ' ')} of a town scene, {style} style.",
-            partial(frames_of, step_frames),
-            partial(draw, style),
-            "frame",
-            digest=str,
-        )
 
 
 CASES = (
@@ -222,17 +205,27 @@ CASES = (
             f"wire/{image_format}-{size[0]}x{size[1]}",
             f"A planning instant over sockets, pictures of {size[0]} x {size[1]} drawn and looked at, {what}.",
             partial(looking, size),
-            partial(over_http, image_format),
+            partial(plan, image_format),
             "plan",
-            other=("in this process", here),
+            other=("in this process", partial(plan, None)),
             wall=True,
             needs=("httpx2",),
         )
         for size in (SIZE, (1600, 900))
         for image_format, what in (("torch", "saved tensors"), ("png", "PNG"))
     ),
-    *_drawing("samples", 6),
-    *_drawing("all-frames", 1),
+    *(
+        Case(
+            f"rendering/{what}-{style}-style",
+            f"Six views of 448 x 256 of {what.replace('-', ' ')} of a town scene, {style} style.",
+            partial(frames_of, step_frames),
+            partial(draw, style),
+            "frame",
+            digest=str,
+        )
+        for what, step_frames in (("samples", 6), ("all-frames", 1))
+        for style in STYLES
+    ),
     Case(
         "rendering/two-processes",
         "Six views of 448 x 256 in two processes, beside one.",

@@ -15,7 +15,7 @@ from bench.speed.case import Case
 
 BATCH = 256
 PREVIOUS = np.array([-4.0, 0.0, 0.0])
-SMALL_TRANSFORMER = {
+SIZES = {
     "feature_dim": 64,
     "heads": 4,
     "layers": 3,
@@ -23,9 +23,8 @@ SMALL_TRANSFORMER = {
     "history_tokens": 0,
     "preconditioned": True,
 }
-"""What the packaged denoiser is an alternative to."""
+"""Of the small transformer that the packaged denoiser is an alternative to."""
 PLANNERS = ("uniad", "vad-base", "vad-tiny", "sparsedrive", "diffusiondrive")
-SOURCES = ("fresh", "reference", "stored")
 FRAME, SUBJECT = (450, 800), (90, 140)
 A_SCENE = {"dino": 1200, "musiq-subjects": 1200, "musiq-frames": 240}
 """Keyframes of six cameras over 20 s, and appearances of at least 1,024 pixels in them, about."""
@@ -89,23 +88,22 @@ def planning_steps(calls: int | None, _quick: bool) -> Any:
     return partial(step, fast), partial(step, slow)
 
 
-def planner_network(name: str, quick: bool, _folder: Path) -> Any:
-    import torch
+def planner_network(name: str, quick: bool, folder: Path) -> Any:
+    from bench.gpu_day.networks import ready
+    from bench.gpu_day.pieces import Setting
 
-    from bench.gpu_day.network_speed import ready
-
-    return ready(name, torch.device("cpu"), "float32", tiny=quick)[1]
+    return ready(Setting(folder, "cpu", tiny=quick), name, "float32")[1]
 
 
 def magicdrive(mode: str, quick: bool) -> Any:
     import torch
 
-    from bench.gpu_day.magicdrive_speed import Job, ready
+    from bench.gpu_day.magicdrive import ready
+    from bench.gpu_day.pieces import Setting
 
-    frames, height, width = (9, 32, 64) if quick else (9, 96, 160)
-    jobs = [Job("cpu", each, frames, height, width, 60, 31, 1, quick) for each in (mode, "plain")]
+    setting, size = Setting(Path(), "cpu", tiny=quick), (32, 64) if quick else (96, 160)
     with torch.no_grad():
-        return [torch.no_grad()(ready(job)()) for job in jobs]
+        return [torch.no_grad()(ready(setting, each, 9, *size)()) for each in (mode, "plain")]
 
 
 def quality(part: str, device_name: str, quick: bool, folder: Path) -> Any:
@@ -142,15 +140,15 @@ def score_pictures(state: Any) -> tuple[float, Any]:
 CASES = (
     *(
         sides(
-            name,
+            f"denoiser/call{suffix}",
             f"A call of the packaged denoiser, 256 trajectories, beside: {what}.",
             partial(denoise_calls, sizes),
             "call",
             what,
         )
-        for name, sizes, what in (
-            ("denoiser/call", {}, "reference's size"),
-            ("denoiser/call-small-transformer", SMALL_TRANSFORMER, "small transformer"),
+        for suffix, sizes, what in (
+            ("", {}, "reference's size"),
+            ("-small-transformer", SIZES, "small transformer"),
         )
     ),
     *(
@@ -161,7 +159,7 @@ CASES = (
             "batch",
             "full process",
         )
-        for source in SOURCES
+        for source in ("fresh", "reference", "stored")
     ),
     *(
         sides(

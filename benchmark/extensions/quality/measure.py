@@ -15,7 +15,6 @@ from benchmark.extensions.quality.definition import Definition, needed_for
 from benchmark.extensions.quality.pretrained import transformers_version
 from benchmark.extensions.quality.scoring import Networks, image_file, load_networks, score_scene
 from benchmark.machine.devices import device_of, device_of_worker
-from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.progress import Count
 from benchmark.machine.several_devices import device_in_turn, device_names, workers_for
 from benchmark.machine.storage import content_key, file_name, only_writer, read_kept_json, write_json, writing_to
@@ -23,15 +22,9 @@ from benchmark.machine.workers import default_workers, map_ordered, worker_numbe
 from benchmark.records.quality import QualityRecord, write_quality
 from benchmark.records.quality_schema import QUALITY_SCHEMA, SceneRows, WeightsFacts
 from benchmark.report.words import counted
-from benchmark.runs.kept_shards import (
-    SCORES,
-    FinishedShard,
-    note_done,
-    require_shards,
-    require_undivided,
-)
+from benchmark.runs.judges import JudgedScenes, described
 from benchmark.runs.scene_work import reopening
-from benchmark.runs.shards import Shard, forget_shards, shard_folder
+from benchmark.runs.shards import FinishedShard, Shard
 from benchmark.weights.folders import content_hash, folder_of
 
 if TYPE_CHECKING:
@@ -76,7 +69,6 @@ class _Job:
         folders: Of weights by name.
         device: Where networks run, perhaps several names.
         keys: Content key of each scene's rows.
-        work: Content key of all that decides the rows of every scene.
     """
 
     directory: Path
@@ -84,7 +76,6 @@ class _Job:
     folders: Mapping[str, Path]
     device: str
     keys: Mapping[str, str]
-    work: str
 
 
 def measure_quality(
@@ -111,27 +102,19 @@ def measure_quality(
         InputError: If the split or a scene is unknown, weights or transformers are missing, images are missing or
             broken, or another command is writing the same record.
     """
-    chosen, every = _chosen(settings, data, split), data.scene_names(split)
+    chosen = _chosen(settings, data, split)
     job, used, libraries = _job_of(data, split, out, settings, chosen)
-    described = {
-        "data": {"name": data.name, "version": data.version, "fingerprint": data.fingerprint()},
-        "split": split,
-        "scenes": list(chosen),
-        "scenes_in_split": len(every),
-        "scene_facts": data.scene_facts(chosen),
+    said = described(JudgedScenes(data, split, chosen), "scene_facts", "review") | {
         "definition": settings.definition.as_json(),
         "weights": used,
         "device": _first(job).type,
-        "review": data.review(split).facts,
-        "environment": environment_facts() | {"transformers": libraries["transformers"]},
     }
+    said["environment"] |= {"transformers": libraries["transformers"]}
     with only_writer(job.directory):
-        require_shards(job.directory, SCORES, job.work)
         opener = reopen or reopening(data)
         rows = list(_scored(job, data, opener, _processes(settings)))
-        record = write_quality(job.directory, described, rows)
+        record = write_quality(job.directory, said, rows)
         _tidy(job)
-        forget_shards(job.directory)
     return record
 
 
@@ -146,8 +129,6 @@ def measure_shard(
 ) -> FinishedShard:
     """Score the scenes of one shard and keep their rows; no record is written.
 
-    `measure_quality` with the same settings makes the record once all shards are there, and names one that is not.
-
     Args:
         data: The data set.
         split: Which of its splits.
@@ -160,19 +141,14 @@ def measure_shard(
         What was done.
 
     Raises:
-        InputError: As of `measure_quality`, and if another command scores the same shard, or other shards are of
-            another division.
+        InputError: As of `measure_quality`.
     """
     chosen = _chosen(settings, data, split)
     job, _, _ = _job_of(data, split, out, settings, chosen)
     mine = shard.part(chosen)
-    require_undivided(job.directory, SCORES, shard)
-    with only_writer(shard_folder(job.directory, shard)):
-        opener = reopen or reopening(data)
-        own = replace(job, keys={name: job.keys[name] for name in mine})
-        for _ in _scored(own, data, opener, _processes(settings)):
-            pass
-        note_done(job.directory, SCORES, shard, mine, job.work)
+    own = replace(job, keys={name: job.keys[name] for name in mine})
+    for _ in _scored(own, data, reopen or reopening(data), _processes(settings)):
+        pass
     return FinishedShard(job.directory, len(mine), len(chosen))
 
 
@@ -198,8 +174,7 @@ def _job_of(
     part = () if len(chosen) == len(data.scene_names(split)) else chosen
     directory = _quality_directory(out, data.name, split, definition, part)
     keys = {name: content_key(identity, name, _image_sizes(data, name, definition)) for name in chosen}
-    job = _Job(directory, definition, folders, settings.device, keys, content_key(identity, list(chosen)))
-    return job, used, libraries
+    return _Job(directory, definition, folders, settings.device, keys), used, libraries
 
 
 def _quality_directory(out: Path, data_name: str, split: str, definition: Definition, part: tuple[str, ...]) -> Path:

@@ -7,8 +7,8 @@ from benchmark.metrics.disagreement import EXACT
 from benchmark.records.challenge_scores import ChallengeScores, EntryScore, Measured, Pair, PlannerOnEntry, Rank
 from benchmark.report.cells import UNDEFINED, Origin, Shown
 from benchmark.report.table import Brief, Table, escape_markdown, table_of
-from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, mark_notes, name_cell
-from leaderboard.tables.sections import Section
+from leaderboard.frame.rows import FEW_NOTE, FEW_SCENES, marks_of, name_cell
+from leaderboard.page.sections import Section
 
 CHALLENGES: Final = "challenges"
 """What these tables are shown under."""
@@ -142,7 +142,7 @@ def _planners(scores: ChallengeScores) -> Table:
     plain = _origin(scores, None)
     rows: list[tuple[str | Shown, ...]] = [
         (
-            name_cell(planner.name, privileged=planner.privileged, miniature=planner.miniature),
+            name_cell(planner.name, planner),
             entry.entry.name,
             *_rates(scores, entry.planners[planner.name]),
             *_percent(plain, entry.planners[planner.name].attributable),
@@ -152,13 +152,12 @@ def _planners(scores: ChallengeScores) -> Table:
         for entry in scores.entries
         if planner.name in entry.planners
     ]
-    facts = scores.planners
     return table_of(
         f"challenge-planners-{scores.challenge}",
         f"{scores.challenge}: planners on each entry",
         ("planner", "entry", *_HEADS[scores.ranks], "attributable (%)", "95 %", "failed"),
         rows,
-        notes=tuple(mark_notes(privileged=any(p.privileged for p in facts), miniature=any(p.miniature for p in facts))),
+        notes=marks_of(scores.planners),
         text_columns=2,
         groups=(("", 2), *_rate_groups(scores), ("severity", 2), ("", 1)),
     )
@@ -186,4 +185,4 @@ def sections(challenges: Sequence[ChallengeScores]) -> Iterator[Section]:
     """The tables of challenges, beside those of the planners on the same recordings."""
     for scores in challenges:
         heading = f"{escape_markdown(scores.base.name)}: challenge {escape_markdown(scores.challenge)}"
-        yield Section(scores.base.name, CHALLENGES, heading, challenge_tables(scores))
+        yield Section.of_tables(scores.base.name, CHALLENGES, heading, challenge_tables(scores))

@@ -67,7 +67,7 @@ def film_command(
     tables: TablesOption = None,
     json_output: JsonOption = False,
 ) -> None:
-    """Film scenes from sheets, or drives: cameras, view from above, plans and verdicts (docs/extensions/films.md)."""
+    """Film scenes from their sheets, or drives: cameras, view from above, plans and verdicts (docs/extensions/films.md)."""  # noqa: E501
     from benchmark.cli.preflight_names import planners_shown
     from benchmark.cli.preflight_places import require_folder, require_place
     from benchmark.constants import FRAME_HZ

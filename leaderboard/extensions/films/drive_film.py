@@ -46,7 +46,7 @@ from leaderboard.extensions.films.film import (
     film_frames,
     from_above,
 )
-from leaderboard.tables.rows import marked
+from leaderboard.frame.rows import marked
 
 HELD_S: Final = 1.5
 """The last frame of a drive that did not reach the scene's end is shown so much longer."""

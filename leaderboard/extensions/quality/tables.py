@@ -10,9 +10,9 @@ from benchmark.records.quality import QualityRecord
 from benchmark.records.review import review_words
 from benchmark.report.cells import UNDEFINED, Origin, Shown, named_record
 from benchmark.report.table import Brief, Table, table_of
+from leaderboard.frame.rows import CAVEAT_MARK, FEW_NOTE, FEW_SCENES, part_of_split, split_place
+from leaderboard.page.sections import Section
 from leaderboard.tables.published import quoted
-from leaderboard.tables.rows import CAVEAT_MARK, FEW_NOTE, FEW_SCENES, part_of_split, split_place
-from leaderboard.tables.sections import Section
 
 _COLUMNS: Final = (
     "split",
@@ -174,4 +174,4 @@ def sections(records: Sequence[QualityRecord]) -> Iterator[Section]:
     names = sorted({record.facts.data.name for record in records})
     for name in names:
         own = [record for record in records if record.facts.data.name == name]
-        yield Section(name, "video quality", "Video quality" if name == names[0] else "", quality_tables(own))
+        yield Section.of_tables(name, "video quality", "Video quality" if name == names[0] else "", quality_tables(own))

@@ -14,8 +14,8 @@ from unittest.mock import patch
 
 import numpy as np
 
-from adapters.extensions.golden_sets.result_files_made_here import made_up_samples
 from adapters.result_files.contract import FileFrame
+from adapters.result_files.made_up import made_up_samples
 from adapters.result_files.samples import RecordedSamples
 from adapters.result_files.turning import turned
 from adapters.result_files.writing.dumped import DumpedPlans

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from adapters.extensions.golden_sets.result_files_made_here import PRECISION_M
 from adapters.registry import planner_factory
+from adapters.result_files.made_up import PRECISION_M
 from adapters.result_files.planner import result_file_factory
 from adapters.result_files.recognition import recognise
 from adapters.result_files.samples import samples_of_data

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from adapters.extensions.golden_sets.result_files_made_here import made_up_samples
+from adapters.result_files.made_up import made_up_samples
 from adapters.result_files.samples import RecordedSamples, samples_of_data
 from benchmark.geometry import rotation_matrix
 from benchmark.planning import Command

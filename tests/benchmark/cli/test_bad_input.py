@@ -19,7 +19,10 @@ VERSION = "v1.0-mini"
 
 @pytest.fixture(scope="module")
 def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("data") / "road"
+    return write_road(tmp_path_factory.mktemp("data") / "road")
+
+
+def write_road(root: Path) -> Path:
     plan = DataSetPlan(root=root, split="val", version=VERSION)
     scene = scene_on_straight_road()
     finish_data_set(plan, [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})])
@@ -102,7 +105,6 @@ def test_unknown_split(good: Path, tmp_path: Path) -> None:
     [
         (("eval", "--model", "idm"), "--split"),
         (("sheets",), "--split"),
-        (("quality", "--masks", "boxes"), "--split"),
         (("generate", "--renderer", "none"), "--source-split"),
         (("ablate",), "--source-split"),
     ],

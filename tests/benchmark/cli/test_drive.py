@@ -50,13 +50,6 @@ def test_the_table_says_what_was_measured(source: Path, out: Path) -> None:
     assert "next: challenger-bench eval" in done.err
 
 
-def test_neuroncaps_engine_has_a_table_of_its_own(source: Path, out: Path) -> None:
-    done = driving(source, out, "--engine", "neuroncap@paper", "--runs", "7", "--model", "stop", "--no-baselines")
-    assert done.code == 0 and "engine neuroncap@paper" in done.out and "NNS" in done.out
-    (record,) = out.rglob("*neuroncap*/stop/drives.jsonl")
-    assert len(record.read_text().splitlines()) == 1
-
-
 def test_a_dry_run_says_how_long_and_writes_nothing(source: Path, tmp_path: Path) -> None:
     done = driving(source, tmp_path / "new", "--dry-run", "--model", "stop", "--no-baselines")
     assert done.code == 0 and "would drive stop through 1 scene of val" in done.out and "at most about" in done.out

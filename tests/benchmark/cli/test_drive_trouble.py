@@ -18,7 +18,11 @@ from tests.hand_made import Car, scene_on_straight_road
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("data") / "road"
+    return road(tmp_path_factory.mktemp("data") / "road")
+
+
+def road(root: Path) -> Path:
+    """A data set of one scene: a car stands ahead."""
     plan = DataSetPlan(root=root, split="val", version="v1.0-mini")
     scene = scene_on_straight_road((Car(100.0, 198.25, 0.0),), seconds=8.0)
     finish_data_set(plan, [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})])
@@ -34,7 +38,6 @@ def driving(source: Path, out: Path, *more: str) -> Done:
     [
         ("Failing", "default", "raised"),
         ("Poisoned", "default", "unusable plan"),
-        ("Poisoned", "neuroncap@code", "unusable plan"),
     ],
 )
 def test_who_fails_is_counted_and_scored_nowhere(
@@ -56,11 +59,11 @@ def test_who_fails_is_counted_and_scored_nowhere(
     assert again.code == 1 and again.out == done.out and bytes_below(tmp_path) == before
 
 
-def test_six_identical_points_are_driven(source: Path, tmp_path: Path) -> None:
-    for engine in ("default", "neuroncap@code"):
-        options = ("--model", "tests.benchmark.planners:OnePoint", "--no-baselines", "--engine", engine, "--json")
-        (row,) = json.loads(driving(source, tmp_path, *options).out)
-        assert row["failed"] == 0 and row["coverage"] == 1.0 and 0.0 < row["columns"]["route"]["value"] < 0.5
+@pytest.mark.parametrize("engine", ["default"])
+def test_six_identical_points_are_driven(source: Path, tmp_path: Path, engine: str) -> None:
+    options = ("--model", "tests.benchmark.planners:OnePoint", "--no-baselines", "--engine", engine, "--json")
+    (row,) = json.loads(driving(source, tmp_path, *options).out)
+    assert row["failed"] == 0 and row["coverage"] == 1.0 and 0.0 < row["columns"]["route"]["value"] < 0.5
 
 
 def test_a_full_disk_is_one_sentence_and_the_same_command_goes_on(

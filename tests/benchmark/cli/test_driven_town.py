@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adapters.extensions.training.frame_store import build_frames
 from benchmark.datasets.roots import open_data
 from benchmark.records.driven import driven_ego
 from benchmark.records.drives import DriveRecord, find_drives
@@ -16,8 +15,11 @@ SMALL = ("--town-scenes", "1", "--size", "64x40", "--frames", "keyframes", "--wo
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return town_and_drive(tmp_path_factory.mktemp("driven"))
+
+
+def town_and_drive(place: Path) -> Path:
     """A town of two training scenes that constant velocity was driven through."""
-    place = tmp_path_factory.mktemp("driven")
     built = challenger_bench(
         "data", "build", "--root", place / "road", "--train-scenes", "2", "--renderer", "none", *SMALL
     )
@@ -38,28 +40,19 @@ def drive(place: Path, split: str, agents: str = "replay", until: str = "contact
     return record
 
 
-def test_the_ego_goes_where_it_was_driven_and_learns_the_way_back(folder: Path) -> None:
+def test_the_ego_goes_where_it_was_driven(folder: Path) -> None:
     (record,) = find_drives(folder / "train replay")
     command = ("data", "build", "--root", folder / "driven", "--driven", folder / "train replay", *SMALL)
     built = challenger_bench(*command)
     assert built.code == 0, built.err
     data = open_data(folder / "driven")
     assert data.scene_names("train") == tuple(row.scene for row in record.rows)
-    store = build_frames(data.root, "train", folder / "frames")
     for row in record.rows:
         scene, learned = data.scene(row.scene), driven_ego(data.provenance(), row.scene)
         assert learned is not None and learned.planner == "constant-velocity"
         states = np.array(row.ticks.ego)[: len(row.ticks.command)]
         assert len(scene.keyframes) == len(states)
         assert np.abs(scene.ego.position[scene.keyframes, :2] - states[:, :2]).max() < 1e-3
-        frames = [store.frame(number) for number in store.frames_of(row.scene)]
-        assert [frame.command for frame in frames] == row.ticks.command
-        assert np.array_equal([frame.ego_future_valid.numpy() for frame in frames], learned.known)
-        for frame, wanted, known in zip(frames, learned.wanted, learned.known, strict=True):
-            right, forward = frame.ego_future.numpy().T
-            turn = frame.global_T_lidar.numpy()
-            told = turn[:2, 3] + right[:, None] * turn[:2, 0] + forward[:, None] * turn[:2, 1]
-            assert np.abs(told - wanted)[known].max(initial=0.0) < 2e-3
     again = challenger_bench(*command)
     assert again.code == 0 and again.out == built.out
 

@@ -10,7 +10,7 @@ import pytest
 
 from benchmark.cli.streams import replace_what_cannot_be_shown
 from benchmark.report.cells import MINIATURE_MARK
-from leaderboard.tables import rows
+from leaderboard.frame import rows
 from tests.benchmark.edited_roots import small_town
 
 ROOT = Path(__file__).resolve().parents[3]

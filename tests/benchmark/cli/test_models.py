@@ -37,11 +37,6 @@ def test_bad_weights_and_options_are_one_sentence_and_exit_code_2(official: Path
         ("weights", "import", tmp_path / "nowhere.pth"),
         ("weights", "import", official, "--model", "vad-base"),
         ("weights", "fetch", "no-such-model"),
-        ("verify", "model"),
-        ("verify", "model", "--model", "vad-tiny"),
-        ("verify", "model", "--model", "no-such-model", "--golden", tmp_path),
-        ("verify", "model", "--model", "vad-tiny", "--golden", tmp_path),
-        ("verify", "physics", "--model", "vad-tiny"),
     ):
         run = challenger_bench(*arguments, cache=tmp_path / "cache")
         assert run.code == 2, run

@@ -1,6 +1,5 @@
 """Every door tests plans: files are refused with what would fit, running planners are warned about, rows are marked."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,12 +12,10 @@ from adapters.plan_file import WAYPOINT_COLUMNS
 from adapters.result_files.writing.tensors import write_pickle
 from benchmark.datasets.roots import open_data
 from benchmark.geometry import Floats
-from benchmark.records.drives import load_drives
 from benchmark.records.run import load_record
 from generation.sources.mini import TownSettings, build_town
 from leaderboard.tables.collision import run_tables
 from tests.benchmark.cli.in_process import run_here
-from tests.benchmark.extensions.http.made import scripted
 from tests.benchmark.untrusted.misread import MISREAD, to_ego
 
 SCENES = 4
@@ -122,41 +119,6 @@ def test_a_running_planner_is_warned_about_once_and_its_record_is_marked(root: P
     assert caveat.kind == "plans" and by_planner["stop"].run.caveats == []
     (table,) = run_tables("town", [*by_planner.values()], ["exact"])[:1]
     assert f"¶ sideways on val: {caveat.sentence}." in table.notes
-
-
-def test_a_server_in_axes_of_the_lidar_is_named_and_driven_right_with_its_frame(root: Path, tmp_path: Path) -> None:
-    """As the fork of VAD that serves NeuroNCAP answers: x right, y forward."""
-
-    def ahead(path: str, body: bytes) -> tuple[int, bytes]:
-        if path != "/infer":
-            return 200, b"true"
-        speed = json.loads(body)["canbus"][13]
-        return 200, json.dumps(
-            {"trajectory": [[0.0, 0.5 * step * speed] for step in range(1, 7)], "aux_outputs": {}}
-        ).encode()
-
-    options = ("--data", root, "--split", "val", "--workers", "1", "--image-format", "png")
-    driving = ("--sensor", "schematic", "--no-baselines")
-    with scripted(ahead) as server:
-        asked = ("--model", f"fork={server.url}")
-        wrong = run_here("drive", *asked, *driving, *options, "--out", tmp_path / "wrong")
-        right = run_here("drive", *asked, *driving, *options, "--out", tmp_path / "right", "--frame", "lidar")
-        planned = run_here("eval", *asked, *options, "--out", tmp_path / "planned")
-        read = run_here("eval", *asked, *options, "--out", tmp_path / "read", "--frame", "lidar")
-    for done in (wrong, planned):
-        assert done.code == 0 and done.err.count("warning:") == 1 and "fork ¶" in done.out
-        assert (
-            "axes x right, y forward would fit" in done.err and "--frame lidar" in done.err and "NeuroNCAP" in done.err
-        )
-    for done in (right, read):
-        assert done.code == 0 and "warning" not in done.err and "¶" not in done.out
-    shares = {
-        name: [row.scores.route_share or 0.0 for row in load_drives(path.parent).rows if row.scores]
-        for name in ("wrong", "right")
-        for path in (tmp_path / name).rglob("drive.json")
-    }
-    sideways, along = ([share for share in shares[name] if share is not None] for name in ("wrong", "right"))
-    assert sideways and along and max(sideways) < 0.1 < min(along)
 
 
 def test_options_without_anything_that_they_are_about_are_refused(root: Path) -> None:

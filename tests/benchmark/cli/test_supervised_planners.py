@@ -9,7 +9,6 @@ import pytest
 from benchmark import api
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
-from benchmark.extensions.http.session import Refused, Session
 from benchmark.sandbox.limits import Supervision
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from generation.pipeline.surrogate import judged
@@ -103,17 +102,6 @@ def test_a_surrogate_is_watched_over_and_its_death_is_no_verdict(home: Path) -> 
         judged(record)
 
 
-def test_a_served_planner_that_dies_is_an_answer_and_the_next_reset_begins_anew(home: Path) -> None:
-    planner = api.load_planner("mortal_planner:Mortal")()
-    session = Session(planner)
-    assert session.reset() == b"true"
-    planner.close()  # type: ignore[attr-defined]
-    with pytest.raises(Refused):
-        session.infer(b"{}")
-    assert session.reset() == b"true"
-    planner.close()  # type: ignore[attr-defined]
-
-
 @pytest.mark.parametrize("value", ["0", "-1", "nan", "inf", "1e9"])
 def test_limits_are_checked_first(value: str) -> None:
     model = ("--model", "mortal_planner:Mortal")
@@ -127,4 +115,3 @@ def test_limits_are_of_planners_of_other_packages() -> None:
     )
     assert "--memory-limit is of planners" in refusal("generate", "--memory-limit", "5")
     assert "--sample-limit is of planners" in refusal("ablate", "--sample-limit", "5")
-    assert "--sample-limit is of planners" in refusal("serve", "--model", "stop", "--sample-limit", "5")

@@ -15,17 +15,15 @@ from benchmark.closed_loop.driving import drive
 from benchmark.closed_loop.observing import STEERING_RATIO
 from benchmark.closed_loop.riding import RideMaker
 from benchmark.closed_loop.world import STEP_US
-from benchmark.extensions.neuroncap.riding import NeuroncapRides
 from benchmark.geometry import Floats
-from benchmark.planning import CameraView, Command, Observation
-from benchmark.records.neuroncap_switches import Switches
+from benchmark.planning import CameraView, Observation
 from benchmark.scene import Scene
 from generation.render.sensor import SchematicSensor
 from tests.benchmark.closed_loop.staged import Peeking, Watching, can_of, staged
 from tests.benchmark.fake_data import FakeData
 from tests.hand_made import Car, scene_on_straight_road
 
-MAKERS = [DefaultRides(), DefaultRides("idm"), NeuroncapRides(Switches.named("neuroncap@code"))]
+MAKERS = [DefaultRides(), DefaultRides("idm")]
 
 
 def seen_by(planner: Watching, scene: Scene, maker: RideMaker) -> list[Observation]:
@@ -167,11 +165,3 @@ def test_agents_that_answer_are_seen_where_they_went() -> None:
     seen_by(answering, ego_stands, DefaultRides("idm"))
     last = min(len(replayed.revealed), len(answering.revealed)) - 1
     assert answering.revealed[last].agents.position[0, -1, 0] < replayed.revealed[last].agents.position[0, -1, 0] - 2.0
-
-
-def test_neuroncaps_planner_sees_its_engines_motion_and_command() -> None:
-    scene = scene_on_straight_road((), ego_speed=8.0, seconds=6.0)
-    seen = seen_by(Watching(speed=8.0), scene, NeuroncapRides(Switches.named("neuroncap@code")))
-    row = seen[-1].ego.can_motion
-    assert row is not None and row[5] == pytest.approx(9.8) and row[0] == pytest.approx(8.0, abs=0.3)
-    assert all(each.command is Command.STRAIGHT for each in seen)

@@ -11,10 +11,8 @@ from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.closed_loop.driving import Drive, drive
 from benchmark.closed_loop.nuplan import NuplanTerms, Progress, no_collision
 from benchmark.closed_loop.scoring import DriveScores, score_drive
-from benchmark.extensions.neuroncap.riding import NeuroncapRides
 from benchmark.interactions.contacts import EGO_MASS_KG, mass_kg
 from benchmark.planning import Planner
-from benchmark.records.neuroncap_switches import Switches
 from benchmark.scene import Scene
 from tests.benchmark.closed_loop.staged import Watching, staged
 from tests.hand_made import Car, scene_on_straight_road
@@ -124,12 +122,6 @@ def test_without_lanes_there_are_no_scores_of_the_road() -> None:
     bare = replace(FREE, road_map=replace(FREE.road_map, lanes={}))
     _, scores = scored(bare, LogReplay())
     assert scores.nuplan is None and scores.hd is None and scores.progress.share == pytest.approx(1.0, abs=0.01)
-
-
-def test_neuroncaps_drives_have_no_other_formula() -> None:
-    found = drive(staged(FREE, NeuroncapRides(Switches.named("neuroncap@paper"))), LogReplay())
-    scores = score_drive(FREE, found)
-    assert found.neuroncap is not None and scores.nuplan is None and scores.hd is None
 
 
 @pytest.mark.parametrize(

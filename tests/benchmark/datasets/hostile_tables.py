@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from tests.benchmark.datasets.nuscenes_tables import VERSION
+from tests.benchmark.untrusted.variants import DEEP
 
 NOTHING: Final = object()
 """In place of a value: the field is taken away."""
-DEEP: Final = "[" * 100_000 + "]" * 100_000
 Damage = Callable[[Path], None]
 
 

@@ -10,7 +10,6 @@ import pytest
 from benchmark.datasets.scenarionet import read_scenarionet
 from benchmark.datasets.scene_words import place_and_light, traffic_and_road
 from benchmark.scene import Look
-from generation.extensions.magicdrive.prompt import IMPORTED, prompt_of
 from tests.benchmark.datasets.test_scenarionet import FILES, needs_shared, recording, track, write
 from tests.hand_made import Car, scene_on_straight_road
 
@@ -34,12 +33,9 @@ def test_place_and_light_are_said_where_they_are_known(metadata: dict[str, Any],
     assert place_and_light(metadata) == words
 
 
-def test_an_imported_recording_is_described_and_its_description_is_its_prompt(tmp_path: Path) -> None:
+def test_an_imported_recording_is_described(tmp_path: Path) -> None:
     scene = read_scenarionet(write(tmp_path, recording()))
     assert scene.description == "Some traffic, bicycle, pedestrians"
-    prompt = prompt_of(scene).positive
-    assert prompt == f"A driving scene image at {scene.road_map.location}. {scene.description}."
-    assert prompt_of(replace(scene, description=IMPORTED)).positive == prompt, "of recordings that were imported before"
     value = recording()
     value["metadata"] |= {"time_of_day": "Night", "map": "us-pa-pittsburgh-hazelwood"}
     value["tracks"] |= {f"p{number}": track("VEHICLE", -290.0 + number, 9.0) for number in range(3)}

@@ -8,13 +8,13 @@ from random import Random
 import numpy as np
 import pytest
 
-from bench.attacking.mutations import FORMS
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.schema.check import check_tables
 from benchmark.errors import InputError
 from tests.benchmark.datasets.nuscenes_tables import VERSION, TinyRoot
 from tests.benchmark.edited_roots import copy_of, small_town, version_of
+from tests.benchmark.untrusted.mutations import FORMS
 from tests.hand_made import scene_on_straight_road
 
 SEEDS = 6

@@ -15,8 +15,7 @@ from benchmark.fairness.validity import Faults, faults_of, teleports, validity_r
 from benchmark.geometry import Floats, box_gap
 from benchmark.interactions.tracks import Tracks
 from benchmark.road_map import RoadMap
-from tests.benchmark.golden_judgement import made_scene
-from tests.benchmark.interactions.made import SECONDS, along, boxes, ego, scene
+from tests.benchmark.interactions.made import SECONDS, along, boxes, ego, made_scene, scene
 from tests.hand_made import straight_road
 
 KEYFRAMES = np.arange(0, len(SECONDS), 6)

@@ -1,6 +1,9 @@
 """Encounters made by hand: an ego along +x and cars whose motion is a formula."""
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmark.constants import EGO_BODY_WIDTH_M, EGO_LENGTH_M
 from benchmark.geometry import Floats, to_global
@@ -49,3 +52,47 @@ def turned(tracks: Tracks, angle: float, shift: tuple[float, float]) -> Tracks:
         return np.concatenate([place, old[..., 2:4], old[..., 4:] + angle], axis=-1)
 
     return Tracks(tracks.seconds, move(tracks.ego), move(tracks.agents), tracks.valid, tracks.categories)
+
+
+def made_scene(number: int) -> tuple[Tracks, NDArray[np.int64]]:
+    """A made-up drive along a bend with traffic, 12 Hz, and its keyframes."""
+    rng = np.random.default_rng(number)
+    seconds = np.round(np.arange(181) / 12.0, 6)
+    speed, radius = 7.0 + number, 60.0 + 20.0 * number
+    own = along_bend(seconds, 0.0, 0.0, speed, radius, (4.084, 1.73))
+    cars = [
+        along_bend(seconds, start, lane, speed + change, radius, size, wobble)
+        for start, lane, change, size, wobble in (
+            (14.0, 0.0, 0.5, (4.6, 1.9), 0.05),
+            (30.0, 3.5, -1.0, (4.4, 1.8), 0.2),
+            (-18.0, 3.5, 1.5, (4.5, 1.9), 0.1),
+            (45.0, 0.0, -0.5, (8.0, 2.5), 0.0),
+            (25.0, -7.0, 0.0, (4.6, 1.9), 0.0),
+        )
+    ]
+    cars[4][:] = cars[4][0]
+    walker = boxes(20.0 + 0.0 * seconds, -9.0 + 1.2 * seconds, (0.7, 0.7), 1.5)
+    agents = np.array([*cars, walker])
+    # Annotated at 2 Hz and linear between, as recordings are.
+    keyframes = np.arange(0, len(seconds), 6)
+    agents[:4, :, :2] += np.array(
+        [
+            np.column_stack([np.interp(seconds, seconds[keyframes], axis) for axis in rng.normal(0, 0.05, (2, 31))])
+            for _ in range(4)
+        ]
+    )
+    valid = np.ones((len(agents), len(seconds)), np.bool_)
+    valid[2, :24] = valid[1, 150:] = False
+    names = ("vehicle.car", "vehicle.car", "vehicle.car", "vehicle.truck", "vehicle.car", "human.pedestrian.adult")
+    return Tracks(seconds, np.round(own, 6), np.round(agents, 6), valid, names), keyframes
+
+
+def along_bend(
+    seconds: Floats, start: float, lane: Any, speed: Any, radius: float, size: tuple[float, float], wobble: float = 0.0
+) -> Floats:
+    """Along a left bend: metres from its start, to the left of it, m/s."""
+    step = np.broadcast_to(speed, seconds.shape) * np.gradient(seconds)
+    angle = (start + np.cumsum(step) - step[0]) / radius
+    across = radius - lane - wobble * np.sin(seconds)
+    x, y = across * np.sin(angle), radius - across * np.cos(angle)
+    return np.column_stack([x, y, np.broadcast_to(size, (len(seconds), 2)), angle])

@@ -12,6 +12,7 @@ from benchmark.metrics.effect import AdversaryEffect, effect_of
 from benchmark.metrics.paired_interval import FEWEST_DIFFERING_OF_TEN, FEWEST_RECORDINGS, paired_difference
 from benchmark.metrics.unchanged import unchanged_record
 from benchmark.records.run import RunRecord
+from leaderboard.frame.runs import Frame
 from leaderboard.tables.effect import effect_table
 from tests.benchmark.metrics.made_attacks import attacked
 
@@ -81,7 +82,7 @@ def test_what_has_no_pair_is_counted_and_named() -> None:
 def test_a_record_that_does_not_say_whom_contacts_are_with_has_dashes_and_no_zeros() -> None:
     old = attacked("p", ADVERSARIAL, dict.fromkeys(ADVERSARIAL, True))
     assert effect_of(old, None) is None
-    table = effect_table("d", [old])
+    table = effect_table(Frame("d", [old]))
     assert table is not None and set(table.rows[0][2:]) == {"–"}
     assert any("older records do not say whom contacts are with" in note for note in table.notes)
 
@@ -144,7 +145,7 @@ def _given(recordings: int, differing: int) -> bool:
 )
 def test_the_table_says_in_words_how_many_recordings_differ(adversarial: Mapping[str, str], said: str) -> None:
     unchanged = ran({scene[0]: "...." for scene in adversarial}, "val")
-    table = effect_table("d", [ran(adversarial), unchanged])
+    table = effect_table(Frame("d", [ran(adversarial), unchanged]))
     assert table is not None and sum(said in note for note in table.notes) == 1
 
 

@@ -2,7 +2,7 @@
 
 Nothing is shared with the fast side but `SampleTruth` and plain numbers: whole rasters are drawn for every step, every
 polygon is a shapely polygon, and averages are sums in loops. The built-in golden set is made with these functions
-(`tests/benchmark/golden_protocols.py`), and `python -m bench.speed protocols` times them.
+(`tests/benchmark/extensions/golden_sets/golden_protocols.py`), and `python -m bench.speed protocols` times them.
 """
 
 import math

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from benchmark.extensions.golden_sets.protocols.official import drawn
 from benchmark.protocols import PROTOCOLS
-from benchmark.protocols.stacked import stack
 from benchmark.protocols.vad import COUNTED_23, COUNTED_32
 from tests.benchmark.protocols import slow_protocols as slow
 from tests.benchmark.protocols.protocol_cases import Traits, plan_of, sample_of, traits
@@ -63,17 +61,6 @@ def test_exact(kind: Traits) -> None:
     assert outcomes.steps["waypoint_collision"][0].tolist() == contact[4::5].tolist()
     first = float(np.argmax(contact) + 1) / 10 if contact.any() else None
     assert outcomes.facts["first_contact_s"] == (first,)
-
-
-@settings(max_examples=40, deadline=None)
-@given(traits(coarse=True))
-def test_rasters_are_those_of_whole_pictures(kind: Traits) -> None:
-    sample = sample_of(kind)
-    here = sample.ego_future_valid
-    for name, judge in (("uniad", slow.slow_uniad), ("vad", slow.slow_vad)):
-        expected = judge(sample, plan_of(kind)).rasters
-        assert expected is not None
-        assert (drawn(name, stack([sample]))[0][here] == expected[here]).all()
 
 
 def test_the_category_tables_name_the_same_objects() -> None:

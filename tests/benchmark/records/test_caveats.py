@@ -10,6 +10,7 @@ from benchmark.records.caveats import Caveat, in_order
 from benchmark.records.rows import Rows
 from benchmark.records.run import RunRecord, load_record, write_record
 from benchmark.runs.caveats import run_caveats
+from leaderboard.frame.runs import Frame
 from leaderboard.tables.collision import collision_table
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Straight
@@ -37,10 +38,10 @@ def test_they_are_stored_and_mark_the_row_with_a_note(record: RunRecord, tmp_pat
     write_record(tmp_path / "again", facts, record.rows, record.run.protocols, seed=record.run.seed)
     again = load_record(tmp_path / "again")
     assert again.run.caveats == [NO_MAP]
-    table = collision_table("town", "exact", [again])
+    table = collision_table(Frame("town", [again]), "exact")
     assert table.rows[0][0] == "straight ¶"
     assert "¶ straight on val: no map, so that it drives without lanes." in table.notes
-    assert "¶" not in collision_table("town", "exact", [record]).markdown()
+    assert "¶" not in collision_table(Frame("town", [record]), "exact").markdown()
 
 
 def test_each_sentence_is_printed_once_with_the_planners_that_it_concerns(

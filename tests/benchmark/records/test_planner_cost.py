@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.evaluation import EvalSettings, evaluate, plan_shard
 from benchmark.machine.metering import Meter, peak_memory_mb
 from benchmark.records.planner_cost import (
     PlannerCost,
@@ -25,8 +25,8 @@ from benchmark.records.planner_cost import (
 from benchmark.records.record_costs import with_cost
 from benchmark.records.run import RunRecord, load_record
 from benchmark.runs.planner_facts import facts_of
-from benchmark.runs.sharded import merge_shards, plan_shard
 from benchmark.runs.shards import Shard
+from leaderboard.frame.runs import Frame
 from leaderboard.tables.contents import data_set_tables
 from leaderboard.tables.cost import cost_table
 from tests.benchmark.fake_data import town_of_two
@@ -120,13 +120,13 @@ def test_notes_of_the_format_before_say_nothing_of_latency(tmp_path: Path) -> No
 
 def test_the_table_has_a_row_for_whom_it_is_known_of(tmp_path: Path) -> None:
     record = timed(tmp_path, Straight(0.01))
-    table = cost_table("town", [record])
+    table = cost_table(Frame("town", [record]))
     assert table is not None
     (row,) = csv_rows(table.csv())
     assert float(row["median, ms"]) >= 10.0 and float(row["p95, ms"]) >= float(row["median, ms"])
-    assert cost_table("town", [replace(record, cost=None)]) is None
-    names = [each.name for each in data_set_tables("town", [record]).front]
-    without = [each.name for each in data_set_tables("town", [replace(record, cost=None)]).front]
+    assert cost_table(Frame("town", [replace(record, cost=None)])) is None
+    names = [each.name for each in data_set_tables(Frame("town", [record])).front]
+    without = [each.name for each in data_set_tables(Frame("town", [replace(record, cost=None)])).front]
     assert set(names) - set(without) == {"cost"}
 
 
@@ -168,7 +168,7 @@ def test_what_shards_took_is_put_together(tmp_path: Path) -> None:
     planners = [(Factory(), EvalSettings(protocols=("exact",), timings=timings))]
     for number in (1, 2):
         plan_shard(town_of_two(), "val", planners, runs, Shard(number, 2))
-    (record,) = merge_shards(runs, lambda split: town_of_two(), "fake", timings=timings)
+    record = evaluate(town_of_two(), "val", *planners[0][:1], runs, planners[0][1])
     known = with_cost(load_record(record.directory), [runs], lambda _: timings)
     assert known.cost is not None and set(known.cost.scenes) == set(town_of_two().scene_names("val"))
     assert summary_of(known.cost).median_s is not None

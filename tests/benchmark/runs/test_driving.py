@@ -12,32 +12,31 @@ import pytest
 
 from adapters.planners.stop import Stop
 from adapters.registry import planner_factory
+from benchmark import api
 from benchmark.closed_loop.default_engine import DefaultRides
-from benchmark.closed_loop.driving import drive
 from benchmark.closed_loop.engines import ENGINES, rides_of
 from benchmark.closed_loop.scoring import VERSION
 from benchmark.errors import InputError
-from benchmark.extensions.neuroncap.riding import NeuroncapRides
+from benchmark.machine.extension import OFFERS
 from benchmark.machine.storage import write_json
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Observation, Plan
-from benchmark.records.drive_schema import OFFICIAL, OWN, DriveRow
+from benchmark.records.drive_schema import DriveRow
 from benchmark.records.drives import DriveRecord, load_drives, write_drives
-from benchmark.records.neuroncap_switches import Switches
 from benchmark.runs.drive_estimate import estimate
 from benchmark.runs.driving import DriveSettings, drive_split, drives_directory, job_of, kept_units
 from benchmark.runs.redriving import driven_again
 from benchmark.runs.rescoring_drives import rescore_all_drives, rescore_drives
 from benchmark.scene import Scene
-from tests.benchmark.cli.cli_runs import bytes_below
-from tests.benchmark.closed_loop.staged import Peeking, staged
+from tests.benchmark.cli.cli_runs import bytes_below, refusal
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Factory, Failing, Remembering, Straight
-from tests.hand_made import scene_on_straight_road
 
 SETTINGS = DriveSettings("default", DefaultRides())
-PAPER = Switches.named("neuroncap@paper")
-NEURONCAP = DriveSettings("neuroncap@paper", NeuroncapRides(PAPER))
+IDM = replace(SETTINGS, agents="idm", maker=DefaultRides("idm"))
+LATE = replace(SETTINGS, latency_ms=200, maker=DefaultRides(latency_us=200_000))
+WORLDS = [SETTINGS, IDM]
+"""Those of extensions are asked the same where their tests are."""
 
 
 def town() -> FakeData:
@@ -87,15 +86,11 @@ def test_whatever_decides_a_drive_is_part_of_its_key(tmp_path: Path) -> None:
     other = FakeData({name: replace(scene, agents=moved(scene)) for name, scene in slower.items()})
     driven(tmp_path, planner, data=other)
     assert planner.calls > calls
-    for settings in (
-        replace(SETTINGS, agents="idm", maker=DefaultRides("idm")),
-        replace(SETTINGS, latency_ms=200, maker=DefaultRides(latency_us=200_000)),
-        NEURONCAP,
-    ):
+    for settings in (IDM, LATE):
         calls = planner.calls
         driven(tmp_path, planner, settings)
         assert planner.calls > calls
-    assert len(list(tmp_path.rglob("drive.json"))) == 4
+    assert len(list(tmp_path.rglob("drive.json"))) == 3
 
 
 def moved(scene: Scene) -> Any:
@@ -177,59 +172,22 @@ def test_who_was_late_is_asked_again(tmp_path: Path) -> None:
     assert driven(tmp_path, Straight()).complete
 
 
-def test_a_scenario_that_draws_nothing_is_driven_once(tmp_path: Path) -> None:
-    for settings in (SETTINGS, NEURONCAP):
-        planner = Straight()
-        record = driven(tmp_path, planner, replace(settings, runs=10))
-        assert record.facts.runs == 1 and len(record.rows) == 2
+@pytest.mark.parametrize("settings", WORLDS[:1])
+def test_a_scenario_that_draws_nothing_is_driven_once(settings: DriveSettings, tmp_path: Path) -> None:
+    record = driven(tmp_path, Straight(), replace(settings, runs=10))
+    assert record.facts.runs == 1 and len(record.rows) == 2
 
 
-def test_scenarios_are_driven_by_family_and_by_run(tmp_path: Path) -> None:
-    scene = scene_on_straight_road(seconds=13.0)
-    data = FakeData({scene.name: scene})
-    drawing = replace(NEURONCAP, maker=NeuroncapRides(PAPER, OWN), scenarios=OWN, runs=3)
-    record = driven(tmp_path, Straight(), drawing, data)
-    units = [(row.family, row.run) for row in record.rows]
-    assert units == [(family, run) for family in ("stationary", "frontal", "side") for run in range(3)]
-    assert record.facts.runs == 3 and len({row.ticks.time_us[0] for row in record.rows[:3]}) > 1
-    columns = record.summary.columns
-    of_families = [columns[f"collision_{family}"].value or 0.0 for family in ("stationary", "frontal", "side")]
-    assert columns["collision"].value == pytest.approx(np.mean(of_families))
-    # Eight metres a second straight on is what the recorded ego does: everybody is met.
-    assert columns["collision_stationary"].value == 1.0
-    before, planner = bytes_below(tmp_path), Straight()
-    assert len(driven(tmp_path, planner, replace(drawing, runs=1), data).rows) == 3
-    driven(tmp_path, planner, drawing, data)
-    # Who asks for fewer runs loses none.
-    assert planner.calls == 0
-    assert bytes_below(tmp_path) == before and rescore_drives(record.directory, data).rows == record.rows
-    assert record.facts.measured.world == "neuroncap@paper, own scenarios"
-
-
-def test_scenes_without_scenarios_are_a_sentence(tmp_path: Path) -> None:
-    for which in (OWN, OFFICIAL):
-        settings = replace(NEURONCAP, maker=NeuroncapRides(PAPER, which), scenarios=which)
-        with pytest.raises(InputError, match=f"has {which} scenarios"):
-            driven(tmp_path, Straight(), settings)
-
-
-def test_a_planner_sees_who_is_put_in_and_nobody_who_is_gone() -> None:
-    scene = scene_on_straight_road(seconds=13.0)
-    planner = Peeking(speed=8.0)
-    drive(replace(staged(scene, NeuroncapRides(PAPER, OWN)), family="frontal"), planner)
-    for revealed in planner.revealed:
-        here = revealed.agents.valid[:, -1]
-        assert here.sum() <= 1
-    assert any(revealed.agents.valid[:, -1].any() for revealed in planner.revealed)
+@pytest.mark.parametrize("settings", WORLDS)
+def test_a_drive_is_repeated_without_its_planner(settings: DriveSettings, tmp_path: Path) -> None:
+    data = town()
+    record = driven(tmp_path, Remembering(), settings)
+    for row in record.rows:
+        scene = data.scene(row.scene)
+        assert driven_again(settings.maker, scene, data, row) == row
 
 
 def test_a_drive_is_scored_anew_without_its_planner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for settings in (SETTINGS, replace(SETTINGS, agents="idm", maker=DefaultRides("idm")), NEURONCAP):
-        data = town()
-        record = driven(tmp_path, Remembering(), settings)
-        for row in record.rows:
-            scene = data.scene(row.scene)
-            assert driven_again(settings.maker, scene, data, row) == row
     planner = Straight()
     driven(tmp_path, planner)
     calls = planner.calls
@@ -238,27 +196,26 @@ def test_a_drive_is_scored_anew_without_its_planner(tmp_path: Path, monkeypatch:
     assert planner.calls == calls and again.rows == driven(tmp_path, planner).rows
 
 
-def test_a_record_is_scored_anew_without_its_planner(tmp_path: Path) -> None:
-    for settings in (SETTINGS, replace(SETTINGS, agents="idm", maker=DefaultRides("idm")), NEURONCAP):
-        record = driven(tmp_path, Remembering(), settings)
-        before = bytes_below(record.directory)
-        assert rescore_drives(record.directory, town()) == record and bytes_below(record.directory) == before
-        spoil(record)
-        again = rescore_drives(record.directory, town())
-        assert again.rows == record.rows and again.summary == record.summary
-        assert again.facts.rescored is not None and again.content_id == record.content_id
-        assert load_drives(record.directory) == again
-        after = bytes_below(record.directory)
-        assert {name for name in before if before[name] != after[name]} == {"drive.json"}
-        rescore_drives(record.directory, town())
-        assert bytes_below(record.directory) == after
+@pytest.mark.parametrize("settings", WORLDS)
+def test_a_record_is_scored_anew_without_its_planner(settings: DriveSettings, tmp_path: Path) -> None:
+    record = driven(tmp_path, Remembering(), settings)
+    before = bytes_below(record.directory)
+    assert rescore_drives(record.directory, town()) == record and bytes_below(record.directory) == before
+    spoil(record)
+    again = rescore_drives(record.directory, town())
+    assert again.rows == record.rows and again.summary == record.summary
+    assert again.facts.rescored is not None and again.content_id == record.content_id
+    assert load_drives(record.directory) == again
+    after = bytes_below(record.directory)
+    assert {name for name in before if before[name] != after[name]} == {"drive.json"}
+    rescore_drives(record.directory, town())
+    assert bytes_below(record.directory) == after
     with pytest.raises(InputError, match="other content"):
         rescore_drives(record.directory, FakeData({"scene-9901": town().scenes["scene-9901"]}))
 
 
 def test_all_records_of_drives_are_scored_anew_and_one_that_cannot_be_stops_no_other(tmp_path: Path) -> None:
-    idm = replace(SETTINGS, agents="idm", maker=DefaultRides("idm"))
-    good, bad, current = (driven(tmp_path, Straight(), each) for each in (SETTINGS, idm, NEURONCAP))
+    good, bad, current = (driven(tmp_path, Straight(), each) for each in (SETTINGS, IDM, LATE))
     spoil(good)
     rows = bad.directory / "drives.jsonl"
     rows.write_text(rows.read_text()[:-40])
@@ -338,6 +295,7 @@ def test_wrong_settings_are_refused(tmp_path: Path, changes: dict[str, Any], say
         (("neurocap@code",), "did you mean neuroncap@code"),
         (("default", "iddm"), "did you mean idm"),
         (("neuroncap@code", "idm"), "never react"),
+        (("neuroncap@code", "adversary"), "never react"),
         (("neuroncap@code", "replay", 100), "never react"),
     ],
 )
@@ -346,12 +304,20 @@ def test_engines_that_there_are_not_are_refused(arguments: tuple[Any, ...], says
         rides_of(*arguments)
 
 
-def test_every_engine_has_rides() -> None:
-    assert [type(rides_of(engine)).__name__ for engine in ENGINES] == [
-        "DefaultRides",
-        "NeuroncapRides",
-        "NeuroncapRides",
-    ]
+def test_without_anybody_to_make_it_there_is_no_adversary() -> None:
+    data = town()
+    with pytest.raises(InputError, match="nobody says who the adversary is"):
+        rides_of("default", "adversary").begin(data.scene(data.scene_names("val")[0]), 0, None)  # type: ignore[arg-type]
+
+
+def test_only_an_adversary_considers_anything() -> None:
+    with pytest.raises(InputError, match="--keep-considered"):
+        api.drive_settings("val", keep_considered=True)
+    assert "--keep-considered" in refusal("drive", "--keep-considered")
+
+
+def test_the_own_engine_comes_first_and_has_rides() -> None:
+    assert type(rides_of(ENGINES[0])) is DefaultRides and ENGINES[1:] == tuple(OFFERS["engine"])
 
 
 def test_an_estimate_counts_what_is_kept_and_keeps_nothing(tmp_path: Path) -> None:
@@ -371,7 +337,7 @@ def test_records_of_different_worlds_have_different_folders() -> None:
     facts = Factory().facts
     places = {
         drives_directory(Path("out"), "fake", "val", facts, settings.measured)
-        for settings in (SETTINGS, NEURONCAP, replace(SETTINGS, latency_ms=100), replace(SETTINGS, agents="idm"))
+        for settings in (SETTINGS, replace(SETTINGS, engine="neuroncap@paper"), LATE, IDM)
     }
     assert len(places) == 4
 

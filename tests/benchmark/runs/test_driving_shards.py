@@ -1,4 +1,4 @@
-"""Drives in separate jobs: the record is the one of a run that was never cut, and who is missing is named."""
+"""Drives in separate jobs: the record is the one of a run that was never cut, and what is missing is driven."""
 
 import json
 from dataclasses import replace
@@ -6,10 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.errors import InputError
 from benchmark.records.drives import load_drives
 from benchmark.runs.driving import drive_planners, drive_shard
-from benchmark.runs.shards import SHARDS_FOLDER, Shard
+from benchmark.runs.shards import Shard
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.benchmark.cli.in_process import run_here
@@ -41,35 +40,20 @@ def test_no_two_shards_write_the_same_file(tmp_path: Path) -> None:
     written: list[set[str]] = []
     for number in (1, 2, 3):
         shard(tmp_path / str(number), number, 3)
-        written.append({name for name in bytes_below(tmp_path / str(number)) if not name.endswith(".lock")})
+        written.append(set(bytes_below(tmp_path / str(number))))
     assert all(written) and not any(one & other for one in written for other in written if one is not other)
 
 
-def test_who_is_missing_is_named_and_nothing_is_driven(tmp_path: Path) -> None:
-    shard(tmp_path, 1, 3)
-    shard(tmp_path, 3, 3)
-    before = bytes_below(tmp_path)
-    with pytest.raises(
-        InputError, match=r"shard 2/3 of the drives is missing; run the same drive command with --shard 2/3"
-    ):
-        drive_planners(town_of_six(), "val", PLANNERS[:1], tmp_path, SETTINGS, reopen=town_of_six)
-    assert {name: held for name, held in bytes_below(tmp_path).items() if name in before} == before
-    assert not list(tmp_path.rglob("run.json"))
-    shard(tmp_path, 1, 2)
-    with pytest.raises(InputError, match=r"in shards of 2 and of 3; remove the folders"):
-        drive_planners(town_of_six(), "val", PLANNERS[:1], tmp_path, SETTINGS, reopen=town_of_six)
-
-
-def test_a_shard_that_was_killed_is_missing_and_goes_on(tmp_path: Path) -> None:
-    for number in (1, 2):
-        shard(tmp_path, number, 2)
-    (said,) = tmp_path.rglob("2-of-2/drives.json")
-    said.unlink()
-    with pytest.raises(InputError, match=r"shard 2/2"):
-        drive_planners(town_of_six(), "val", PLANNERS[:1], tmp_path, SETTINGS, reopen=town_of_six)
-    shard(tmp_path, 2, 2)
-    (record,) = drive_planners(town_of_six(), "val", PLANNERS[:1], tmp_path, SETTINGS, reopen=town_of_six)
-    assert len(record.rows) == 6 and not (record.directory / SHARDS_FOLDER).exists()
+def test_what_no_shard_drove_or_is_damaged_is_driven_by_the_run(tmp_path: Path) -> None:
+    (whole,) = drive_planners(town_of_six(), "val", PLANNERS[:1], tmp_path / "whole", SETTINGS, reopen=town_of_six)
+    shard(tmp_path / "cut", 1, 3)
+    shard(tmp_path / "cut", 2, 2)
+    kept = sorted((tmp_path / "cut").rglob("*-0.json"))
+    kept[0].write_text(kept[0].read_text()[:-9])
+    before = {path: path.stat().st_mtime_ns for path in kept[1:]}
+    drive_planners(town_of_six(), "val", PLANNERS[:1], tmp_path / "cut", SETTINGS, reopen=town_of_six)
+    assert before and all(path.stat().st_mtime_ns == at for path, at in before.items())
+    assert bytes_below(tmp_path / "cut") == bytes_below(tmp_path / "whole") and whole.rows
 
 
 def test_the_command_drives_shards_and_then_makes_the_record(tmp_path: Path) -> None:
@@ -86,10 +70,6 @@ def test_the_command_drives_shards_and_then_makes_the_record(tmp_path: Path) -> 
     for number in (1, 2):
         done = run_here(*given, *models, "--out", tmp_path / "cut", "--shard", f"{number}/2", "--json")
         assert done.code == 0 and [each["driven"] for each in json.loads(done.out)] == [1, 1], done.err
-        asked = run_here("merge", "--data", plan.root, "--out", tmp_path / "cut", "--workers", "1")
-        missing = "shard 2/2 of the drives is missing; run the same drive command with --shard 2/2"
-        assert (asked.code == 1) == (missing in asked.err) == (number == 1)
-        assert asked.err.count("of the drives") == 2 and asked.code in (0, 1)
     assert run_here(*given, *models, "--out", tmp_path / "cut").code == 0
     assert bytes_below(tmp_path / "cut") == bytes_below(tmp_path / "whole")
     refused = run_here(*given, *models, "--out", tmp_path / "cut", "--shard", "3/2")

@@ -12,12 +12,9 @@ from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.closed_loop.driving import drive, drive_together
 from benchmark.closed_loop.riding import RideMaker
 from benchmark.errors import InputError
-from benchmark.extensions.neuroncap.riding import NeuroncapRides
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Observation, Plan, Planner
-from benchmark.records.drive_schema import OWN
 from benchmark.records.drives import DriveRecord
-from benchmark.records.neuroncap_switches import Switches
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.driving import DriveSettings, drive_planners, drive_split
 from benchmark.scene import Scene
@@ -28,13 +25,12 @@ from tests.benchmark.planners import Factory, Failing, Straight
 from tests.hand_made import Car, scene_on_straight_road
 
 REPLAY = DriveSettings("default", DefaultRides())
-PAPER = Switches.named("neuroncap@paper")
-SETTINGS = {
+WORLDS = {
     "replay": REPLAY,
     "idm": replace(REPLAY, agents="idm", maker=DefaultRides("idm")),
     "late": replace(REPLAY, latency_ms=300, maker=DefaultRides(latency_us=300_000)),
-    "neuroncap": DriveSettings("neuroncap@paper", NeuroncapRides(PAPER)),
 }
+"""Those of extensions are asked the same where their tests are."""
 PLANNERS = [planner_factory(name) for name in ("stop", "idm")]
 FAILING: Any = Factory(Failing, facts=PlannerFacts(name="failing", privileged=False))
 
@@ -47,9 +43,8 @@ def driven(out: Path, settings: DriveSettings, planners: Any = PLANNERS, data: A
     return drive_planners(data or town(), "val", planners, out, settings, reopen=town)
 
 
-@pytest.mark.parametrize("which", SETTINGS)
-def test_the_grouping_changes_no_byte(which: str, tmp_path: Path) -> None:
-    settings = SETTINGS[which]
+@pytest.mark.parametrize("settings", WORLDS.values(), ids=WORLDS)
+def test_the_grouping_changes_no_byte(settings: DriveSettings, tmp_path: Path) -> None:
     for planner in [*PLANNERS, FAILING]:
         drive_split(town(), "val", planner, tmp_path / "alone", settings, reopen=town)
     alone = bytes_below(tmp_path / "alone")
@@ -59,15 +54,6 @@ def test_the_grouping_changes_no_byte(which: str, tmp_path: Path) -> None:
         records = driven(tmp_path / str(together), replace(settings, together=together), [*PLANNERS, FAILING])
         assert [record.planner for record in records] == [*(each.name for each in PLANNERS), "failing"]
         assert bytes_below(tmp_path / str(together)) == alone
-
-
-def test_runs_of_scenarios_are_grouped_too(tmp_path: Path) -> None:
-    scene = scene_on_straight_road(seconds=13.0)
-    data = FakeData({scene.name: scene})
-    settings = DriveSettings("neuroncap@paper", NeuroncapRides(PAPER, OWN), scenarios=OWN, runs=2)
-    for together in (1, 4):
-        driven(tmp_path / str(together), replace(settings, together=together), PLANNERS[:2], data)
-    assert bytes_below(tmp_path / "1") == bytes_below(tmp_path / "4")
 
 
 def test_one_process_and_two_give_the_same_bytes(tmp_path: Path) -> None:
@@ -137,7 +123,7 @@ class Faulty(Watching):
         return plan
 
 
-@pytest.mark.parametrize("maker", [DefaultRides(), DefaultRides("idm", 200_000), SETTINGS["neuroncap"].maker])
+@pytest.mark.parametrize("maker", [DefaultRides(), DefaultRides("idm", 200_000)])
 def test_a_planner_that_fails_takes_nobody_with_it(maker: RideMaker) -> None:
     scene = scene_on_straight_road((Car(120.0, 198.25, 3.0),), seconds=8.0)
     planners: list[Planner] = [Faulty(), Faulty("raises"), Faulty(), Faulty("far away")]

@@ -7,7 +7,6 @@ import pytest
 
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.schema.check import check_tables
-from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.metrics.confusion import comparisons
 from benchmark.metrics.frames import samples_frame
@@ -19,6 +18,7 @@ from benchmark.records.caveats import Caveat
 from benchmark.records.run import RunRecord, scene_failures
 from benchmark.runs.rescoring import rescore
 from benchmark.scene import Scene
+from leaderboard.frame.runs import Frame
 from leaderboard.tables.collision import collision_table
 from tests.benchmark.datasets.nuscenes_tables import TinyRoot
 from tests.benchmark.irregular_time import at_other_times, with_key_frames, without_key_frames
@@ -81,7 +81,7 @@ def test_the_record_says_so_and_its_row_is_marked(tmp_path: Path) -> None:
     (caveat,) = time_caveats_of(record)
     assert caveat.kind == "time" and caveat.sentence.startswith("6 samples of 1 scene have key frames ahead that are")
     assert "beyond a gap over 0.75 s (6 samples)" in caveat.sentence
-    table = collision_table("root", "exact", [record])
+    table = collision_table(Frame("root", [record]), "exact")
     assert table.rows[0][0] == "straight ¶" and any(caveat.sentence in note for note in table.notes)
     again = rescore(record.directory, NuScenesData.open(tmp_path / "root"), protocols=STANDARD)
     assert time_caveats_of(again) == [caveat] and again.rows == record.rows
@@ -142,7 +142,7 @@ def test_at_another_rate_exact_says_the_same_and_official_protocols_say_nothing(
             assert set(scene_failures(dense.rows, name).values()) == {None}
     (caveat,) = time_caveats_of(dense)
     assert caveat.kind == "time" and f"{every / 12:.3g} s apart, not 0.5 s" in caveat.sentence
-    assert "–" in collision_table("root", "vad", [dense]).markdown()
+    assert "–" in collision_table(Frame("root", [dense]), "vad").markdown()
 
 
 def test_key_frames_farther_apart_than_steps_may_be_say_nothing(tmp_path: Path) -> None:
@@ -169,11 +169,3 @@ def test_gaps_are_named_by_the_check(tmp_path: Path) -> None:
     )
     assert [one.split(" are ")[1].split(":")[0] for one in said["short"]] == ["0.7 s apart", "0.3 s apart"]
     assert len(said["dense"]) == 1 and "are 0.0833 s apart (median)" in said["dense"][0]
-
-
-def test_what_counts_frames_refuses_other_rates(tmp_path: Path) -> None:
-    from benchmark.extensions.exchange.exporting import exchanged_of
-
-    root = TinyRoot.of(tmp_path, [with_key_frames(town(), np.arange(91))], cameras=()).write()
-    with pytest.raises(InputError, match=r"key frames of scene-9901 are 0\.0833 s apart .* only eval and rescore"):
-        exchanged_of(NuScenesData.open(root), "scene-9901")

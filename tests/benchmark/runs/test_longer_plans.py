@@ -20,6 +20,7 @@ from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import load_record
 from benchmark.runs.rescoring import rescore
 from benchmark.truth import SampleTruth
+from leaderboard.frame.runs import Frame
 from leaderboard.tables.collision import run_tables
 from leaderboard.tables.contents import data_set_tables
 from leaderboard.tables.longer_plans import longer_table
@@ -81,7 +82,7 @@ def test_a_record_of_longer_plans_is_rescored_to_itself(tmp_path: Path) -> None:
 def test_the_table_has_the_horizons_that_plans_and_recordings_reach(tmp_path: Path) -> None:
     records = [evaluate(DATA, "val", FarSighted(steps), tmp_path / str(steps)) for steps in (6, 7, 9, 16)]
     assert [longer_rates(record) is None for record in records] == [True, True, False, False]
-    assert longer_table("d", records[:2]) is None
+    assert longer_table(Frame("d", records[:2])) is None
     four, six = (longer_rates(record) for record in records[2:])
     assert four is not None and six is not None
     counts = [sum(_reaches(row, steps) for row in records[3].rows) for steps in (8, 10, 12)]
@@ -92,7 +93,7 @@ def test_the_table_has_the_horizons_that_plans_and_recordings_reach(tmp_path: Pa
     assert values[-1] is not None and values[-1] > 0.0
     names = [table.name for table in run_tables("d", records[3:])]
     assert names[-1] == "longer-plans" and "longer-plans" not in [one.name for one in run_tables("d", records[:1])]
-    assert "longer-plans" in [table.name for table in data_set_tables("d", records[3:]).front]
+    assert "longer-plans" in [table.name for table in data_set_tables(Frame("d", records[3:])).front]
 
 
 def _reaches(row: SampleRow, steps: int) -> bool:

@@ -25,6 +25,7 @@ from benchmark.runs.rescoring import rescore, rescore_all
 from benchmark.runs.rescoring_drives import rescore_drives
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import build_split
+from leaderboard.frame.runs import Frame
 from leaderboard.tables.collision import collision_table
 from tests.benchmark.edited_roots import (
     Row,
@@ -99,7 +100,7 @@ def test_scenes_without_annotations_are_in_no_collision_rate_and_keep_their_l2(
     ]
     truth = {name: facts.truth for name, facts in two_of_three.run.scene_facts.items()}
     assert [each.annotations > 0 for each in truth.values() if each is not None] == [True, False, True]
-    assert "straight ¶" in {row[0] for row in collision_table("t", "exact", [two_of_three]).rows}
+    assert "straight ¶" in {row[0] for row in collision_table(Frame("t", [two_of_three]), "exact").rows}
 
 
 def test_unknown_is_never_read_as_no_contact(two_of_three: RunRecord) -> None:
@@ -146,10 +147,10 @@ def test_rescoring_brings_truth_to_an_older_record_and_what_tables_say_until_the
         facts["truth"] = None
     path.write_text(json.dumps({**older, "caveats": []}))
     before = load_record(two_of_three.directory)
-    assert any("older records" in note for note in collision_table("t", "exact", [before]).notes)
+    assert any("older records" in note for note in collision_table(Frame("t", [before]), "exact").notes)
     after = rescore(two_of_three.directory, data, protocols=tuple(two_of_three.run.protocols))
     assert after.run.scene_facts == two_of_three.run.scene_facts and after.run.caveats == two_of_three.run.caveats
-    assert not any("older records" in note for note in collision_table("t", "exact", [after]).notes)
+    assert not any("older records" in note for note in collision_table(Frame("t", [after]), "exact").notes)
 
 
 def test_transfer_refuses_where_no_scene_has_a_verdict(edited: Root, tmp_path: Path) -> None:

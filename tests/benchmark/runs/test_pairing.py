@@ -12,6 +12,7 @@ from benchmark.metrics.unchanged import unchanged_candidates, unchanged_record
 from benchmark.records.run import load_record
 from benchmark.records.store import ROWS_FILE
 from leaderboard.build import leaderboard_tables
+from leaderboard.frame.runs import Frame
 from leaderboard.tables.attacks import success_table
 from leaderboard.tables.effect import effect_table
 from tests.benchmark.fake_data import FakeData, town_of_two
@@ -41,7 +42,7 @@ def test_published_scenes_are_paired_with_the_recordings_of_the_data_set_that_is
     val = evaluate(town_of_two(), "val", Straight(), tmp_path)
     alone = evaluate(published, "adv", Straight(), tmp_path)
     assert alone.run.unchanged is None
-    table = effect_table("p", [alone], unchanged_candidates(tmp_path, [alone]))
+    table = effect_table(Frame("p", [alone], unchanged_candidates(tmp_path, [alone])))
     assert table is not None and set(table.rows[0][2:]) == {"–"}
     assert any("name that one here with --unchanged" in note for note in table.notes)
     named = EvalSettings(unchanged="fake")
@@ -61,7 +62,7 @@ def test_published_scenes_are_paired_with_the_recordings_of_the_data_set_that_is
     assert told["adversary"] is None and told["unchanged"] == {"data": "fake", "split": "val"}
     assert told["paired"]["pairs"] == effect.paired.pairs and effect_facts(val, None) == {}
     # Nor is success 0 %: it cannot be told.
-    assert success_table("p", [paired]) is None and attack_facts(paired) == {}
+    assert success_table(Frame("p", [paired])) is None and attack_facts(paired) == {}
     table = next(table for table in leaderboard_tables([val, paired])[1].tables if table.name == "effect")
     row = dict(zip(table.columns, table.rows[0]))
     assert row["compared with"] == "val" and row["adversary 3s"] == row["new others"] == "–"

@@ -11,8 +11,8 @@ import shapely
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from benchmark.box_projection import BOX_EDGES, agents_at, corners_of_box, to_camera
 from benchmark.errors import InputError
-from benchmark.extensions.quality.projection import boxes_in_view
 from benchmark.geometry import Floats, transform_matrix
 from benchmark.planning import CameraView
 from benchmark.records.scenes import CAMERA_GRID, SheetMap
@@ -21,9 +21,8 @@ from benchmark.scene import Scene
 from benchmark.scene_pages.motion import agents_of, ego_of, origin_of
 from benchmark.scene_pages.pictures import adversary_edges, cut_at_borders, layout, mosaic, pictured_frames
 from benchmark.scene_pages.road import AROUND_M, road_around
-from tests.benchmark.extensions.quality.synthetic_videos import without_frames
 from tests.generation.nuscenes_writer.written_roots import short_scene, with_adversary
-from tests.hand_made import Car, straight_road
+from tests.hand_made import Car, straight_road, without_frames
 
 WAY = np.column_stack([np.linspace(150.0, 190.0, 9), np.full(9, 198.25)])
 
@@ -121,6 +120,25 @@ def view_of(scene: Scene, name: str, frame: int) -> CameraView:
     return CameraView(camera, None, int(scene.timestamps_us[frame]), pose, None)  # type: ignore[arg-type]
 
 
+def outline_of_adversary(scene: Scene, view: CameraView, size: tuple[int, int]) -> shapely.Polygon | None:
+    """The hull of what of its box is 0.1 m ahead of the camera or more, inside the picture."""
+    camera, agent = view.camera.resized(*size), scene.agents.ids.index(scene.adversaries[0])
+    positions, yaws, _ = agents_at(scene, view.timestamp_us)
+    corners = corners_of_box(positions[agent], float(yaws[agent]), scene.agents.size[agent])
+    corners = to_camera(corners, view.global_T_ego, camera)
+    points = [corner for corner in corners if corner[2] >= 0.1]
+    for first, second in BOX_EDGES:
+        if (corners[first, 2] < 0.1) != (corners[second, 2] < 0.1):
+            share = (0.1 - corners[first, 2]) / (corners[second, 2] - corners[first, 2])
+            points.append((1.0 - share) * corners[first] + share * corners[second])
+    if not points:
+        return None
+    pixels = np.array(points) @ camera.intrinsic.T
+    hull = shapely.MultiPoint(pixels[:, :2] / pixels[:, 2:]).convex_hull
+    inside = hull.intersection(shapely.box(0, 0, *size))
+    return inside if isinstance(inside, shapely.Polygon) and inside.area > 0 else None
+
+
 @pytest.mark.parametrize(("ahead", "left"), [(12.0, 2.0), (4.0, 3.0), (-9.0, -3.0), (1.0, 2.6)])
 def test_edges_are_the_outline_of_the_box(ahead: float, left: float) -> None:
     car = Car(50.0 + ahead, 198.25 + left, 0.0, 0.3)
@@ -130,18 +148,17 @@ def test_edges_are_the_outline_of_the_box(ahead: float, left: float) -> None:
     found = adversary_edges(scene, cells, views)
     assert found
     for cell in cells:
-        boxes = boxes_in_view(scene, views[cell.name], (cell.width, cell.height), ("vehicle.car",), 0.1)
-        outline = next((box.polygon for box in boxes if box.instance == scene.adversaries[0]), None)
+        outline = outline_of_adversary(scene, views[cell.name], (cell.width, cell.height))
         assert (cell.name in found) == (outline is not None)
         if outline is None:
             continue
         ends = np.array(found[cell.name]).reshape(-1, 2) - [cell.left, cell.top]
         assert (ends >= 0).all() and (ends <= [cell.width, cell.height]).all()
-        hull = shapely.Polygon(outline).buffer(0.15)
+        hull = outline.buffer(0.15)
         assert all(hull.covers(shapely.Point(end)) for end in ends)
         # Nothing of the outline is missing but where it runs along the border of the cell.
         border = shapely.box(0, 0, cell.width, cell.height).exterior.buffer(0.1)
-        rest = shapely.Polygon(outline).exterior.difference(border)
+        rest = outline.exterior.difference(border)
         lines = shapely.MultiLineString([line.tolist() for line in ends.reshape(-1, 2, 2)])
         assert rest.difference(lines.buffer(0.3)).length < 1.0
 

@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ from benchmark.weights.tensors import read_header, read_tensors
 from generation.diffusion.checkpoint import load_denoiser
 from tests.benchmark.datasets.test_scenarionet import recording
 from tests.benchmark.untrusted.hostile_recordings import RECORDINGS
+from tests.benchmark.untrusted.mutations import BYTES
 from tests.benchmark.untrusted.variants import VARIANTS, Variant, write_sparse
 
 SMALL = replace(PICKLE, memory_bytes=256 * MIB, cpu_s=2, clock_s=12.0)
@@ -194,12 +196,9 @@ def test_a_damaged_old_checkpoint_is_one_sentence_or_other_numbers(tmp_path: Pat
     path = tmp_path / "old.pth"
     tensors = {"a.weight": torch.arange(64.0).reshape(8, 8), "b": torch.ones(3, dtype=torch.float16)}
     torch.save({"state_dict": tensors, "meta": {"lr": 1}}, path, _use_new_zipfile_serialization=False)
-    whole, chance = path.read_bytes(), np.random.default_rng(3)
+    whole, chance = path.read_bytes(), Random(3)
     for _ in range(25):
-        changed = bytearray(whole)
-        for at in chance.integers(0, len(whole) - 280, chance.integers(1, 6)).tolist():
-            changed[at] = int(chance.integers(0, 256))
-        path.write_bytes(changed[: len(whole) - int(chance.integers(0, 2) * chance.integers(0, 500))])
+        path.write_bytes(chance.choice(BYTES).change(whole, chance))
         try:
             for held in read_checkpoint(path).tensors.values():
                 held.double().sum()

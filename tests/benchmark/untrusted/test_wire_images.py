@@ -5,6 +5,7 @@ import pickle
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
+from random import Random
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from PIL import Image
 
 from benchmark.untrusted.limits import WIRE_PICTURE
 from benchmark.untrusted.wire_images import TensorRefused, image_of
+from tests.benchmark.untrusted.mutations import BYTES
 
 PIXELS = np.random.default_rng(0).integers(0, 255, (6, 8, 3), dtype=np.uint8)
 
@@ -134,14 +136,11 @@ def test_more_pixels_than_any_camera_has_are_not_decoded() -> None:
 
 
 def test_nothing_but_a_refusal_comes_of_damage_by_chance() -> None:
-    generator = np.random.default_rng(7)
+    chance = Random(7)
     for whole in (SAVED, file_of("PNG"), file_of("JPEG"), array_of(PIXELS)):
         for _ in range(60):
-            data = bytearray(whole)
-            for place in generator.integers(0, len(data), 3):
-                data[place] = generator.integers(0, 256)
             try:
-                found = image_of(bytes(data), tensors=True)
+                found = image_of(chance.choice(BYTES).change(whole, chance), tensors=True)
             except ValueError:
                 continue
             assert found.dtype == np.uint8 and found.ndim == 3

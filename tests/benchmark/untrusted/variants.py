@@ -44,6 +44,7 @@ def _colliding(count: int) -> bytes:
 
 
 DEPTH = 100_000
+DEEP = "[" * DEPTH + "]" * DEPTH
 PICKLES = (
     Variant("pickle", "lists nested 10^5 deep", lambda _: _pickled(b"]" * DEPTH + b"a" * (DEPTH - 1))),
     Variant("pickle", "tuples nested 10^5 deep", lambda _: _pickled(b")" + b"\x85" * DEPTH)),
@@ -190,7 +191,7 @@ def _metadata(value: Any) -> Callable[[bytes], bytes]:
 
 SAFETENSORS = (
     Variant("safetensors", "a header longer than the file", lambda _: (1 << 62).to_bytes(8, "little") + b"{}"),
-    Variant("safetensors", "a header nested 10^5 deep", lambda _: safetensors(b"[" * DEPTH + b"]" * DEPTH)),
+    Variant("safetensors", "a header nested 10^5 deep", lambda _: safetensors(DEEP.encode())),
     Variant("safetensors", "a header that is a list", lambda _: safetensors([])),
     Variant("safetensors", "a header that is no JSON", lambda _: safetensors(b"\xff\xfe{}")),
     Variant("safetensors", "a tensor of 2^60 numbers", _entry(shape=[1 << 60])),
@@ -209,7 +210,7 @@ SAFETENSORS = (
     Variant("safetensors", "a name of half a pair", lambda _: safetensors(b'{"\\ud800": {}}')),
     Variant("safetensors", "metadata that are a list", _metadata([])),
     Variant("safetensors", "metadata that are numbers", _metadata({"a": 1})),
-    Variant("safetensors", "metadata nested 10^5 deep", _metadata({"challenger-bench": "[" * DEPTH + "]" * DEPTH})),
+    Variant("safetensors", "metadata nested 10^5 deep", _metadata({"challenger-bench": DEEP})),
     Variant("safetensors", "metadata that are no JSON", _metadata({"challenger-bench": "{"})),
     Variant("safetensors", "bytes that belong to nothing", _entry(shape=[2], data_offsets=[0, 8])),
     Variant("safetensors", "seven bytes", lambda _: b"\1\0\0\0\0\0\0"),
@@ -217,7 +218,7 @@ SAFETENSORS = (
 )
 
 JSONS = (
-    Variant("json", "lists nested 10^5 deep", lambda _: b"[" * DEPTH + b"]" * DEPTH),
+    Variant("json", "lists nested 10^5 deep", lambda _: DEEP.encode()),
     Variant("json", "objects nested 10^5 deep", lambda _: b'{"a":' * DEPTH + b"1" + b"}" * DEPTH),
     Variant("json", "lists nested 100 deep", lambda _: b'["[{", ' + b"[" * 100 + b"]" * 100 + b"]"),
     Variant("json", "lists that are never closed", lambda _: b"[" * 2_000_000),
@@ -263,7 +264,7 @@ JSON_PLANS = (
         lambda _: _json([{str(n): 1} for n in range(10**5)]),
     ),
     Variant("json plans", "a row that is a list of a million", lambda _: _json([[1] * 10**6])),
-    Variant("json plans", "rows nested 10^5 deep", lambda _: b"[" * DEPTH + b"]" * DEPTH),
+    Variant("json plans", "rows nested 10^5 deep", lambda _: DEEP.encode()),
     Variant("json plans", "a table by column", lambda _: b'{"a": [1]}'),
     Variant("json plans", "text", lambda _: b'"plans"'),
     Variant("json plans", "half a pair", lambda valid: valid.replace(b'"ego"', b'"\\ud800"')),

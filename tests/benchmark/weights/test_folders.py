@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.extensions.quality.definition import needed_for
 from benchmark.machine.storage import file_sha256
 from benchmark.weights.catalogue import FOLDERS, PublishedFile, PublishedWeights
 from benchmark.weights.folders import (
@@ -217,11 +216,8 @@ def test_names_that_leave_the_folder_are_a_mistake_of_the_program() -> None:
             entry(files=(PublishedFile(name),))
 
 
-def test_the_weights_of_quality_are_complete() -> None:
-    assert [weights.name for weights in needed_for("boxes")] == ["dino-vitb16", "musiq-spaq"]
+def test_folders_have_names_of_their_own_licences_and_addresses() -> None:
     assert len({weights.name for weights in FOLDERS}) == len(FOLDERS)
-    for weights in needed_for("grounded-sam2"):
-        assert weights in FOLDERS and weights.revision != "main"
     for weights in FOLDERS:
         assert weights.licence and weights.address.startswith("https://") and weights.is_folder
         assert all(weights.url(file).startswith("https://") for file in weights.files)

@@ -19,11 +19,9 @@ from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
 from generation.diffusion.kinematics import motion
 from generation.diffusion.prior import SOLVER_CALLS, SamplerSettings, Samples, TrajectoryPrior, diversify
 from generation.diffusion.standardiser import actions_from_waypoints
-from generation.extensions.golden_sets.built_in import BUILT_IN
 from generation.search.proposals import Mutation, Request, Sampling
 from tests.generation.diffusion.distances import wasserstein
 
-GOLDEN = BUILT_IN / "denoiser"
 CRUISING = np.array([-4.0, 0.0, 0.0])
 SMALL = DenoiserConfig(feature_dim=16, heads=2, layers=1, feedforward_dim=16, history_tokens=1)
 
@@ -214,23 +212,6 @@ def test_quarters_of_the_first_batch() -> None:
         assert ratio[part, :, 0].min() >= low and ratio[part, :, 0].max() <= high
         assert np.allclose(ratio[part, :, 0], ratio[part, :1, 0])
     assert np.allclose(ratio[30:, :, 0], ratio[30:, :, 1])
-
-
-def test_quarters_equal_the_reference() -> None:
-    class Played:
-        """Plays the reference's uniform numbers."""
-
-        def __init__(self, draws: list[Floats]) -> None:
-            self.draws = draws
-
-        def random(self, size: int) -> Floats:
-            return self.draws.pop(0)[:size]
-
-    with np.load(GOLDEN / "parity.npz") as golden:
-        played = Played([golden[f"aug_u{part}"][:, 0].astype(np.float64) for part in (1, 2, 3)])
-        varied = diversify(golden["aug_in"].reshape(8, 16, 3), played)  # type: ignore[arg-type]
-        stored = golden["aug_out"].reshape(8, 16, 3)
-        assert np.abs(varied - stored).max() < 1e-6 * max(1.0, float(np.abs(stored).max()))
 
 
 def test_published_kind_of_checkpoint_loads(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from benchmark.records.seed_splits import is_adversarial, seed_of, seed_split
 from generation.pipeline.split import build_split
 from generation.splits.building import build_frozen
 from generation.splits.seeds import file_of_seed, frozen_of_seed, seeds_of
+from leaderboard.frame.runs import Frame
 from leaderboard.tables.drawn_seeds import drawn_seeds_table
 from tests.benchmark.cli.cli_runs import challenger_bench, refusal
 from tests.generation.labels.recorded_roads import CHEAP, write_source
@@ -75,7 +76,7 @@ def test_records_name_seed_and_search_and_stand_in_one_table(source: DataSet, sp
     assert [None if facts is None else facts.seed for facts in made] == list(SEEDS)
     hashes = {None if facts is None else facts.search for facts in made}
     assert len(hashes) == 1 and hashes != {None}
-    table = drawn_seeds_table(source.name, "exact", records)
+    table = drawn_seeds_table(Frame(source.name, records), "exact")
     assert table is not None and [row[2] for row in table.rows] == ["0", "1", "all"]
 
 
@@ -100,7 +101,7 @@ def test_frozen_splits_of_seeds_are_rebuilt_as_what_they_were(
         report = build_frozen(source, named, settings, as_split=seed_split(seed))
         assert report.other_tables == () and report.split == seed_split(seed)
     records = [run_on(rebuilt, source, seed) for seed in SEEDS]
-    assert drawn_seeds_table(source.name, "exact", records) is not None
+    assert drawn_seeds_table(Frame(source.name, records), "exact") is not None
     searched = run_on(space, source, 0).run.generated
     assert records[0].run.generated == searched and records[0].run.frozen_split == "road-seed-0"
 

@@ -1,4 +1,4 @@
-"""A build in shards has the bytes of one that was never cut; what is missing, damaged or of other options is named."""
+"""A build in shards has the bytes of one that was never cut; what is missing, damaged or of other options is made."""
 
 import json
 import multiprocessing
@@ -11,11 +11,7 @@ import pytest
 
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
-from benchmark.machine.storage import only_writer
-from benchmark.machine.workspace import is_finished
-from benchmark.runs.kept_shards import DRAWING, SEARCH, waiting
-from benchmark.runs.shards import Shard, shard_folder
-from generation.nuscenes_writer.plan import DRAWING_FOLDER, SEARCH_FOLDER
+from benchmark.runs.shards import Shard
 from generation.pipeline import sharded
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.sharded import build_shard, draw_frozen_shard
@@ -66,8 +62,8 @@ def shards(
 
 
 def written_below(out: Path) -> dict[Path, tuple[int, int]]:
-    """Every file with what changes when it is written again; notes alone may be."""
-    files = [path for path in out.rglob("*") if path.is_file() and "shards" not in path.parts]
+    """Every file with what changes when it is written again."""
+    files = [path for path in out.rglob("*") if path.is_file()]
     return {path: (path.stat().st_ino, path.stat().st_mtime_ns) for path in files}
 
 
@@ -105,8 +101,6 @@ def test_originals_are_drawn_in_shards_at_once(source: DataSet, tmp_path: Path) 
     build_split(source, "val-r", replace(DRAWN, out=tmp_path / "whole"))
     settings = replace(DRAWN, out=tmp_path / "cut")
     assert shards(source, settings, 2, "val-r", [2]) == ["drawn"]
-    with pytest.raises(InputError, match=r"shard 1/2 of the drawing is missing; run the same generate command with"):
-        build_split(source, "val-r", settings)
     assert shards(source, settings, 2, "val-r", [1]) == ["drawn"]
     build_split(source, "val-r", settings)
     assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
@@ -119,12 +113,7 @@ def test_a_frozen_split_is_drawn_in_shards(source: DataSet, tmp_path: Path) -> N
     build_frozen(source, split, replace(CHEAP, out=tmp_path / "whole"))
     settings = replace(CHEAP, out=tmp_path / "cut")
     draw_frozen_shard(source, split, settings, Shard(2, 2))
-    with pytest.raises(InputError, match=r"shard 1/2 of the drawing is missing"):
-        build_frozen(source, split, settings)
-    draw_frozen_shard(source, split, settings, Shard(1, 2))
-    with pytest.raises(InputError, match="shard 1/2 of the drawing was done with other options"):
-        build_frozen(source, split, replace(settings, frames="keyframes"))
-    assert not is_finished(settings.out)
+    draw_frozen_shard(source, split, replace(settings, frames="keyframes"), Shard(1, 2))
     build_frozen(source, split, settings)
     assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
 
@@ -143,30 +132,16 @@ def test_two_shards_at_once_do_not_disturb_each_other(source: DataSet, whole: Pa
     assert contents(settings.out) == contents(whole)
 
 
-def test_the_same_shard_twice_at_once_is_refused(source: DataSet, tmp_path: Path) -> None:
-    settings = replace(CHEAP, out=tmp_path / "adv")
-    with (
-        only_writer(shard_folder(settings.out / SEARCH_FOLDER, Shard(1, 2))),
-        pytest.raises(InputError, match="another command is writing"),
-    ):
-        build_shard(source, "adv", settings, Shard(1, 2))
-
-
-def test_who_is_missing_is_named_and_nothing_is_searched(source: DataSet, tmp_path: Path) -> None:
+def test_what_no_shard_did_the_build_does(source: DataSet, whole: Path, tmp_path: Path) -> None:
     settings = replace(CHEAP, out=tmp_path / "adv")
     shards(source, settings, 3, numbers=[1, 3])
-    before = written_below(settings.out)
-    says = r"shard 2/3 of the search is missing; run the same generate command with --shard 2/3, or remove"
-    with pytest.raises(InputError, match=says):
-        build_split(source, "adv", settings)
-    assert written_below(settings.out) == before
-    (division,) = waiting(tmp_path, SEARCH, f"*/{SEARCH_FOLDER}")
-    assert division.missing == (Shard(2, 3),) and not waiting(tmp_path, DRAWING, f"*/{DRAWING_FOLDER}")
-    with pytest.raises(InputError, match=r"were begun in shards of 3; run --shard 1/3, or remove"):
-        shards(source, settings, 2, numbers=[1])
+    before = written_below(settings.out / ".challenger" / "attempts")
+    build_split(source, "adv", settings)
+    assert before.items() <= written_below(settings.out / ".challenger" / "attempts").items()
+    assert contents(settings.out) == contents(whole)
 
 
-def test_a_shard_that_was_killed_is_missing_and_goes_on(
+def test_a_shard_that_was_killed_goes_on(
     source: DataSet, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = replace(CHEAP, out=tmp_path / "adv")
@@ -174,37 +149,22 @@ def test_a_shard_that_was_killed_is_missing_and_goes_on(
     def killed(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    for step, say in (("note_done", "of the search"), ("write_scenes", "of the drawing")):
+    for step in ("searched", "write_scenes"):
         shards(source, settings, 2, numbers=[1])
         with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
             patched.setattr(sharded, step, killed)
             build_shard(source, "adv", settings, Shard(2, 2))
-        with pytest.raises(InputError, match=f"shard 2/2 {say} is missing"):
-            build_split(source, "adv", settings)
         shards(source, settings, 2, numbers=[2])
     build_split(source, "adv", settings)
     assert contents(settings.out) == contents(whole)
 
 
-def test_what_is_damaged_is_named_or_made_again(source: DataSet, whole: Path, tmp_path: Path) -> None:
+def test_what_is_damaged_is_made_again(source: DataSet, whole: Path, tmp_path: Path) -> None:
     settings = replace(CHEAP, out=tmp_path / "adv")
     shards(source, settings, 3)
-    notes = settings.out / SEARCH_FOLDER / "shards"
-    good = (notes / "2-of-3" / "search.json").read_text()
-    for bad, says in (
-        ("{", "the whole: it cannot be read"),
-        (good.replace('"of": 3', '"of": "x"'), "of: "),
-        (good.replace('"number": 2', '"number": 1'), "number: it is that of shard 1/3"),
-    ):
-        (notes / "2-of-3" / "search.json").write_text(bad)
-        with pytest.raises(InputError, match=rf"is not the note of a shard: {says}.*--shard 2/3 again"):
-            build_split(source, "adv", settings)
-    assert shards(source, settings, 3, numbers=[2]) == ["searched"]
     attempts = sorted((settings.out / ".challenger" / "attempts").iterdir())
     of_second = [path for path in attempts if '"scene-9902"' in path.read_text()]
     of_second[0].write_text(of_second[0].read_text()[:-9])
-    with pytest.raises(InputError, match=r"attempts in scene-9902 are missing or damaged.*with --shard 2/3 again"):
-        build_shard(source, "adv", settings, Shard(1, 3))
     assert build_shard(source, "adv", settings, Shard(2, 3)).did == "searched"
     assert shards(source, settings, 3) == ["drawn"] * 3
     of_second[0].unlink()
@@ -214,16 +174,15 @@ def test_what_is_damaged_is_named_or_made_again(source: DataSet, whole: Path, tm
     assert contents(settings.out) == contents(whole)
 
 
-def test_shards_of_other_options_are_not_taken_for_these(source: DataSet, tmp_path: Path) -> None:
+def test_shards_of_other_options_are_not_taken_for_these(source: DataSet, whole: Path, tmp_path: Path) -> None:
     settings = replace(CHEAP, out=tmp_path / "adv")
     shards(source, replace(settings, seed=1), 2)
-    with pytest.raises(InputError, match="shard 1/2 of the search was done with other options or other data"):
-        build_split(source, "adv", settings)
     assert shards(source, settings, 2) == ["searched"] * 2
     assert shards(source, replace(settings, frames="keyframes"), 2) == ["drawn"] * 2
-    with pytest.raises(InputError, match="shard 1/2 of the drawing was done with other options"):
-        build_split(source, "adv", settings)
     assert build_shard(source, "adv", settings, Shard(1, 2)).did == "drawn"
+    build_split(source, "adv", settings)
+    tables = {name: held for name, held in contents(settings.out).items() if ".challenger" not in str(name)}
+    assert tables == {name: held for name, held in contents(whole).items() if ".challenger" not in str(name)}
 
 
 def test_shards_that_find_nothing_end_as_a_build_does(source: DataSet, tmp_path: Path) -> None:
@@ -262,11 +221,6 @@ def test_the_command_searches_draws_and_finishes(source: DataSet, tmp_path: Path
     originals = ("generate", "--split", "val-r", *given, *cheap)
     drawn = run_here(*originals, "--shard", "1/2")
     assert drawn.code == 0 and "shard 1/2, 2 of 3 scenes drawn" in drawn.out and "no --shard" in drawn.err
-    asked = run_here("merge", *given)
-    assert asked.code == 1 and "shard 2/2 of the search is missing" in asked.err
-    assert "shard 2/2 of the drawing is missing; run the same generate command with --shard 2/2" in asked.err
-    refused = run_here(*originals)
-    assert refused.code == 2 and "shard 2/2 of the drawing is missing" in refused.err
     assert run_here(*originals, "--shard", "2/2").code == 0
     assert run_here(*originals).code == 0
     assert len(open_data(tmp_path / "data" / source.name / "val-r").scene_names("val-r")) == 3

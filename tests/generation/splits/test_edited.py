@@ -1,8 +1,6 @@
-"""ScenarioNet files that somebody edited, built like a frozen split; what else than vehicles differs is refused."""
+"""Scenes that somebody edited, as a frozen split: what differs from the recordings, in memory and in files."""
 
 import json
-import pickle
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,21 +8,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.datasets.own_words import OWN
+from benchmark.datasets.own_words import Exchanged
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
-from benchmark.extensions.exchange.exporting import export_scenarionet, scene_file
+from benchmark.machine.storage import token
+from generation.sources.importing import ImportSettings, import_scenarionet
 from generation.splits.building import build_frozen
 from generation.splits.edited import edited_scene, edited_split
 from generation.splits.format import EDITED, read_frozen
 from tests.benchmark.cli.in_process import run_here
-from tests.benchmark.extensions.exchange.wild_scenes import moved
-from tests.generation.splits.frozen_files import BUILT, drifting_split, recordings
-from tests.hand_made import Car, scene_on_straight_road
+from tests.benchmark.datasets.test_scenarionet import recording, write
+from tests.generation.splits.frozen_files import BUILT, recordings
+from tests.hand_made import Car, moved, scene_on_straight_road
 
 PLAIN = replace(BUILT, renderer=None)
 NAME = "scene-9901"
-Change = Callable[[dict[str, Any]], None]
 
 
 @pytest.fixture(scope="module")
@@ -32,173 +30,31 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
     return recordings(tmp_path_factory.mktemp("recorded"))
 
 
-@pytest.fixture(scope="module")
-def exported(source: DataSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("exported")
-    export_scenarionet(source, source.scene_names(None), folder, workers=1)
-    return folder
-
-
-def edit(exported: Path, to: Path, change: Change, name: str = NAME) -> Path:
-    value = pickle.loads(scene_file(exported, name, "pkl").read_bytes())  # noqa: S301 - made by this test
-    change(value)
-    to.parent.mkdir(parents=True, exist_ok=True)
-    to.write_bytes(pickle.dumps(value))
-    return to
-
-
-def car(value: dict[str, Any], number: int = 0) -> dict[str, Any]:
-    state: dict[str, Any] = value["tracks"][[name for name in value["tracks"] if name != "ego"][number]]["state"]
-    return state
-
-
-def drifts(by_m: float = 1.2, number: int = 0, start: int = 30) -> Change:
-    """A car drifts to the left from a frame on."""
-
-    def change(value: dict[str, Any]) -> None:
-        frames = np.arange(value["length"])
-        car(value, number)["position"][:, 1] += by_m * np.clip((frames - start) / 30, 0.0, 1.0)
-
-    return change
-
-
-def test_what_was_moved_is_the_adversary_from_the_last_keyframe_before(
-    source: DataSet, exported: Path, tmp_path: Path
-) -> None:
-    path = edit(exported, tmp_path / "mine.pkl", drifts())
-    split = edited_split(source, path)
+def test_whoever_was_moved_is_an_adversary_of_a_split_that_is_built_like_any(source: DataSet, tmp_path: Path) -> None:
+    recorded, path = source.scene(NAME), tmp_path / "mine.pkl"
+    split = edited_split(source, path, ((path, Exchanged(moved(recorded, 1, 0.5), NAME)),))
     (scene,) = split.frozen.scenes
     (adversary,) = scene.adversaries
-    recorded = source.scene(NAME)
     assert (split.name, scene.source, split.frozen.search.algorithm) == ("mine", NAME, EDITED)
-    assert adversary.instance == recorded.agents.ids[0] and adversary.launch_frame == 30
-    assert len(adversary.track) == len(recorded.timestamps_us) - 30
-    expected = recorded.agents.position[0, 30:, 1] + 1.2 * np.clip(np.arange(len(adversary.track)) / 30, 0.0, 1.0)
-    assert np.allclose([y for _, y, _ in adversary.track], expected, atol=6e-4)
-    assert edited_split(source, path) == split
+    assert (adversary.instance, adversary.launch_frame) == (recorded.agents.ids[1], 0)
+    assert np.allclose([x for x, _, _ in adversary.track], recorded.agents.position[1, :, 0] + 0.5, atol=6e-4)
     report = build_frozen(source, split, replace(PLAIN, out=tmp_path / "adv"))
-    assert report.other_tables == () and report.edited and "edited, and verified by nobody" in report.summary()
-    assert set(report.as_json()["faults"]) == {scene.name}
-    built = open_data(tmp_path / "adv")
-    found = built.scene(scene.name)
-    assert len(found.adversaries) == 1 and built.scene_facts([scene.name])[scene.name].source == NAME
+    assert report.other_tables == () and report.edited
+    found = open_data(tmp_path / "adv").scene(scene.name)
     row = found.agents.ids.index(found.adversaries[0])
     at = found.keyframes
-    expected_keyframes = recorded.agents.position[0, at, 1] + 1.2 * np.clip((at - 30) / 30, 0.0, 1.0)
-    assert np.allclose(found.annotations.position[row, :, 1], expected_keyframes, atol=1e-3)
-    others = np.arange(len(found.agents)) != row
-    assert np.allclose(found.agents.position[others], recorded.agents.position[1:], atol=1e-9)
+    assert np.allclose(found.annotations.position[row, :, 0], recorded.agents.position[1, at, 0] + 0.5, atol=1e-3)
 
 
-def test_two_vehicles_are_two_adversaries_in_the_order_of_their_departure(
-    source: DataSet, exported: Path, tmp_path: Path
-) -> None:
-    def both(value: dict[str, Any]) -> None:
-        drifts(1.0, 0, 40)(value)
-        drifts(-1.0, 1, 10)(value)
-
-    (scene,) = edited_split(source, edit(exported, tmp_path / "two.pkl", both)).frozen.scenes
-    ids = source.scene(NAME).agents.ids
-    # The first keyframe at which the second car is off by a centimetre is the one after frame 12.
-    assert [(each.instance, each.launch_frame) for each in scene.adversaries] == [(ids[1], 6), (ids[0], 36)]
-
-
-def test_generated_scenes_come_back_as_the_adversaries_that_they_have(source: DataSet, tmp_path: Path) -> None:
-    split = drifting_split(source, tmp_path / "road-adv-1.json")
-    build_frozen(source, split, replace(PLAIN, out=tmp_path / "adv"))
-    built = open_data(tmp_path / "adv")
-    export_scenarionet(built, built.scene_names("adv"), tmp_path / "files", workers=1)
-    again = edited_split(source, tmp_path / "files").frozen.scenes
-    assert len(again) == len(split.frozen.scenes) == 4
-    known = {(scene.source, scene.adversaries[0].instance): scene for scene in split.frozen.scenes}
-    for scene in again:
-        (adversary,) = scene.adversaries
-        before = known[scene.source, adversary.instance].adversaries[0]
-        assert adversary.launch_frame in (6, 12) and adversary.track[-1] == before.track[-1]
-
-
-def test_a_file_without_our_block_is_compared_too(source: DataSet, exported: Path, tmp_path: Path) -> None:
-    def change(value: dict[str, Any]) -> None:
-        drifts()(value)
-        del value["metadata"][OWN]
-
-    # What another tool saved has no clock and no annotations, and its times end with the last whole keyframe.
-    (scene,) = edited_split(source, edit(exported, tmp_path / "plain.pkl", change)).frozen.scenes
-    assert scene.adversaries[0].instance == source.scene(NAME).agents.ids[0]
-
-
-def gone(value: dict[str, Any]) -> None:
-    drifts()(value)
-    car(value)["valid"][-3:] = 0
-
-
-def other_clock(value: dict[str, Any]) -> None:
-    own = value["metadata"][OWN]
-    own["timestamps_us"] = own["timestamps_us"] + np.arange(value["length"]) * 2000
-    value["metadata"]["ts"] = (own["timestamps_us"] - own["timestamps_us"][0]) * 1e-6
-
-
-def pedestrian(value: dict[str, Any]) -> None:
-    drifts()(value)
-    name = next(name for name in value["tracks"] if name != "ego")
-    value["tracks"][name]["metadata"][OWN]["category"] = "human.pedestrian.adult"
-
-
-def larger(value: dict[str, Any]) -> None:
-    car(value)["length"] += 0.5
-
-
-def moved_ego(value: dict[str, Any]) -> None:
-    value["tracks"]["ego"]["state"]["position"][:, 1] += 0.05
-
-
-def removed(value: dict[str, Any]) -> None:
-    del value["tracks"][[name for name in value["tracks"] if name != "ego"][1]]
-
-
-def added(value: dict[str, Any]) -> None:
-    name = next(name for name in value["tracks"] if name != "ego")
-    track = value["tracks"][name]
-    value["tracks"]["more"] = {**track, "metadata": {**track["metadata"], "object_id": "more"}}
-
-
-def renamed(value: dict[str, Any]) -> None:
-    value["metadata"][OWN] |= {"name": "scene-0001", "source_scene": "scene-0001"}
-
-
-def not_finite(value: dict[str, Any]) -> None:
-    car(value)["position"][50] = np.nan
-
-
-def two_egos(value: dict[str, Any]) -> None:
-    value["metadata"]["sdc_id"] = ["ego", "ego"]
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda value: None, "as it was recorded; move a vehicle"),
-        (drifts(0.004), "as it was recorded; move a vehicle"),
-        (gone, "is not there at frame"),
-        (other_clock, "its times are not those of scene-9901"),
-        (pedestrian, "another size or category"),
-        (larger, "another size or category"),
-        (moved_ego, "the ego of scene-9901 is 0.050 m"),
-        (removed, "lacks .* of scene-9901; vehicles may be moved"),
-        (added, "has more, which is new; vehicles may be moved"),
-        (renamed, "is of scene-0001, which .* has no recording of"),
-        (not_finite, "a pose that is not finite at step 50"),
-        (two_egos, "metadata sdc_id must be a name"),
-    ],
-    ids=lambda value: getattr(value, "__name__", None),
-)
-def test_what_else_differs_is_refused(
-    source: DataSet, exported: Path, tmp_path: Path, change: Change, message: str
-) -> None:
-    path = edit(exported, tmp_path / "wrong.pkl", change)
-    with pytest.raises(InputError, match=message) as caught:
-        edited_split(source, path)
-    assert "wrong.pkl" in str(caught.value) and len(str(caught.value).splitlines()) == 1
+def test_scenes_as_recorded_twice_or_recorded_elsewhere_are_refused(source: DataSet) -> None:
+    recorded, path = source.scene(NAME), Path("mine.pkl")
+    for scenes, message in (
+        ((Exchanged(recorded, NAME),), "as it was recorded; move a vehicle"),
+        ((Exchanged(moved(recorded, 0, 1.0), NAME),) * 2, "the same scene as another file"),
+        ((Exchanged(replace(moved(recorded, 0, 1.0), name="scene-1"), "scene-1"),), "has no recording of"),
+    ):
+        with pytest.raises(InputError, match=message):
+            edited_split(source, path, tuple((path, made) for made in scenes))
 
 
 def test_only_vehicles_may_be_moved_and_only_where_they_were_recorded() -> None:
@@ -215,43 +71,32 @@ def test_only_vehicles_may_be_moved_and_only_where_they_were_recorded() -> None:
     assert edited_scene(moved(late, 0, 1.0), late, path).adversaries[0].launch_frame == 30
 
 
-def test_other_recordings_and_the_same_scene_twice_are_refused(source: DataSet, exported: Path, tmp_path: Path) -> None:
-    shorter = recordings(tmp_path / "shorter", seconds=6.0)
-    path = edit(exported, tmp_path / "wrong.pkl", drifts())
-    with pytest.raises(InputError, match=r"has 91 frames and scene-9901 was recorded with"):
-        edited_split(shorter, path)
-    with pytest.raises(InputError, match="the same scene as another file"):
-        edited_split(source, edit(exported, tmp_path / "wrong.pkl", drifts()).parent / _copied(path))
+def drifting(by_m: float) -> dict[str, Any]:
+    """A recording of another source whose car drifts to the left; its tracks have names that a root keeps."""
+    value = recording()
+    value["tracks"]["1"]["state"]["position"][:, 1] += by_m * np.linspace(0.0, 1.0, value["length"])
+    value["tracks"] = {name if name == "0" else token("track", name): each for name, each in value["tracks"].items()}
+    return value
 
 
-def _copied(path: Path) -> str:
-    folder = path.parent / "both"
-    folder.mkdir()
-    for name in ("sd_a.pkl", "sd_b.pkl"):
-        (folder / name).write_bytes(path.read_bytes())
-    return folder.name
-
-
-def test_the_command_builds_edited_scenes_and_freezes_them(source: DataSet, exported: Path, tmp_path: Path) -> None:
-    for number, name in enumerate(("scene-9901", "scene-9902")):
-        edit(exported, tmp_path / "edited" / f"sd_{number}.pkl", drifts(number=number), name)
-    out = ("--data", source.root, "--renderer", "none", "--frames", "keyframes", "--workers", "1")
-    done = run_here(
-        "generate", "--from", tmp_path / "edited", "--out", tmp_path / "out", "--freeze", tmp_path / "mine.json", *out
-    )
-    assert done.code == 0 and "2 scenes built from the edited edited" in done.out, done.err
-    again = run_here("generate", "--from", tmp_path / "mine.json", "--out", tmp_path / "again", *out, "--json")
+def test_the_command_builds_what_was_edited_in_files_and_freezes_it(tmp_path: Path) -> None:
+    imported = ImportSettings(images=False, frames="keyframes")
+    (name,) = import_scenarionet(write(tmp_path, drifting(0.0)), tmp_path / "road", imported, workers=1)
+    write(tmp_path, drifting(1.0), "mine.pkl")
+    out = ("--data", tmp_path / "road", "--renderer", "none", "--frames", "keyframes", "--workers", "1")
+    edited = ("generate", "--from", tmp_path / "mine.pkl", *out)
+    done = run_here(*edited, "--out", tmp_path / "out", "--freeze", tmp_path / "frozen.json")
+    assert done.code == 0 and "1 scene built from the edited mine" in done.out, done.err
+    (scene,) = read_frozen(tmp_path / "frozen.json").scenes
+    assert scene.source == name and len(scene.adversaries) == 1
+    again = run_here("generate", "--from", tmp_path / "frozen.json", "--out", tmp_path / "again", *out, "--json")
     assert again.code == 0 and json.loads(again.out)["other_tables"] == [], again.err
-    name = Path(str(source.root)).name
-    first, second = (open_data(tmp_path / folder / "data" / name / "adv") for folder in ("out", "again"))
-    assert first.scene_names("adv") == second.scene_names("adv") and len(first.scene_names("adv")) == 2
-    assert len(read_frozen(tmp_path / "mine.json").scenes) == 2
-    dry = run_here("generate", "--from", tmp_path / "edited", "--out", tmp_path / "dry", "--dry-run", *out)
+    dry = run_here(*edited, "--out", tmp_path / "dry", "--dry-run")
     assert dry.code == 0 and "nothing was written" in dry.out and not (tmp_path / "dry").exists()
     for wrong, message in (
         (("--seeds", "0,1"), "edited scenes have none"),
         (("--top", "3"), "--top belongs to a search"),
         (("--split", "val-r"), "--from builds split adv"),
     ):
-        refused = run_here("generate", "--from", tmp_path / "edited", "--out", tmp_path / "no", *wrong, *out)
+        refused = run_here(*edited, "--out", tmp_path / "no", *wrong)
         assert refused.code == 2 and message in refused.err

@@ -25,7 +25,6 @@ from tests.benchmark.records.test_drives import row, written
 from tests.generation.splits.frozen_files import BUILT, drifting_split, recordings
 
 HERE = LocalProcesses(1)
-RULES = b"[changed]\nmost = 2\n"
 PLAIN = replace(BUILT, renderer=None)
 
 
@@ -56,10 +55,9 @@ def built(source: DataSet, split: NamedSplit, folder: Path) -> DataSet:
 
 @pytest.fixture(scope="module")
 def contents(split: NamedSplit, built: DataSet, folder: Path) -> PackageContents:
-    (folder / "rules.toml").write_bytes(RULES)
     names = [scene.name for scene in split.frozen.scenes]
     drives = written(folder / "drives", row(names[0]), scenes=names[:1], frozen_split=split.name)
-    return PackageContents((split,), built, (drives,), folder / "rules.toml")
+    return PackageContents((split,), built, (drives,))
 
 
 @pytest.fixture(scope="module")
@@ -76,8 +74,7 @@ def test_a_package_is_the_same_bytes_and_holds_what_belongs_to_the_split(
     members = read_package(packed.path)
     assert next(iter(members)) == "manifest.json"
     kinds = sorted(file.kind for file in packed.manifest.files.values())
-    assert kinds == ["drive", "rules", "split", "statistics", "verdicts"]
-    assert members["rules/rules.toml"] == RULES
+    assert kinds == ["drive", "split", "statistics", "verdicts"]
     assert members[f"splits/{split.name}.json"].decode() == split.frozen.text()
     counts = json.loads(members["statistics/split.json"])
     assert counts["counts"]["scenes"] == len(split.frozen.scenes) and counts["judgement"]["scenes"]
@@ -122,11 +119,11 @@ def test_the_commands_of_the_page(source: DataSet, packed: Packed, contents: Pac
     folder = packed.path.parent
     done = run_here(
         "data", "pack", folder / "road-adv-1.json", "--root", folder / "built", "--drives", folder / "drives",
-        "--rules", folder / "rules.toml", "--to", tmp_path / "road.zip", "--workers", "1",
+        "--to", tmp_path / "road.zip", "--workers", "1",
     )  # fmt: skip
     assert done.code == 0 and packed.sha256 in done.out and "settings of 1 drive record" in done.out, done.err
     done = run_here("data", "unpack", tmp_path / "road.zip", "--to", tmp_path / "files")
-    assert done.code == 0 and "is whole: 5 files" in done.out and "generate --from" in done.out, done.err
+    assert done.code == 0 and "is whole: 4 files" in done.out and "generate --from" in done.out, done.err
     done = run_here(
         "data", "unpack", tmp_path / "road.zip", "--to", tmp_path / "files", "--data", source.root, "--out",
         tmp_path / "out", "--renderer", "none", "--frames", "keyframes", "--workers", "1", "--json",
@@ -168,14 +165,14 @@ def replaced(name: str, data: bytes) -> Any:
     ("change", "message"),
     [
         (lambda members: members.pop("manifest.json"), "is no package of a split"),
-        (lambda members: members.pop("rules/rules.toml"), "lacks rules/rules.toml"),
+        (lambda members: members.pop("statistics/split.json"), "lacks statistics/split.json"),
         (lambda members: members.update({"more.txt": b"x"}), "holds more.txt, which its manifest does not name"),
         (edit("manifest.json", format="other"), "is no package of a split"),
         (edit("manifest.json", schema=2), "has version 2 of the format"),
         (edit("manifest.json", splits=[]), "manifest.json is damaged"),
         (edit("manifest.json", more=1), "manifest.json is damaged"),
         (replaced("manifest.json", b"{" * 10_000), "manifest.json is no JSON"),
-        (replaced("rules", b"[changed]\nmost = 9\n"), "is not what the manifest says"),
+        (replaced("statistics", b"{}"), "is not what the manifest says"),
         (edit("splits", split="val"), "is not what the manifest says"),
         (edit("statistics", more=1), "is not what the manifest says"),
     ],
@@ -201,14 +198,10 @@ def test_what_does_not_belong_together_is_not_packed(
     packed: Packed, contents: PackageContents, split: NamedSplit, source: DataSet, tmp_path: Path
 ) -> None:
     other = written(tmp_path / "other", row("scene-1"), scenes=["scene-1"])
-    (tmp_path / "rules.toml").write_text("most = = 1")
-    (tmp_path / "more.toml").write_text("[changed]\nwheels = 3")
     (tmp_path / "taken.zip").write_bytes(b"something")
     for wrong, message in (
         (replace(contents, root=source), "is not built from the frozen splits"),
         (replace(contents, drives=(other,)), "drives scenes that are not in the packed splits, such as scene-1"),
-        (replace(contents, rules=tmp_path / "rules.toml"), "is not valid TOML"),
-        (replace(contents, rules=tmp_path / "more.toml"), "changed.wheels: .*; see docs/extensions/challenge.md"),
         (replace(contents, splits=(split, split)), "is there twice"),
         (replace(contents, splits=(NamedSplit("../up", split.frozen),)), "is no plain name"),
     ):
@@ -222,11 +215,12 @@ def test_what_does_not_belong_together_is_not_packed(
 
 
 def test_files_that_are_there_are_never_replaced(packed: Packed, tmp_path: Path) -> None:
-    (tmp_path / "rules").mkdir()
-    (tmp_path / "rules" / "rules.toml").write_text("mine = 1")
+    mine = tmp_path / "statistics" / "split.json"
+    mine.parent.mkdir()
+    mine.write_text("mine")
     with pytest.raises(InputError, match="is there and holds something else"):
         write_files(read_split_package(packed.path), tmp_path)
-    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["rules.toml"]
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [mine]
 
 
 def test_any_tool_opens_it(packed: Packed) -> None:

@@ -8,6 +8,7 @@ from leaderboard.figures.attacks import (
     generator_settings,
     nothing_drawn,
 )
+from leaderboard.frame.runs import Frame
 from tests.benchmark.metrics.made_attacks import attacked, with_realism
 from tests.benchmark.records.hand_made_records import CLEAN, hand_made
 
@@ -34,20 +35,20 @@ def test_a_setting_is_a_split_with_all_its_planners() -> None:
 def test_realism_and_validity_have_axes_of_their_own() -> None:
     town = with_realism(attacked("<p>", SCENES, CAREFUL, data="town"), None)
     real = with_realism(attacked("<p>", SCENES, CAREFUL, data="real"), 0.7)
-    (both,) = attack_figures("town", [town, real])
+    (both,) = attack_figures(Frame("town", [town, real]))
     text = both.svg.decode()
     assert _drawn(text, REALISM_AXIS) and _drawn(text, VALIDITY_AXIS)
     assert _drawn(text, "&lt;p&gt;") and _drawn(text, "worst: jerk along")
-    (alone,) = attack_figures("real", [real])
+    (alone,) = attack_figures(Frame("real", [real]))
     assert not _drawn(alone.svg.decode(), VALIDITY_AXIS) and png_size(alone.png)[0] < png_size(both.png)[0]
-    assert attack_figures("real", [real])[0].png == alone.png
+    assert attack_figures(Frame("real", [real]))[0].png == alone.png
     # The own setting is full, that of another data set is hollow.
-    assert attack_figures("real", [town, real])[0].png != both.png
+    assert attack_figures(Frame("real", [town, real]))[0].png != both.png
 
 
 def test_where_nothing_can_be_drawn_a_sentence_says_why() -> None:
     unjudged = attacked("p", SCENES, dict.fromkeys(SCENES))
-    assert attack_figures("d", [unjudged]) == ()
+    assert attack_figures(Frame("d", [unjudged])) == ()
     assert nothing_drawn("d", [unjudged]) == (
         "No figure of attack success against realism: nobody said of any scene who survives it."
     )

@@ -10,6 +10,7 @@ import pytest
 from benchmark.published import ADV_NUSC, HYPER_PARAMETERS, RUNTIME_S
 from benchmark.report.table import LatexForm, escape_latex, table_of
 from leaderboard.build import leaderboard_files
+from leaderboard.frame.sheets import by_data_set
 from leaderboard.paper.appendix import hyper_parameter_tables, paper_data_set_tables, paper_runtime_tables
 from leaderboard.paper.document import PREAMBLE
 from leaderboard.paper.runtime_chart import runtime_charts, runtime_shares
@@ -82,13 +83,13 @@ def test_the_defaults_of_the_search_are_as_printed() -> None:
 
 def test_runtime_and_data_set_are_as_the_paper_has_them() -> None:
     sheets = paper_sheets()
-    (runtime,) = paper_runtime_tables(sheets)["d"]
+    (runtime,) = by_data_set(sheets, paper_runtime_tables)["d"]
     assert [row[0] for row in runtime.rows] == [
         "Traj. sampling", "Physics", "Traj. scoring", "Rendering", "Other", "Total"
     ]  # fmt: skip
     assert [row[2] for row in runtime.rows] == ["17.36", "211.36", "194.72", "395.18", "–", "818.62"]
     assert float(runtime.rows[-1][1]) == pytest.approx(sum(float(row[1]) for row in runtime.rows[:-1]))
-    (data_set,) = paper_data_set_tables(sheets)["d"]
+    (data_set,) = by_data_set(sheets, paper_data_set_tables)["d"]
     assert data_set.columns == ("Attribute", "val", "adv", "Adv-nuSc")
     assert [row[-1] for row in data_set.rows] == [f"{count:,}" for count in ADV_NUSC.values()]
 

@@ -24,7 +24,9 @@ from benchmark.records.scenes import NO_SHEETS, Sheets, StoredSheet, find_sheets
 from benchmark.report.palette import ADVERSARY, PLANNERS_ON_DARK, PLANNERS_ON_LIGHT, hexadecimal
 from benchmark.report.table import Table
 from leaderboard.build import stale_files, write_leaderboard
-from leaderboard.figures.charts import NamedFigure
+from leaderboard.frame.results import Results
+from leaderboard.frame.runs import Frame
+from leaderboard.page.sections import NamedFigure
 from leaderboard.site.index_data import PlacedTable, index_data
 from leaderboard.site.key_table import key_table
 from leaderboard.site.model_index import model_index
@@ -57,20 +59,18 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 @pytest.fixture(autouse=True)
 def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures have tests of their own and take most of the time."""
-    monkeypatch.setattr("leaderboard.build.data_set_figures", lambda name, records: (FIGURE,))
+    monkeypatch.setattr("leaderboard.figures.contents.OF_RUNS", (lambda frame: (FIGURE,),))
     for name in ("heat_maps", "lift_maps"):
-        monkeypatch.setattr(f"leaderboard.build.{name}", lambda _: (b"png", b"png", b"png"))
-    monkeypatch.setattr("leaderboard.build.attack_figures", lambda *_: ())
+        monkeypatch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"png", b"png", b"png"))
 
 
 @pytest.fixture(scope="module")
 def folder(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A written leaderboard."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("leaderboard.build.data_set_figures", lambda name, records: (FIGURE,))
+        patch.setattr("leaderboard.figures.contents.OF_RUNS", (lambda frame: (FIGURE,),))
         for name in ("heat_maps", "lift_maps"):
-            patch.setattr(f"leaderboard.build.{name}", lambda _: (b"png", b"png", b"png"))
-        patch.setattr("leaderboard.build.attack_figures", lambda *_: ())
+            patch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"png", b"png", b"png"))
         found = tmp_path_factory.mktemp("board")
         write_leaderboard(made.records, found, sheets=made.sheets)
         yield found
@@ -138,7 +138,7 @@ def test_the_index_tells_contacts_with_the_adversary_from_others_and_never_says_
     runs = {model["name"]: model["runs"][0]["protocols"]["exact"] for model in model_index(records)}
     assert runs["told"]["scenesHit"] == [1, 2] and runs["told"]["scenesFailed"] == 2
     assert runs["old"]["scenesHit"] is None and runs["old"]["scenesFailed"] == 1
-    table = key_table("d", records)
+    table = key_table(Frame("d", records))
     assert table is not None
     assert [row[table.columns.index("adversary")] for row in table.rows] == ["–", f"{100 / 6:.1f}"]
 
@@ -303,7 +303,7 @@ def test_a_sheet_of_other_content_is_refused(made: Made) -> None:
 
 
 def test_a_site_of_sheets_alone_and_of_nothing() -> None:
-    empty = value_of(bytes(site_files([], [], [], NO_SHEETS)[INDEX_PATH]))
+    empty = value_of(bytes(site_files(Results(()), [])[INDEX_PATH]))
     assert (empty["tables"], empty["models"], empty["scenes"], empty["attempts"]) == ([], [], [], [])
 
 
@@ -320,7 +320,7 @@ def test_tables_have_names_of_their_own_whatever_data_sets_are_called() -> None:
         PlacedTable(Table(name, "", ("a",), ()), data, "", "x")
         for data, name in (("a", "b-c"), ("a-b", "c"), ("", "p"))
     ]
-    ids = [table["id"] for table in index_data([], placed, [], NO_SHEETS, [], frozenset())["tables"]]
+    ids = [table["id"] for table in index_data(Results(()), placed, [], frozenset())["tables"]]
     assert ids == ["a-b-c", "a-b-c~2", "p"]
 
 
@@ -328,7 +328,7 @@ def test_settings_that_are_no_numbers_of_json_are_shown_as_text(made: Made) -> N
     record = made.records[0]
     planner = record.run.planner.model_copy(update={"settings": {"gain": float("nan"), "file": "a'b"}})
     odd = replace(record, run=record.run.model_copy(update={"planner": planner}))
-    index = index_data([odd], [], [], NO_SHEETS, [], frozenset())
+    index = index_data(Results((Frame(DATA_NAME, [odd]),)), [], [], frozenset())
     assert index["models"][0]["facts"]["settings"] == {"gain": "NaN", "file": "a'b"}
     data_script("window.X", index)
 
@@ -394,7 +394,7 @@ def test_miniatures_carry_their_mark(made: Made) -> None:
         for record in made.records
         if record.planner == planner.name
     ]
-    index = index_data(small, [], [], NO_SHEETS, [], frozenset())
+    index = index_data(Results((Frame(DATA_NAME, small),)), [], [], frozenset())
     assert index["models"][0]["miniature"] is True
     assert index["keyTables"][0]["rows"][0][0] == f"{planner.name} §"
     assert "§ miniature: shows the pipeline, ranks nothing." in index["keyTables"][0]["notes"]

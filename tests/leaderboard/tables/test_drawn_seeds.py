@@ -11,6 +11,7 @@ from benchmark.metrics.rates import SceneSums, ratios_over_scenes
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import GeneratedFacts
 from benchmark.report.table import Table
+from leaderboard.frame.runs import Frame
 from leaderboard.tables.contents import data_set_tables
 from leaderboard.tables.drawn_seeds import drawn_seeds_table
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, hand_made
@@ -39,7 +40,7 @@ def rows_of(table: Table | None) -> list[dict[str, str]]:
 
 
 def test_each_seed_has_its_rate_and_all_have_mean_deviation_and_both_intervals() -> None:
-    rows = rows_of(drawn_seeds_table("d", "exact", RUNS))
+    rows = rows_of(drawn_seeds_table(Frame("d", RUNS), "exact"))
     rates = [100 / 6, 50.0, 25.0]
     assert [row["seed"] for row in rows] == ["0", "1", "2", "all"]
     assert [float(row["avg"]) for row in rows] == pytest.approx([*rates, np.mean(rates)], abs=0.005)
@@ -56,7 +57,7 @@ def test_the_interval_of_one_seed_is_that_of_its_split() -> None:
         f"r{number}-1": [HIT if number % 3 == 0 else CLEAN] * 2 for number in range(12)
     }
     one, other = run(0, flags), run(1, flags)
-    rows = rows_of(drawn_seeds_table("d", "exact", [one, other]))
+    rows = rows_of(drawn_seeds_table(Frame("d", [one, other]), "exact"))
     scenes = [name for name in flags for _ in range(2)]
     values = np.array([[float(flags[name][0] == HIT)] for name in scenes])
     (rate,) = ratios_over_scenes(values, np.ones_like(values), [name.partition("-")[0] for name in scenes], seed=0)
@@ -75,7 +76,7 @@ def test_runs_that_do_not_differ_in_the_seed_alone_are_left_out_and_named() -> N
         "other weights, settings, code or seed": run(6, flags, weights_sha256="0" * 64),
         "no plan for some samples": run(7, {"a-1": [HIT, FAILED]}),
     }
-    table = drawn_seeds_table("d", "exact", [*RUNS, *others.values()])
+    table = drawn_seeds_table(Frame("d", [*RUNS, *others.values()]), "exact")
     assert [row["seed"] for row in rows_of(table)] == ["0", "1", "2", "all"]
     assert table is not None
     for reason in others:
@@ -83,9 +84,9 @@ def test_runs_that_do_not_differ_in_the_seed_alone_are_left_out_and_named() -> N
 
 
 def test_one_seed_has_no_table_and_the_leaderboard_has_it_from_two_on() -> None:
-    assert drawn_seeds_table("d", "exact", RUNS[:1]) is None
-    assert drawn_seeds_table("d", "exact", [hand_made("p", {"a": [HIT]}), RUNS[0]]) is None
-    assert "drawn-seeds-exact" in [table.name for table in data_set_tables("d", RUNS).front]
+    assert drawn_seeds_table(Frame("d", RUNS[:1]), "exact") is None
+    assert drawn_seeds_table(Frame("d", [hand_made("p", {"a": [HIT]}), RUNS[0]]), "exact") is None
+    assert "drawn-seeds-exact" in [table.name for table in data_set_tables(Frame("d", RUNS)).front]
 
 
 def test_student_points_fall_to_the_normal_one() -> None:

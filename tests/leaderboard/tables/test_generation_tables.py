@@ -13,6 +13,7 @@ from benchmark.records.scenes import NO_SHEETS, SPLIT_FILE, find_sheets, split_f
 from benchmark.report.cells import UNDEFINED
 from benchmark.report.table import Table
 from leaderboard.build import leaderboard_files, stale_files, write_leaderboard
+from leaderboard.frame.sheets import by_data_set
 from leaderboard.tables.ablation import ablation_tables
 from leaderboard.tables.contents import generation_tables
 from leaderboard.tables.manoeuvres import manoeuvre_tables
@@ -45,7 +46,7 @@ def row_of(table: Table, first: str) -> dict[str, str]:
 
 
 def test_a_data_set_stands_beside_that_of_the_paper() -> None:
-    table = named(statistics_tables(workspace_sheets()), "data-set")
+    table = named(by_data_set(workspace_sheets(), statistics_tables), "data-set")
     assert table.columns == ("rows of", "val", "adv", "Adv-nuSc (paper)")
     assert row_of(table, "instances") == {
         "rows of": "instances",
@@ -73,7 +74,7 @@ def test_recordings_have_no_adversaries_in_any_table() -> None:
 
 
 def test_how_close_adversaries_come_and_over_how_many() -> None:
-    table = named(statistics_tables(workspace_sheets()), "closeness")
+    table = named(by_data_set(workspace_sheets(), statistics_tables), "closeness")
     assert [row[:3] for row in table.rows] == [
         ("adv", "smallest gap between the bodies, m", "5"),
         ("adv", "time to collision, s", "4"),
@@ -82,7 +83,7 @@ def test_how_close_adversaries_come_and_over_how_many() -> None:
 
 
 def test_what_the_search_discarded_adds_up() -> None:
-    table = named(statistics_tables(workspace_sheets()), "search-adv")
+    table = named(by_data_set(workspace_sheets(), statistics_tables), "search-adv")
     assert [row[:3] for row in table.rows] == [
         ("kept", "2", "40.0"),
         ("touches-another", "2", "40.0"),
@@ -93,7 +94,7 @@ def test_what_the_search_discarded_adds_up() -> None:
 
 
 def test_manoeuvres_with_their_places_and_gaps() -> None:
-    table = named(manoeuvre_tables(workspace_sheets()), "manoeuvres-adv")
+    table = named(by_data_set(workspace_sheets(), manoeuvre_tables), "manoeuvres-adv")
     assert table.columns[4:6] == ("straight", "junction")
     assert row_of(table, "cut-in-left") == {
         **{"manoeuvre": "cut-in-left", "primary": "4", "%": "80.0", "at any time": "4"},
@@ -104,7 +105,7 @@ def test_manoeuvres_with_their_places_and_gaps() -> None:
 
 
 def test_runtime_by_stage_and_the_papers_with_its_hardware() -> None:
-    table = named(runtime_tables(workspace_sheets()), "runtime-adv")
+    table = named(by_data_set(workspace_sheets(), runtime_tables), "runtime-adv")
     assert [row[0] for row in table.rows] == ["sampling", "physics", "scoring", "rendering", "other", "all"]
     assert row_of(table, "physics") == {
         **{"stage": "physics", "total, s": "30.00", "each, s": "6.00", "% of total": "42.9", "paper, s": "211.36"}
@@ -118,7 +119,7 @@ def test_runtime_by_stage_and_the_papers_with_its_hardware() -> None:
 
 def test_nothing_timed_is_undefined_and_not_zero() -> None:
     nothing = {"attempts": 0, "scenes": 0, "total_s": dict.fromkeys(RUNTIME["total_s"], 0.0)}
-    table = named(runtime_tables(sheets_of(split_sheet("adv", runtime=nothing))), "runtime-adv")
+    table = named(by_data_set(sheets_of(split_sheet("adv", runtime=nothing)), runtime_tables), "runtime-adv")
     assert {(row[2], row[3]) for row in table.rows} == {(UNDEFINED, UNDEFINED)}
 
 
@@ -238,7 +239,7 @@ def test_published_values_are_those_of_the_paper() -> None:
 
 
 def test_what_is_not_labelled_is_not_counted() -> None:
-    assert ATTEMPTS and manoeuvre_tables(sheets_of(split_sheet("adv", attempts=ATTEMPTS))) == {}
+    assert ATTEMPTS and by_data_set(sheets_of(split_sheet("adv", attempts=ATTEMPTS)), manoeuvre_tables) == {}
     hostile = {**STATISTICS, "manoeuvres": [{**STATISTICS["manoeuvres"][0], "manoeuvre": "a|b\n# c"}]}
-    table = named(manoeuvre_tables(sheets_of(split_sheet("adv", statistics=hostile))), "manoeuvres-adv")
+    table = named(by_data_set(sheets_of(split_sheet("adv", statistics=hostile)), manoeuvre_tables), "manoeuvres-adv")
     assert "\n# c" not in table.markdown() and "\n# c" not in table.latex()

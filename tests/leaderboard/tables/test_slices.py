@@ -11,7 +11,8 @@ from benchmark.protocols import PROTOCOLS
 from benchmark.records.run import RunRecord, load_record
 from benchmark.records.run_schema import SceneFacts
 from leaderboard.build import leaderboard_files
-from leaderboard.tables.contents import data_set_tables
+from leaderboard.frame.runs import Frame
+from leaderboard.tables.contents import data_set_tables, missing_notes
 from leaderboard.tables.slices import run_slices, slice_tables
 from tests.benchmark.metrics.made_attacks import attacked
 from tests.benchmark.metrics.test_effect import ran
@@ -132,9 +133,10 @@ def test_an_old_record_is_said_to_lack_it_and_nothing_is_guessed() -> None:
         assert not table.rows and words in table.notes[-1] and "rescore" in table.notes[-1]
     # What it always said, it is sorted by.
     assert lacking["slices-command-exact"].rows and lacking["slices-manoeuvre-exact"].rows[0][2] == "squeezing-left"
-    found = data_set_tables("mini", [old])
+    frame = Frame("mini", [old])
+    found = data_set_tables(frame)
     assert {table.name.split("-")[1] for table in found.slices} == {"command", "manoeuvre"}
-    assert any("does not say where its samples are" in note for note in found.notes)
+    assert any("does not say where its samples are" in note for note in missing_notes(frame))
     assert driving_by(old, "command") and driving_by(old, "place") == []
 
 

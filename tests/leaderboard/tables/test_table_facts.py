@@ -4,7 +4,6 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -16,7 +15,7 @@ from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import SceneFacts
 from benchmark.report.cells import UNDEFINED, Cell, number
 from benchmark.report.table import Table
-from leaderboard.extensions.quality.tables import quality_tables
+from leaderboard.frame.runs import Frame
 from leaderboard.tables.ablation import ablation_tables
 from leaderboard.tables.contents import data_set_tables, generation_tables
 from leaderboard.tables.published import published_tables
@@ -24,7 +23,6 @@ from leaderboard.tables.standing import standing_tables
 from tests.benchmark.metrics.made_attacks import contact, judged, near, with_realism
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, LATE, hand_made
 from tests.leaderboard.made_up import study, workspace_sheets
-from tests.leaderboard.tables.test_quality import made
 
 PROTOCOLS = ("exact", "uniad", "vad")
 SPLITS: dict[str, dict[str, list[str | None]]] = {
@@ -79,16 +77,16 @@ def records() -> list[RunRecord]:
     return labelled([explained(record) for record in found])
 
 
-def every_table(runs: Sequence[RunRecord], folder: Path) -> list[Table]:
-    quality = quality_tables([made(folder, split) for split in ("val", "adv")])
+def every_table(runs: Sequence[RunRecord]) -> list[Table]:
+    """Those of extensions are tested where they lie."""
     generated = generation_tables(workspace_sheets(), [study(), study("q")])
     others = [table for tables in generated.values() for table in tables]
-    return [*data_set_tables("d", runs).tables, *quality, *others, *published_tables(), *standing_tables(runs)]
+    return [*data_set_tables(Frame("d", runs)).tables, *others, *published_tables(), *standing_tables(runs)]
 
 
 @pytest.fixture(scope="module")
-def tables(tmp_path_factory: pytest.TempPathFactory) -> list[Table]:
-    return every_table(records(), tmp_path_factory.mktemp("quality"))
+def tables() -> list[Table]:
+    return every_table(records())
 
 
 def numbers_of(table: Table) -> Iterator[tuple[str, Cell | None]]:
@@ -131,7 +129,7 @@ def check(table: Table) -> None:
 def test_every_number_is_that_of_its_cell(tables: list[Table]) -> None:
     names = [table.name for table in tables]
     assert len(set(names)) == len(names) > 40
-    for expected in ("collision-native", "seeds-exact", "diagnosis-manoeuvres", "quality-boxes", "runtime-adv"):
+    for expected in ("collision-native", "seeds-exact", "diagnosis-manoeuvres", "runtime-adv"):
         assert expected in names
     for table in tables:
         check(table)
@@ -176,11 +174,8 @@ def test_latex_is_balanced_and_every_line_has_all_columns(tables: list[Table]) -
         assert rules == sorted(rules) and all(end <= len(table.columns) for end in rules)
 
 
-def test_the_order_of_what_tables_are_made_from_does_not_matter(tables: list[Table], tmp_path: Path) -> None:
-    again = every_table(records()[::-1], tmp_path)
-    ours = [table for table in tables if not table.name.startswith("quality")]
-    others = [table for table in again if not table.name.startswith("quality")]
-    assert [table.json() for table in ours] == [table.json() for table in others]
+def test_the_order_of_what_tables_are_made_from_does_not_matter(tables: list[Table]) -> None:
+    assert [table.json() for table in tables] == [table.json() for table in every_table(records()[::-1])]
     studies = [study(), study("q"), study(seed=1)]
     assert ablation_tables(studies) == ablation_tables(studies[::-1])
 
@@ -196,5 +191,5 @@ def test_whatever_the_verdicts(val: list[str | None], adv: list[str | None], oth
         for name, native, of_adv in (("vad-base", "vad", adv), ("another", None, other))
         for split, flags in (("val", val), ("adv", of_adv))
     ]
-    for table in data_set_tables("d", [explained(record) for record in runs]).tables:
+    for table in data_set_tables(Frame("d", [explained(record) for record in runs])).tables:
         check(table)

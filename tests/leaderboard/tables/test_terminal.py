@@ -5,7 +5,6 @@ import io
 import json
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -13,6 +12,7 @@ from benchmark.records.planner_versions import labelled
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import MINIATURE_MARK, RANKS_NOTHING
 from benchmark.report.table import Table
+from leaderboard.frame.runs import Frame
 from leaderboard.tables.collision import run_tables
 from leaderboard.tables.contents import data_set_tables
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
@@ -40,30 +40,37 @@ def runs(names: Sequence[str], miniature: str | None = None) -> list[RunRecord]:
 
 @pytest.mark.parametrize("width", [60, 80, 120])
 @pytest.mark.parametrize("planners", [("a", "b"), (LONG, f"{LONG}-2"), tuple(f"{LONG}-{n}" for n in range(12))])
-def test_no_table_is_wider_than_the_terminal(planners: Sequence[str], width: int, tmp_path: Path) -> None:
-    tables = [*every_table([*records(), *runs(planners)], tmp_path), study(LONG).table()]
+def test_no_table_is_wider_than_the_terminal(planners: Sequence[str], width: int) -> None:
+    tables = [*every_table([*records(), *runs(planners)]), study(LONG).table()]
     assert len(tables) > 40
     for table in tables:
-        for line in table.plain(width=width).splitlines():
-            assert len(line) <= width, (table.name, line)
+        fits(table, width)
+
+
+def fits(table: Table, width: int) -> None:
+    for line in table.plain(width=width).splitlines():
+        assert len(line) <= width, (table.name, line)
 
 
 def test_the_terminal_is_asked_for_its_width_and_is_80_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    table = data_set_tables("d", runs((LONG, "b"))).tables[0]
+    table = data_set_tables(Frame("d", runs((LONG, "b")))).tables[0]
     monkeypatch.delenv("COLUMNS", raising=False)
     assert table.plain() == table.plain(width=80)
     monkeypatch.setenv("COLUMNS", "100")
     assert table.plain() == table.plain(width=100) != table.plain(width=80)
 
 
-def test_every_cell_of_a_table_is_somewhere_in_its_blocks(tmp_path: Path) -> None:
-    names = [f"planner-{number}" for number in range(9)]
-    for table in every_table(runs(names), tmp_path):
-        shown = range(len(table.columns)) if table.brief is None else table.brief.columns
-        text = "".join(table.plain(width=80).split())
-        for row in table.rows:
-            for place in shown[table.text_columns :]:
-                assert row[place].replace(" ", "") in text, (table.name, row[place])
+def test_every_cell_of_a_table_is_somewhere_in_its_blocks() -> None:
+    for table in every_table(runs([f"planner-{number}" for number in range(9)])):
+        shows_its_cells(table)
+
+
+def shows_its_cells(table: Table) -> None:
+    shown = range(len(table.columns)) if table.brief is None else table.brief.columns
+    text = "".join(table.plain(width=80).split())
+    for row in table.rows:
+        for place in shown[table.text_columns :]:
+            assert row[place].replace(" ", "") in text, (table.name, row[place])
 
 
 def test_what_an_evaluation_prints_is_average_interval_l2_and_failed_scenes() -> None:
@@ -88,9 +95,8 @@ def about_planners(table: Table) -> bool:
 
 
 def test_miniatures_are_marked_in_every_form_of_every_table() -> None:
-    tables = [
-        table for table in data_set_tables("d", runs(("small", "large"), "small")).tables if about_planners(table)
-    ]
+    every = data_set_tables(Frame("d", runs(("small", "large"), "small"))).tables
+    tables = [table for table in every if about_planners(table)]
     assert len(tables) > 12
     for table in tables:
         for text in (table.plain(width=4000), table.markdown(), table.latex()):
@@ -107,7 +113,7 @@ def test_miniatures_are_marked_in_every_form_of_every_table() -> None:
 
 
 def test_where_no_miniature_ran_there_is_no_mark() -> None:
-    for table in data_set_tables("d", runs(("small", "large"))).tables:
+    for table in data_set_tables(Frame("d", runs(("small", "large")))).tables:
         assert RANKS_NOTHING not in table.markdown() and "miniature" not in table.csv()
         assert json.loads(table.json())["miniatures"] == []
 

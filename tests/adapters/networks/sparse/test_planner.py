@@ -14,7 +14,6 @@ import torch
 from adapters.camera_inputs import RGB_MEAN_STD, SPARSE_DRIVE_IMAGE
 from adapters.checkpoints.importing import import_checkpoint
 from adapters.checkpoints.matching import matched
-from adapters.extensions.golden_sets.models import verify_model
 from adapters.models import MODELS
 from adapters.networks.sparse.anchors import BOXES, FORECASTS, LINES, PLANS
 from adapters.networks.sparse.config import SparseConfig
@@ -296,14 +295,6 @@ def test_weights_without_anchors_take_those_of_a_data_set_and_others_refuse_them
     anchors.write_bytes(anchors.read_bytes()[:-8])
     with pytest.raises(InputError, match="cannot read anchors"):
         import_checkpoint(bare, anchors=anchors)
-
-
-def test_one_command_verifies_these_networks_too(tmp_path: Path) -> None:
-    for name in NAMES:
-        with pytest.raises(InputError, match=str(tmp_path)):
-            verify_model(name, tmp_path)
-    with pytest.raises(InputError, match="choose one of vad-tiny, vad-base, uniad, sparsedrive, diffusiondrive"):
-        verify_model("nonsense", tmp_path)
 
 
 # --- a real sample

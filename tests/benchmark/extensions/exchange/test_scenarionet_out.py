@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M
+from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.own_words import ADVERSARIES, OWN, Exchanged
 from benchmark.datasets.scenarionet import read_exchanged, read_scenarionet
 from benchmark.errors import InputError
@@ -20,9 +21,11 @@ from benchmark.extensions.exchange.scenario_of_scene import scenario_of
 from benchmark.geometry import quaternion_from_yaw
 from benchmark.scene import Scene
 from generation.nuscenes_writer.plan import digest
+from tests.benchmark.datasets.nuscenes_tables import TinyRoot
 from tests.benchmark.datasets.test_scenarionet import FILES, needs_shared, recording, write
 from tests.benchmark.extensions.exchange.wild_scenes import wild_scene
 from tests.benchmark.fake_data import town_of_two
+from tests.benchmark.irregular_time import with_key_frames
 from tests.hand_made import Car, scene_on_straight_road
 
 
@@ -269,3 +272,9 @@ def test_scenes_of_variant_roots_have_names_and_objects_of_their_own() -> None:
     assert (first.name, second.name) == ("scene-9901-v0", "scene-9901-v1")
     assert not set(first.agents.ids) & set(second.agents.ids)
     assert first.adversaries == first.agents.ids[:1]
+
+
+def test_what_counts_frames_refuses_other_rates(tmp_path: Path) -> None:
+    root = TinyRoot.of(tmp_path, [with_key_frames(scene_on_straight_road(), np.arange(91))], cameras=()).write()
+    with pytest.raises(InputError, match=r"key frames of scene-9901 are 0\.0833 s apart .* only eval and rescore"):
+        exchanged_of(NuScenesData.open(root), "scene-9901")

@@ -1,7 +1,5 @@
 """Scenes of which nothing is regular: for properties of files that carry scenes."""
 
-from dataclasses import replace
-
 import numpy as np
 import shapely
 from numpy.typing import NDArray
@@ -48,13 +46,6 @@ def wild_scene(seed: int, *, name: str = "scene-0061-1a2b3c4d") -> Scene:
         adversaries=tuple(chosen[::-1]),
         sweep_poses=sweeps if rng.random() < 0.5 else None,
     )
-
-
-def moved(scene: Scene, row: int, by_m: float) -> Scene:
-    """The scene with one object moved, tracks alone."""
-    position = scene.agents.position.copy()
-    position[row, :, 0] += by_m
-    return replace(scene, agents=replace(scene.agents, position=position))
 
 
 def _rotations(rng: np.random.Generator, shape: tuple[int, ...]) -> Floats:

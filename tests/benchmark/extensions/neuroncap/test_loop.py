@@ -16,6 +16,7 @@ from benchmark.extensions.neuroncap.score import score_of, scored_impact
 from benchmark.extensions.neuroncap.vehicle import Vehicle, driven
 from benchmark.geometry import Floats
 from benchmark.records.neuroncap_switches import CODE, PAPER
+from tests.benchmark.extensions.neuroncap.golden_neuroncap import plan_of
 from tests.benchmark.extensions.neuroncap.made import (
     SECOND,
     constant,
@@ -25,7 +26,6 @@ from tests.benchmark.extensions.neuroncap.made import (
     standing,
     straight,
 )
-from tests.benchmark.golden_neuroncap import plan_of
 
 
 def reference_loop(made: Engine, model: str) -> tuple[list[Floats], int, Any]:

@@ -12,8 +12,8 @@ from benchmark.extensions.neuroncap.scenarios import Scenario
 from benchmark.extensions.neuroncap.staging import Cast, staged
 from benchmark.geometry import Floats, to_local
 from benchmark.records.neuroncap_switches import PAPER
+from tests.benchmark.extensions.neuroncap.golden_neuroncap import made_inputs, recording_of
 from tests.benchmark.extensions.neuroncap.made import KNOWN, straight
-from tests.benchmark.golden_neuroncap import made_inputs, recording_of
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from benchmark.errors import InputError
 from benchmark.extensions.neuroncap.scenarios import Scenario, official_scenarios
 from benchmark.extensions.neuroncap.staging import staged
 from benchmark.records.neuroncap_switches import CODE
-from tests.benchmark.golden_neuroncap import SCENARIO, SHARED, cast_of, made_inputs, recording_of
+from tests.benchmark.extensions.neuroncap.golden_neuroncap import SCENARIO, SHARED, cast_of, made_inputs, recording_of
 
 EVALUATED = {
     "stationary": "0099 0101 0103 0106 0108 0278 0331 0783 0796 0966",

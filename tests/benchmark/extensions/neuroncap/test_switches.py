@@ -21,6 +21,13 @@ from benchmark.extensions.neuroncap.vehicle import Vehicle, driven
 from benchmark.planning import Command
 from benchmark.records.neuroncap_aggregate import aggregated
 from benchmark.records.neuroncap_switches import CODE, PAPER, Switches
+from tests.benchmark.extensions.neuroncap.golden_neuroncap import (
+    SCENARIO,
+    annotations_of,
+    cast_of,
+    made_inputs,
+    recording_of,
+)
 from tests.benchmark.extensions.neuroncap.made import (
     SECOND,
     constant,
@@ -30,7 +37,6 @@ from tests.benchmark.extensions.neuroncap.made import (
     standing,
     straight,
 )
-from tests.benchmark.golden_neuroncap import SCENARIO, annotations_of, cast_of, made_inputs, recording_of
 
 SLOWING = np.array([8.0] * 12 + [4.0] * 12 + [1.0, 1.0])
 

@@ -11,8 +11,8 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.extensions.neuroncap.verification import BUILT_IN, FILES, verify_neuroncap
-from tests.benchmark.golden_neuroncap import SHARED, made_loops
-from tests.benchmark.test_judgement_sets import change_arrays, change_facts
+from tests.benchmark.extensions.golden_sets.test_judgement_sets import change_arrays, change_facts
+from tests.benchmark.extensions.neuroncap.golden_neuroncap import SHARED, made_loops
 
 
 @pytest.fixture

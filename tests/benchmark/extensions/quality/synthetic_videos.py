@@ -1,7 +1,6 @@
 """Small nuScenes-format roots with one camera and painted cars, and pictures whose quality is known."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -70,19 +69,6 @@ def paint_scene(root: Path, name: str, paint: Paint, *, sweeps: bool = False) ->
                 image[rows, columns] = side[down, across]
             view.path.parent.mkdir(parents=True, exist_ok=True)
             Image.fromarray(image).save(view.path)
-
-
-def without_frames(scene: Scene, agent: int, keyframes: slice) -> Scene:
-    """The scene with an agent that is not there for a while."""
-    valid, annotated = scene.agents.valid.copy(), scene.annotations.valid.copy()
-    first, last = scene.keyframes[keyframes][[0, -1]]
-    valid[agent, first : last + 1] = False
-    annotated[agent, keyframes] = False
-    return replace(
-        scene,
-        agents=replace(scene.agents, valid=valid),
-        annotations=replace(scene.annotations, valid=annotated),
-    )
 
 
 def strip(seed: int, height: int = 24, width: int = 256) -> Picture:

@@ -32,11 +32,11 @@ from tests.benchmark.extensions.quality.synthetic_videos import (
     as_seeded,
     standing_scene,
     texture,
-    without_frames,
     write_root,
 )
 from tests.generation.nuscenes_writer.written_roots import short_scene, with_adversary
 from tests.generation.nuscenes_writer.written_roots import write_root as write_split
+from tests.hand_made import without_frames
 
 BOXES = Definition(masks="boxes", min_mask_px=60, crop_px=64, batch=4)
 TWO = ("scene-9901", "scene-9902")

@@ -1,4 +1,4 @@
-"""Scores in shards and on several devices: the record of one command; who is missing is named."""
+"""Scores in shards and on several devices: the record of one command; what is missing is scored."""
 
 import json
 from pathlib import Path
@@ -44,25 +44,12 @@ def test_shards_become_the_bytes_of_one_command(
     assert bytes_below(made.directory) == bytes_below(record.directory)
 
 
-def test_who_is_missing_or_damaged_is_named(root: Path, record: QualityRecord, networks: Path, tmp_path: Path) -> None:
+def test_what_no_shard_scored_or_is_damaged_is_scored_by_the_command(
+    root: Path, record: QualityRecord, networks: Path, tmp_path: Path
+) -> None:
     shard(root, networks, tmp_path, 1, 2)
-    says = r"shard 2/2 of the scores is missing; run the same quality command with --shard 2/2"
-    with pytest.raises(InputError, match=says):
-        finished(root, networks, tmp_path)
-    with pytest.raises(InputError, match=r"were begun in shards of 2; run --shard 1/2"):
-        shard(root, networks, tmp_path, 1, 3)
-    shard(root, networks, tmp_path, 2, 2)
-    (note,) = tmp_path.rglob("2-of-2/scores.json")
-    good = note.read_text()
-    note.write_text(good[:-5])
-    with pytest.raises(InputError, match=r"is not the note of a shard.*--shard 2/2 again"):
-        finished(root, networks, tmp_path)
-    note.write_text(json.dumps({**json.loads(good), "work": "other"}))
-    with pytest.raises(InputError, match="shard 2/2 of the scores was done with other options or other data"):
-        finished(root, networks, tmp_path)
-    shard(root, networks, tmp_path, 2, 2)
-    rows = sorted((note.parents[2] / "scenes").iterdir())
-    rows[0].write_text(rows[0].read_text()[:-5])
+    (rows,) = tmp_path.rglob("scenes/*.json")
+    rows.write_text(rows.read_text()[:-5])
     made = finished(root, networks, tmp_path)
     assert bytes_below(made.directory) == bytes_below(record.directory)
 
@@ -79,15 +66,10 @@ def test_two_devices_give_the_bytes_of_one(
     assert bytes_below(two.directory) == bytes_below(one.directory)
 
 
-def test_the_command_takes_shards_and_merge_says_who_is_missing(root: Path, networks: Path, tmp_path: Path) -> None:
+def test_the_command_takes_shards_and_finishes(root: Path, networks: Path, tmp_path: Path) -> None:
     given = ("--data", root, "--out", tmp_path)
     how = ("--split", "val", "--masks", "boxes", "--weights-folder", networks, "--device", "cpu", "--workers", "1")
     done = run_here("quality", *given, *how, "--shard", "2/2", "--json")
     assert done.code == 0 and [each["scored"] for each in json.loads(done.out)] == [1], done.err
-    asked = run_here("merge", *given, "--workers", "1")
-    assert asked.code == 1 and "shard 1/2 of the scores is missing; run the same quality command" in asked.err
     assert run_here("quality", *given, *how, "--shard", "1/2").code == 0
-    ready = run_here("merge", *given, "--workers", "1", "--json")
-    assert ready.code == 0 and json.loads(ready.out) == [] and "all shards of the scores are done" in ready.err
     assert run_here("quality", *given, *how).code == 0
-    assert run_here("merge", *given, "--workers", "1").code == 2

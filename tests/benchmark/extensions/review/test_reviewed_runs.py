@@ -14,7 +14,7 @@ from benchmark.records.run import load_record
 from benchmark.records.run_schema import ReviewFacts
 from benchmark.runs.rescoring import rescore
 from leaderboard.build import leaderboard_tables
-from leaderboard.tables.rows import review_notes
+from leaderboard.frame.rows import review_notes
 from tests.benchmark.extensions.review.small_roots import say, three_scenes
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 

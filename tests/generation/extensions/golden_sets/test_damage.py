@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmark.errors import InputError
 from generation.extensions.golden_sets.built_in import BUILT_IN
-from tests.generation.golden_copies import VERIFY, copied, load, save
+from tests.generation.extensions.golden_sets.golden_copies import VERIFY, copied, load, save
 
 
 def truncate(path: Path) -> None:

@@ -17,7 +17,7 @@ from benchmark.verification.checks import report
 from generation.diffusion.denoiser import TrajectoryDenoiser
 from generation.extensions.golden_sets.built_in import BUILT_IN
 from generation.extensions.golden_sets.denoiser import verify_denoiser
-from tests.generation.golden_copies import Arrays, change, failures, load, save, shifted
+from tests.generation.extensions.golden_sets.golden_copies import Arrays, change, failures, load, save, shifted
 
 
 @pytest.fixture(autouse=True)

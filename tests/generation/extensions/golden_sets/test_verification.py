@@ -21,8 +21,17 @@ from generation.extensions.golden_sets.scoring import verify_scoring
 from generation.extensions.golden_sets.ties import on_raster_tie, out_of_order, touching_tie
 from generation.search import scoring as scoring_kernels
 from generation.search.hyperparameters import CollisionReading
-from tests.generation import golden_scoring
-from tests.generation.golden_copies import VERIFY, change, copied, failures, flipped, load, save, shifted
+from tests.generation.extensions.golden_sets import golden_scoring
+from tests.generation.extensions.golden_sets.golden_copies import (
+    VERIFY,
+    change,
+    copied,
+    failures,
+    flipped,
+    load,
+    save,
+    shifted,
+)
 
 SHARED = Path(__file__).resolve().parents[5] / "shared" / "golden"
 

@@ -1,0 +1,210 @@
+"""Drives: what was measured, which records may stand beside each other (those of one world), and each as a row."""
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+from benchmark.errors import InputError
+from benchmark.metrics.loops import is_stale
+from benchmark.records.drives import DriveRecord, columns_of
+from benchmark.records.planner_versions import labels
+from benchmark.records.run_schema import RateRow
+from benchmark.report.cells import PERCENT, Cell, Origin, Shown, named_record
+from leaderboard.frame.rows import (
+    FEW_NOTE,
+    FEW_SCENES,
+    STALE_MARK,
+    caveat_notes,
+    marks_of,
+    name_cell,
+    part_of_split,
+    with_caveat_mark,
+)
+
+NO_SENSOR: Final = "none"
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A record of drives as a row of a table; its numbers are cells.
+
+    Attributes:
+        record: The record.
+        name: Its planner, with what tells its version from others of its world.
+    """
+
+    record: DriveRecord
+    name: str
+
+    @property
+    def planner(self) -> Shown:
+        """The planner's name with its marks, among them that of earlier scores."""
+        cell = with_caveat_mark(name_cell(self.name, self.record.facts.planner), self.record.facts)
+        return replace(cell, text=f"{cell.text} {STALE_MARK}") if is_stale(self.record) else cell
+
+    @property
+    def origin(self) -> Origin:
+        """Where its numbers come from."""
+        facts = self.record.facts
+        return Origin(facts.measured.world, named_record(self.record.content_id, self.name, facts.split))
+
+    @cached_property
+    def rates(self) -> Mapping[str, RateRow]:
+        """What the record says, by column, as it is defined now."""
+        return columns_of(self.record)
+
+    def cell(self, column: str, unit: str = PERCENT) -> Cell | None:
+        """A rate of the record in a unit; ``None`` where it says none."""
+        rate = self.rates.get(column)
+        if rate is None:
+            return None
+        return self.origin.percent(rate, "drives") if unit == PERCENT else self.origin.amount(rate, unit, "drives")
+
+    def drives(self) -> Cell:
+        """How many drives there are."""
+        return self.origin.count(self.record.summary.drives, "drives")
+
+
+@dataclass(frozen=True)
+class World:
+    """One thing that was measured, and who drove in it.
+
+    Attributes:
+        title: In words.
+        sensor: What the cameras of those saw that look.
+        records: Planners before privileged ones, by name.
+        name: Part of a file's name.
+    """
+
+    title: str
+    sensor: str
+    records: tuple[DriveRecord, ...]
+    name: str = ""
+
+    @cached_property
+    def rows(self) -> list[Driven]:
+        """Each record with the name of its planner, and what tells its version from others here."""
+        ran = [(each.facts.planner, each.facts.data.name, each.facts.split) for each in self.records]
+        named = zip(labels(ran), self.records, strict=True)
+        return [Driven(each, label or each.planner) for label, each in named]
+
+    @property
+    def notes(self) -> list[str]:
+        """What has to be said of the records: sensor, few scenes, marks, old scores."""
+        first = self.records[0].facts
+        # A scene of which nobody says where it comes from is its own recording.
+        known = first.scene_facts
+        few = len({known[name].source if name in known else name for name in first.scenes}) < FEW_SCENES
+        stale = [
+            f"{STALE_MARK} {row.name}: scored by version {row.record.facts.scoring} of closed loop's scores, not the "
+            "present one; run the same challenger-bench drive again."
+            for row in self.rows
+            if is_stale(row.record)
+        ]
+        marks = marks_of(record.facts.planner for record in self.records)
+        lacking = caveat_notes(record.facts for record in self.records)
+        return [*self._said_of_sensor(), *([FEW_NOTE] if few else []), *marks, *lacking, *stale]
+
+    def _said_of_sensor(self) -> list[str]:
+        """What pictures depended on besides the sensor's name."""
+        found = [each.facts.measured for each in self.records if each.facts.measured.sensor == self.sensor]
+        facts = found[0].sensor_facts if found else {}
+        said = ", ".join(f"{name} {value}" for name, value in sorted(facts.items()))
+        return [f"Sensor {self.sensor}: {said}."] if said else []
+
+
+def worlds(records: Sequence[DriveRecord]) -> list[World]:
+    """What was measured, each with the records that may stand beside each other.
+
+    Planners that look at nothing stand beside those of every sensor: what cameras see is nothing to them.
+
+    Args:
+        records: Of any planners.
+
+    Returns:
+        Each with at least one record, NeuroNCAP's engines last.
+
+    Raises:
+        InputError: If two records are of one planner in one version.
+    """
+    kinds: dict[str, list[DriveRecord]] = {}
+    for record in records:
+        facts = record.facts
+        review = None if facts.review is None else facts.review.content
+        key = [facts.data.name, facts.data.fingerprint, review, facts.split, facts.measured.world, facts.scenes]
+        kinds.setdefault(json.dumps(key), []).append(record)
+    found = [World(*each) for alike in kinds.values() for each in _by_sensor(alike)]
+    for one in found:
+        _require_one_each(one)
+    return _named(sorted(found, key=_place))
+
+
+def _by_sensor(records: Sequence[DriveRecord]) -> list[tuple[str, str, tuple[DriveRecord, ...]]]:
+    """Title, sensor and records of each sensor that sees; where there is none, of the blind ones."""
+    blind = [each for each in records if each.facts.measured.sensor == NO_SENSOR]
+    seen: dict[tuple[str, str], list[DriveRecord]] = {}
+    for record in records:
+        measured = record.facts.measured
+        if measured.sensor != NO_SENSOR:
+            facts = json.dumps(measured.sensor_facts, sort_keys=True)
+            seen.setdefault((measured.sensor, facts), []).append(record)
+    first = records[0].facts
+    title = f"{first.data.name} {first.split}: closed loop, engine {first.measured.world}"
+    if len(first.scenes) < first.scenes_in_split:
+        title += f", {part_of_split(len(first.scenes), first.scenes_in_split)}"
+    if not seen:
+        return [(title, NO_SENSOR, _in_order(blind))]
+    found = []
+    for (sensor, _), seeing in sorted(seen.items()):
+        looking = {each.planner for each in seeing}
+        beside = [each for each in blind if each.planner not in looking]
+        found.append((f"{title}, sensor {sensor}", sensor, _in_order([*beside, *seeing])))
+    return found
+
+
+def _place(one: World) -> tuple[bool, str, str, str, list[str], list[str]]:
+    facts = one.records[0].facts
+    ids = sorted(record.content_id for record in one.records)
+    engine = facts.measured.engine != "default"
+    return engine, facts.data.name, facts.split, one.title, facts.scenes, ids
+
+
+def _named(found: Sequence[World]) -> list[World]:
+    """With names that do not depend on what else was measured, but for what has the same words."""
+    named, seen = [], Counter[tuple[str, str]]()
+    for one in found:
+        facts, part = one.records[0].facts, not one.records[0].covers_split
+        measured = facts.measured
+        words = [facts.split, measured.engine.replace("@", "-")]
+        words += [measured.agents] if measured.engine == "default" else []
+        words += [measured.scenarios] if measured.scenarios != "recorded" else []
+        words += [f"{measured.latency_ms}ms"] if measured.latency_ms else []
+        words += ["until-fault"] if measured.until == "fault" else []
+        words += [one.sensor] if one.sensor != NO_SENSOR else []
+        words += ["part"] if part else []
+        name = "-".join(words)
+        seen[facts.data.name, name] += 1
+        again = seen[facts.data.name, name]
+        named.append(replace(one, name=f"{name}-{again}" if again > 1 else name))
+    return named
+
+
+def _require_one_each(one: World) -> None:
+    by_name: dict[str, DriveRecord] = {}
+    for row in one.rows:
+        first = by_name.setdefault(row.name, row.record)
+        if first is not row.record:
+            raise InputError(
+                f"{first.directory} and {row.record.directory} both hold drives of {row.name} in the same world "
+                f"({one.title}); move one of them away or name the records' folder with --records"
+            )
+
+
+def _in_order(records: Sequence[DriveRecord]) -> tuple[DriveRecord, ...]:
+    """Planners before those that are privileged, by name."""
+    return tuple(
+        sorted(records, key=lambda each: (each.facts.planner.privileged, each.planner, each.facts.measured.sensor))
+    )

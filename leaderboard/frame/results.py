@@ -1,0 +1,79 @@
+"""Everything that a leaderboard shows, read once: the runs of each data set, and records of all other kinds."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from benchmark.errors import InputError
+from benchmark.records.ablation import AblationReport
+from benchmark.records.challenge_scores import ChallengeScores
+from benchmark.records.drives import DriveRecord
+from benchmark.records.quality import QualityRecord
+from benchmark.records.run import RunRecord
+from benchmark.records.scenes import NO_SHEETS, Sheets
+from leaderboard.frame.runs import Frame
+from leaderboard.selection import one_run_each
+
+
+@dataclass(frozen=True, slots=True)
+class Results:
+    """What a leaderboard is made from.
+
+    Attributes:
+        frames: Runs of each data set that has any, at most one for each planner and split.
+        drives: Records of drives.
+        quality: Records of video quality.
+        sheets: Scene sheets: statistics, manoeuvres, search and runtime are made from them.
+        ablations: Ablation studies.
+        challenges: Scores of entries of challenges.
+    """
+
+    frames: tuple[Frame, ...]
+    drives: Sequence[DriveRecord] = ()
+    quality: Sequence[QualityRecord] = ()
+    sheets: Sheets = field(default_factory=lambda: NO_SHEETS)
+    ablations: Sequence[AblationReport] = ()
+    challenges: Sequence[ChallengeScores] = ()
+
+    @property
+    def runs(self) -> list[RunRecord]:
+        """Run records that stand in tables."""
+        return [record for frame in self.frames for record in frame.given]
+
+
+def frames_of(records: Sequence[RunRecord]) -> tuple[Frame, ...]:
+    """Runs by data set.
+
+    Args:
+        records: Run records of any data sets, splits and planners, in any order; `one_run_each` says which of them
+            count.
+
+    Returns:
+        A frame of each data set, by its name.
+
+    Raises:
+        InputError: If there are no records, two records of one planner and split would share a row, or records of one
+            split saw different data.
+    """
+    if not records:
+        raise InputError("there are no run records to make tables of; run challenger-bench eval first")
+    chosen = one_run_each(records)
+    names = sorted({record.run.data.name for record in chosen})
+    return tuple(Frame(name, [each for each in chosen if each.run.data.name == name], chosen) for name in names)
+
+
+def read_results(
+    records: Sequence[RunRecord],
+    quality: Sequence[QualityRecord],
+    sheets: Sheets,
+    ablations: Sequence[AblationReport],
+    drives: Sequence[DriveRecord],
+    challenges: Sequence[ChallengeScores],
+) -> Results:
+    """Results of records of every kind; run records may be missing only if there is anything else.
+
+    Raises:
+        InputError: As `frames_of`.
+    """
+    others = bool(quality or sheets.splits or ablations or drives or challenges)
+    frames = frames_of(records) if records or not others else ()
+    return Results(frames, drives, quality, sheets, ablations, challenges)

@@ -1,0 +1,196 @@
+"""What rows of tables share: their order, names and marks, and what has to be said of the runs behind them."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Protocol
+
+from benchmark.metrics.scores import registered_version, source_of_scenes
+from benchmark.records.file_plans import file_notes
+from benchmark.records.review import NOT_REVIEWED, review_words
+from benchmark.records.run import NATIVE, RunRecord
+from benchmark.records.run_schema import RecordFacts
+from benchmark.records.seed_splits import is_adversarial
+from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS, Shown
+from benchmark.report.words import counted
+
+SPLIT_ORDER = ("val", "val-r", "adv")
+PRIVILEGED_MARK = "†"
+PRIVILEGED_NOTE = f"{PRIVILEGED_MARK} sees what no car sees (boxes, map or the recorded future): a reference row."
+STALE_MARK = "‡"
+REPRODUCED_MARK = "✓"
+CAVEAT_MARK = "¶"
+OLDER_WORDS = (
+    "older records, which do not say whether their scenes are annotated; rates may count scenes without annotations as "
+    "free of contacts until challenger-bench rescore"
+)
+MINIATURE_NOTE = f"{MINIATURE_WORDS} (docs/miniatures.md)."
+FEW_SCENES = 20
+"""Below this many recorded scenes the intervals are clearly too narrow (docs/metrics.md has the measurement)."""
+FEW_NOTE = f"Fewer than {FEW_SCENES} recorded scenes: the intervals are too narrow, take them as a hint."
+
+
+def split_place(split: str) -> tuple[int, str]:
+    """To sort splits by: the paper's three first, the others by name."""
+    return SPLIT_ORDER.index(split) if split in SPLIT_ORDER else len(SPLIT_ORDER), split
+
+
+def splits_of(records: Iterable[RunRecord]) -> list[str]:
+    """Splits that were run, in their order."""
+    return sorted({record.run.split for record in records}, key=split_place)
+
+
+def in_table_order(records: Sequence[RunRecord]) -> list[RunRecord]:
+    """Records by planner (privileged ones last), then split."""
+    return sorted(records, key=lambda each: (each.run.planner.privileged, each.planner, split_place(each.run.split)))
+
+
+def marked(planner: str, *, privileged: bool, miniature: bool) -> str:
+    """The planner's name; marks tell that it saw what no car sees, and that it is a miniature."""
+    return " ".join((planner, *([PRIVILEGED_MARK] if privileged else []), *([MINIATURE_MARK] if miniature else [])))
+
+
+class Marked(Protocol):
+    """Anything that says what a planner is."""
+
+    @property
+    def privileged(self) -> bool:
+        """Whether it saw what no car sees."""
+
+    @property
+    def miniature(self) -> bool:
+        """Whether it shows the pipeline and ranks nothing."""
+
+
+def name_cell(planner: str, facts: Marked) -> Shown:
+    """`marked` as the cell of a row about the planner."""
+    return Shown(marked(planner, privileged=facts.privileged, miniature=facts.miniature), miniature=facts.miniature)
+
+
+def row_name(record: RunRecord, judge: str) -> Shown:
+    """The planner's name with its marks, among them that of an earlier version of the protocol."""
+    cell = name_cell(record.planner, record.run.planner)
+    if record.reproduced is not None:
+        cell = replace(cell, text=f"{cell.text} {REPRODUCED_MARK}")
+    cell = with_caveat_mark(cell, record.run)
+    return replace(cell, text=f"{cell.text} {STALE_MARK}") if judge in record.stale_protocols else cell
+
+
+def with_caveat_mark(cell: Shown, facts: RecordFacts) -> Shown:
+    """The name of a row, marked where its numbers needed something that they did not get."""
+    return replace(cell, text=f"{cell.text} {CAVEAT_MARK}") if facts.caveats else cell
+
+
+def caveat_notes(records: Iterable[RecordFacts]) -> list[str]:
+    """What the numbers of some runs or drives needed and did not get.
+
+    One sentence for each caveat and split, with the planners that it concerns, and one for older records, of which it
+    is not known whether their scenes are annotated.
+    """
+    planners: dict[tuple[str, str], list[str]] = {}
+    older: list[str] = []
+    for facts in records:
+        for caveat in facts.caveats:
+            planners.setdefault((facts.split, caveat.sentence), []).append(facts.planner.name)
+        if not facts.says_truth:
+            older.append(f"{facts.planner.name} on {facts.split}")
+    notes = [
+        f"{CAVEAT_MARK} {', '.join(dict.fromkeys(names))} on {split}: {sentence}."
+        for (split, sentence), names in planners.items()
+    ]
+    return [*notes, *([f"{', '.join(dict.fromkeys(older))}: {OLDER_WORDS}."] if older else [])]
+
+
+def mark_notes(*, privileged: bool, miniature: bool) -> list[str]:
+    """What the marks of the planners' names mean, where any planner of a table has them."""
+    return [*([PRIVILEGED_NOTE] if privileged else []), *([MINIATURE_NOTE] if miniature else [])]
+
+
+def marks_of(planners: Iterable[Marked]) -> list[str]:
+    """`mark_notes` of the planners of a table."""
+    facts = list(planners)
+    return mark_notes(
+        privileged=any(each.privileged for each in facts), miniature=any(each.miniature for each in facts)
+    )
+
+
+def notes_of_marks(records: Iterable[RunRecord]) -> list[str]:
+    """`mark_notes` of the planners of some runs."""
+    records = list(records)
+    said = dict.fromkeys((record.planner, record.reproduced) for record in records if record.reproduced is not None)
+    return [
+        *marks_of(record.run.planner for record in records),
+        *(
+            f"{REPRODUCED_MARK} {planner}: reproduced: the same weights, code and options gave {whose}."
+            for planner, whose in said
+        ),
+    ]
+
+
+def stale_notes(record: RunRecord, protocols: Sequence[str]) -> list[str]:
+    """One sentence for each of the protocols that judged a run in another version than the present one."""
+    return [
+        f"{STALE_MARK} {record.planner} on {record.run.split}: judged by version {record.run.protocols[name]} of "
+        f"protocol {name}, now {registered_version(name)}; run challenger-bench rescore."
+        for name in protocols
+        if name in record.stale_protocols
+    ]
+
+
+def judges(protocol: str) -> str:
+    """Who judges, as titles say it."""
+    return "each planner under its own protocol" if protocol == NATIVE else f"protocol {protocol}"
+
+
+def recordings(record: RunRecord) -> int:
+    """How many recorded scenes a run's scenes come from: what its intervals rest on."""
+    return len(set(source_of_scenes(record).values()))
+
+
+def run_notes(records: Sequence[RunRecord], told: Sequence[str]) -> list[str]:
+    """What has to be said of the runs behind a table.
+
+    Args:
+        records: The runs, in the order of the table.
+        told: Sentences on single runs.
+
+    Returns:
+        What marks mean, what numbers lacked, whether any has few recorded scenes, what inspectors said, ``told``, and
+        what is not whole.
+    """
+    few = [FEW_NOTE] if any(recordings(record) < FEW_SCENES for record in records) else []
+    lacking = caveat_notes(record.run for record in records)
+    return [*notes_of_marks(records), *lacking, *few, *review_notes(records), *told, *completeness_notes(records)]
+
+
+def review_notes(records: Iterable[RunRecord]) -> list[str]:
+    """What inspectors said of each split that has adversaries or a review; one sentence for all that have none."""
+    said = {record.run.split: record.run.review for record in records if record.run.review is not None}
+    notes = [f"{split}: {review_words(said[split])}." for split in sorted(said, key=split_place)]
+    made = {record.run.split for record in records if record.run.split not in said and _has_adversaries(record)}
+    return [*notes, *([f"{', '.join(sorted(made, key=split_place))}: {NOT_REVIEWED} by hand."] if made else [])]
+
+
+def _has_adversaries(record: RunRecord) -> bool:
+    known = record.run.scene_facts.values()
+    return is_adversarial(record.run.split) or any(facts.adversaries for facts in known)
+
+
+def completeness_notes(records: Sequence[RunRecord]) -> list[str]:
+    """One sentence for each run whose plans come from a file, with failed samples, or of a part of its split."""
+    notes = file_notes(records)
+    for record in records:
+        who = f"{record.planner} on {record.run.split}"
+        if not record.complete:
+            summary = record.summary
+            notes.append(
+                f"{who}: {counted(summary.failed, 'sample')} failed. The rates cover {100 * summary.coverage:.1f} % of "
+                f"{counted(summary.samples, 'sample')}."
+            )
+        if not record.covers_split:
+            notes.append(f"{who}: {part_of_split(len(record.run.scenes), record.run.scenes_in_split)}.")
+    return notes
+
+
+def part_of_split(scenes: int, in_split: int) -> str:
+    """How much of a split there is."""
+    return f"{scenes} of {counted(in_split, 'scene')} of the split"

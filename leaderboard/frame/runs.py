@@ -1,0 +1,194 @@
+"""Runs on one data set in the order of tables, each with what is measured of it: one row of a table."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Generic, TypeVar
+
+from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.scores import Scored, scored
+from benchmark.records.run import NATIVE, RunRecord, protocol_of
+from benchmark.records.run_schema import ProtocolSummary
+from benchmark.report.cells import AnyRate, Cell, Origin, Shown, origin_of
+from leaderboard.frame.rows import (
+    in_table_order,
+    name_cell,
+    row_name,
+    run_notes,
+    splits_of,
+    stale_notes,
+    with_caveat_mark,
+)
+from leaderboard.frame.specification import Value
+
+Found = TypeVar("Found")
+Made = TypeVar("Made")
+
+
+@dataclass(frozen=True, slots=True)
+class Row(Generic[Found]):
+    """A run as a row of a table; its numbers are cells, which say of which protocol and record they are.
+
+    Attributes:
+        record: The record.
+        judge: Protocol or definition behind the numbers; empty where they rest on none.
+        found: What was measured.
+    """
+
+    record: RunRecord
+    judge: str
+    found: Found
+
+    @property
+    def planner(self) -> Shown:
+        """The planner's name with the marks of what it is."""
+        return name_cell(self.record.planner, self.record.run.planner)
+
+    @property
+    def with_caveats(self) -> Shown:
+        """The same, marked where its numbers lacked something."""
+        return with_caveat_mark(self.planner, self.record.run)
+
+    @property
+    def name(self) -> Shown:
+        """The same with all marks: reproduced by others, and judged by an earlier version of the protocol."""
+        return row_name(self.record, self.judge)
+
+    @property
+    def names(self) -> dict[str, Value]:
+        """The two values that most tables of runs begin with."""
+        return {"planner": self.name, "split": self.split}
+
+    @property
+    def split(self) -> str:
+        """The split that it ran on."""
+        return self.record.run.split
+
+    @property
+    def who(self) -> str:
+        """The run in sentences."""
+        return f"{self.record.planner} on {self.split}"
+
+    @property
+    def origin(self) -> Origin:
+        """Where its numbers come from."""
+        return origin_of(self.record, self.judge or None)
+
+    def samples(self, count: int) -> Cell:
+        """How many of its samples."""
+        return self.origin.count(count, "samples", self.record.summary.samples)
+
+    def scenes(self, count: int) -> Cell:
+        """How many of the scenes that ran."""
+        return self.origin.count(count, "scenes", len(self.record.run.scenes))
+
+    def scenes_of_split(self) -> Cell:
+        """How many scenes of its split ran."""
+        return self.origin.count(len(self.record.run.scenes), "scenes", self.record.run.scenes_in_split)
+
+    def by_horizon(self, head: str, column: str, rates: Mapping[str, AnyRate]) -> dict[str, Value]:
+        """Rates by horizon, which ``head`` names: L2 in metres, those of all other columns in per cent."""
+        origin, metres = self.origin, column == "l2"
+        return {
+            head.format(horizon): origin.amount(rate, "m") if metres else origin.percent(rate)
+            for horizon, rate in rates.items()
+        }
+
+
+class Frame:
+    """The runs on one data set, and what was measured of them, each thing once.
+
+    Attributes:
+        data_name: Name of the data set, for titles.
+        given: The records as they were given.
+        runs: The same in the order of tables.
+        against: Further records that they may be compared with, the newest last.
+    """
+
+    def __init__(self, data_name: str, records: Iterable[RunRecord], against: Iterable[RunRecord] = ()) -> None:
+        self.data_name, self.given, self.against = data_name, tuple(records), tuple(against)
+        self.runs = tuple(in_table_order(self.given))
+        self._made: dict[Any, Any] = {}
+        self._scored: dict[tuple[int, str], Scored] = {}
+
+    @cached_property
+    def splits(self) -> list[str]:
+        """Splits that were run, in their order."""
+        return splits_of(self.runs)
+
+    @cached_property
+    def protocols(self) -> set[str]:
+        """Protocols that judged any run."""
+        return {name for record in self.runs for name in record.summary.protocols}
+
+    @property
+    def has_native(self) -> bool:
+        """Whether any planner has a protocol of its own."""
+        return any(record.run.planner.native_protocol for record in self.runs)
+
+    @cached_property
+    def judges(self) -> list[str]:
+        """Whose verdicts come first: ``exact``, and each planner's own protocol where one has it."""
+        return [*((EXACT,) if EXACT in self.protocols else ()), *((NATIVE,) if self.has_native else ())]
+
+    def once(self, make: Callable[..., Made], *of: str) -> Made:
+        """What a function makes of the frame and some words, which is asked for once."""
+        key = make, *of
+        if key not in self._made:
+            self._made[key] = make(self, *of)
+        made: Made = self._made[key]
+        return made
+
+    def rows(self, judge: str, measure: Callable[[RunRecord], Found | None]) -> list[Row[Found]]:
+        """A row for each run of which something is measured.
+
+        Args:
+            judge: Protocol or definition behind it; empty where there is none.
+            measure: What is measured.
+
+        Returns:
+            The rows, in the order of tables.
+        """
+        said = [(record, measure(record)) for record in self.runs]
+        return [Row(record, judge, found) for record, found in said if found is not None]
+
+    def scored(self, record: RunRecord, protocol: str) -> Scored:
+        """Verdicts on one of the runs, read once.
+
+        Raises:
+            InputError: As `benchmark.metrics.scores.scored`.
+        """
+        key = id(record), protocol_of(record, protocol)
+        if key not in self._scored:
+            self._scored[key] = scored(record, protocol=protocol)
+        return self._scored[key]
+
+    def forget_verdicts(self) -> None:
+        """Keep no verdicts: those of all protocols would fill memory."""
+        self._scored.clear()
+
+    def judged(self, protocol: str) -> list[Row[ProtocolSummary]]:
+        """A row for each run with verdicts of a protocol, or of its own one if ``native``."""
+        return judged(self.runs, protocol)
+
+
+def judged(records: Iterable[RunRecord], protocol: str) -> list[Row[ProtocolSummary]]:
+    """`Frame.judged` of records in any order."""
+    found = [(record, protocol_of(record, protocol)) for record in records]
+    return [Row(each, judge, each.summary.protocols[judge]) for each, judge in found if judge in each.summary.protocols]
+
+
+def shown_protocols(frame: Frame, asked: Sequence[str] | None) -> Sequence[str]:
+    """Protocols that are asked for; unasked ``exact``, and ``native`` where a planner has one of its own."""
+    return asked or ((EXACT, NATIVE) if frame.has_native else (EXACT,))
+
+
+def row_notes(rows: Sequence[Row[Any]], told: Iterable[str] = ()) -> list[str]:
+    """What has to be said of the runs behind rows, ``told`` and who was judged by an earlier version among it."""
+    stale = [note for row in rows for note in stale_notes(row.record, (row.judge,))]
+    return run_notes([row.record for row in rows], [*told, *stale])
+
+
+def whose(protocol: str) -> str:
+    """Whose verdicts, as labels over columns say it."""
+    return "own protocol" if protocol == NATIVE else protocol

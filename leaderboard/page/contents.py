@@ -1,0 +1,124 @@
+"""Which sections a leaderboard has, and in which order they are read."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Final
+from urllib.parse import quote
+
+from benchmark.machine.storage import file_name
+from benchmark.report.table import Table, escape_markdown
+from leaderboard.figures.contents import data_set_figures, matrix_figures, missing_figures
+from leaderboard.figures.pressure import pressure_figures
+from leaderboard.frame.results import Results
+from leaderboard.page.files import CLOSED_LOOP, TABLES_FOLDER, group_of, page_path, page_text
+from leaderboard.page.sections import Item, Section, said_once, sections_of
+from leaderboard.paper.contents import paper_tables
+from leaderboard.paper.document import paper_document
+from leaderboard.paper.runtime_chart import runtime_charts
+from leaderboard.tables.contents import closed_loop_tables, data_set_tables, generation_tables, missing_notes
+from leaderboard.tables.loops import DISAGREEMENTS
+from leaderboard.tables.published import published_tables
+from leaderboard.tables.slices import SLICES
+from leaderboard.tables.standing import standing_tables
+
+
+def data_sets(results: Results) -> Iterator[Section]:
+    """Runs of each data set: tables, pages and pictures."""
+    for frame in results.frames:
+        name, found = frame.data_name, frame.once(data_set_tables)
+        heading, of_tables = escape_markdown(name), {figure.name: figure for figure in matrix_figures(frame)}
+        figures, notes = data_set_figures(frame, results.sheets), [*missing_notes(frame), *missing_figures(frame)]
+        shown: list[Item] = [*(f"- {escape_markdown(note)}" for note in notes), ""] if notes else []
+        for table in found.front:
+            shown += [table, *([of_tables[table.name]] if table.name in of_tables else [])]
+        pages = {page_path(name, judge): (f"protocol {judge}", tables) for judge, tables in found.others.items()}
+        if found.slices:
+            page = page_path(name, SLICES)
+            link = f"[{SLICES}]({quote(page)})"
+            shown += [*figures, f"The same by place, light, manoeuvre of the adversary, speed and command: {link}.", ""]
+            pages = {page: (SLICES, found.slices), **pages}
+        else:
+            shown += figures
+        links = [f"[{escape_markdown(judge)}]({quote(page_path(name, judge))})" for judge in found.others]
+        if links:
+            shown += [f"Changes, planners and transfer under the other protocols: {', '.join(links)}.", ""]
+        shown += [tables[0] for tables in found.others.values()]
+        groups = dict.fromkeys(map(group_of, found.front))
+        yield Section(
+            name,
+            heading,
+            list(said_once(shown)),
+            [
+                *((group, [table for table in found.front if group_of(table) == group]) for group in groups),
+                *pages.values(),
+            ],
+            [*of_tables.values(), *figures],
+            {path: page_text(f"{heading}: {escape_markdown(said)}", tables) for path, (said, tables) in pages.items()},
+        )
+
+
+def closed_loop(results: Results) -> Iterator[Section]:
+    """Drives through each data set, beside open loop where the planners ran there too."""
+    for name in sorted({record.facts.data.name for record in results.drives}):
+        own = [record for record in results.drives if record.facts.data.name == name]
+        tables, figures = closed_loop_tables(name, own, results.runs), pressure_figures(own)
+        heading, page = f"{escape_markdown(name)}: {CLOSED_LOOP}", page_path(name, "closed-loop")
+        scenes = [table for table in tables if table.name.startswith(DISAGREEMENTS)]
+        shown: list[Item] = [table for table in tables if table not in scenes]
+        if scenes:
+            shown += [f"Scenes on which the two loops disagree, by name: [{CLOSED_LOOP}]({quote(page)}).", ""]
+        files = {page: page_text(heading, tables)}
+        yield Section(name, heading, [*shown, *figures], [(CLOSED_LOOP, tables)], figures, files)
+
+
+def of_extensions(results: Results) -> Iterator[Section]:
+    """What extensions show of records of their own."""
+    return sections_of({"challenges": results.challenges, "quality": results.quality})
+
+
+def papers(results: Results) -> Iterator[Section]:
+    """The paper's tables in its own layout, and one document of them, for each data set."""
+    frames = {frame.data_name: frame for frame in results.frames}
+    records = {name: frame.given for name, frame in frames.items()}
+    for name, tables in paper_tables(records, results.sheets, results.ablations).items():
+        folder, charts = f"{TABLES_FOLDER}/{file_name(name)}", runtime_charts(name, results.sheets)
+        beside = {f"paper-runtime-{number}.png": chart for number, chart in enumerate(charts)}
+        document = paper_document(name, tables, [(path, chart.title) for path, chart in beside.items()])
+        front: Iterable[Table] = frames[name].once(data_set_tables).front if name in frames else ()
+        yield Section(
+            name,
+            f"{escape_markdown(name)}: the paper's layout",
+            [
+                f"As one document: `{folder}/paper.tex`, which any LaTeX compiles.",
+                "",
+                *(item for table in tables for item in said_once([table], (n for t in front for n in t.notes))),
+                *charts,
+            ],
+            [("the paper's layout", tables)],
+            charts,
+            {
+                **{f"{folder}/{path}": chart.png for path, chart in beside.items()},
+                f"{folder}/paper.tex": document.encode(),
+            },
+        )
+
+
+def generation(results: Results) -> Iterator[Section]:
+    """Scenes and how they were generated, for each data set."""
+    group = "scenes and their generation"
+    for name, tables in generation_tables(results.sheets, results.ablations).items():
+        yield Section.of_tables(name, group, f"{escape_markdown(name)}: {group}", tables)
+
+
+def published(results: Results) -> Iterator[Section]:
+    """Numbers of others, apart from ours."""
+    yield Section.of_tables("", "published", "Published", [*published_tables(), *standing_tables(results.runs)])
+
+
+SECTIONS: Final[Sequence[Callable[[Results], Iterable[Section]]]] = (
+    data_sets,
+    closed_loop,
+    of_extensions,
+    papers,
+    generation,
+    published,
+)

@@ -1,0 +1,302 @@
+"""The built-in golden sets of drivers, severity and realism.
+
+``python -m tests.benchmark.extensions.golden_sets.golden_judgement`` writes them again. What is official, or of made-up
+tracks and from the other implementation of the definitions, is thinned out of the sets beside this repository. Recorded
+tracks do not go into it: the scenes are made up here, and what is said of them holds this implementation to what it
+said before.
+"""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.extensions.golden_sets.drivers import BUILT_IN as DRIVERS
+from benchmark.extensions.golden_sets.realism import BUILT_IN as REALISM
+from benchmark.extensions.golden_sets.realism.motion import pooled_features
+from benchmark.extensions.golden_sets.severity import BUILT_IN as SEVERITY
+from benchmark.fairness.ctg import Mask, Normalisation, SceneTracks, Version, bin_edges, deviations, histograms
+from benchmark.fairness.divergence import Histograms, equal_bins, quantile_bins, w1
+from benchmark.fairness.features import FEATURES, Run, recorded_runs, runs_of
+from benchmark.geometry import Floats
+from benchmark.interactions.driving import LADDER, Rung, Situation, drive
+from benchmark.interactions.outcomes import Outcome, Surroundings
+from benchmark.interactions.reaction import Driver
+from benchmark.interactions.sight import first_visible
+from benchmark.interactions.tracks import Tracks
+from tests.benchmark.interactions.made import along_bend, made_scene
+
+SHARED = Path(__file__).resolve().parents[5] / "shared" / "golden"
+ENCOUNTERS = ("cut_in", "arc_leader_brakes", "from_behind", "crossing_other_first")
+Arrays = dict[str, NDArray[Any]]
+
+
+def thinned_drivers() -> tuple[dict[str, Arrays], dict[str, Any]]:
+    """Arrays and JSON by file, from the set beside this repository."""
+    folder = SHARED / "drivers"
+    straight = _read(folder / "straight.npz")
+    cases = len(straight["family"])
+    arrays = {
+        "straight": {k: v[::17] if len(v) == cases else v for k, v in straight.items()},
+        "functions": {k: v[::8] if k != "idm_parameters" else v for k, v in _read(folder / "functions.npz").items()},
+        "tables_following": _thinned_following(_read(folder / "tables_following.npz")),
+        "tables_low_speed": _thinned_cut_ins(_read(folder / "tables_low_speed.npz")),
+        "encounters": _some_encounters(_read(folder / "encounters.npz")),
+    }
+    return arrays, {"encounters": _some_facts(folder)}
+
+
+def thinned_severity() -> tuple[dict[str, Arrays], dict[str, Any]]:
+    """Arrays and JSON by file, from the set beside this repository."""
+    folder = SHARED / "severity"
+    contacts = json.loads((folder / "contacts.json").read_text())
+    contacts["cases"] = contacts["cases"][::3]
+    arrays = {
+        "encounters": _some_encounters(_read(folder / "encounters.npz")),
+        "manoeuvres": {k: v for k, v in _read(folder / "manoeuvres.npz").items() if k.startswith("cut_in/")},
+    }
+    facts = _some_facts(folder)
+    for each in facts:
+        # Costs the most by far, and says the same as the evaluations.
+        each.get("last_chance", {}).pop("scan", None)
+    return arrays, {"contacts": contacts, "encounters": facts}
+
+
+def made_driver_scenes() -> tuple[Arrays, list[dict[str, Any]]]:
+    """``scenes.npz`` and ``scenes.json``: two scenes with an adversary each, and what the drivers make of them."""
+    arrays: Arrays = {}
+    facts = []
+    for number, kind in ((0, "cut_in"), (1, "brake")):
+        tracks, name, index = _first(made_scene(number)[0], 91), f"made-{number}", 6
+        speed, radius = 7.0 + number, 60.0 + 20.0 * number
+        sideways = np.clip(3.5 - 1.2 * np.maximum(tracks.seconds - 1.0, 0.0), 0.0, 3.5) if kind == "cut_in" else 0.0
+        slower = 3.0 if kind == "cut_in" else np.minimum(tracks.seconds, speed / 4.0) * 2.0
+        added = np.round(along_bend(tracks.seconds, 10.0, sideways, speed - slower, radius, (4.6, 1.9)), 6)
+        fields = {"seconds": tracks.seconds, "ego": tracks.ego, "agents": tracks.agents, "valid": tracks.valid}
+        arrays |= {f"{name}/{field}": array for field, array in fields.items()}
+        arrays |= {f"{name}/categories": np.array(tracks.categories), f"{name}/{kind}": added}
+        whole = Tracks(
+            tracks.seconds,
+            tracks.ego,
+            np.concatenate([tracks.agents, added[None]]),
+            np.concatenate([tracks.valid, np.ones((1, 91), np.bool_)]),
+            (*tracks.categories, "vehicle.car"),
+        )
+        rungs = {**{driver.value: Rung(driver) for driver in LADDER}, "cc_adversary_only": Rung(Driver.CC, True)}
+        situation = Situation.of(whole, adversary=index)
+        found = map(Surroundings.of(situation).outcome, drive(situation, list(rungs.values())))
+        drivers = {name: _outcome(outcome) for name, outcome in zip(rungs, found)}
+        seen = first_visible(whole, index, situation.times)
+        facts.append({"scene": name, "adversary": kind, "index": index, "drivers": drivers, "first_visible": seen})
+    return arrays, facts
+
+
+def made_realism() -> tuple[dict[str, Arrays], dict[str, Any]]:
+    """Every file of the realism set but the made-up samples, which are stored elsewhere already."""
+    chosen = {"scene-made-0": 0, "scene-made-1": 1}
+    files: dict[str, Arrays] = {}
+    features: Arrays = {}
+    runs: dict[str, dict[str, list[Run]]] = {"recorded": {}, "swerving": {}}
+    positions: dict[str, list[SceneTracks]] = {"recorded": [], "rotated": []}
+    inputs: Arrays = {}
+    for number, (name, agent) in enumerate(chosen.items()):
+        tracks, keyframes = made_scene(number)
+        files[name] = _scene_arrays(tracks, keyframes)
+        changed = tracks.agents.copy()
+        changed[agent, :, 1] += 0.5 * np.sin(2 * np.pi * tracks.seconds / 4.0)
+        features[f"swerving/{name}/{agent}/boxes"] = changed[agent]
+        runs["recorded"][name] = recorded_runs(tracks, keyframes, "vehicle.car")
+        runs["swerving"][name] = runs_of(replace(tracks, agents=changed), keyframes, agent)
+        for variant, angle in (("recorded", 0.0), ("rotated", 0.7)):
+            inputs |= _ctg_input(tracks, name, variant, angle)
+            positions[variant].append(
+                SceneTracks(inputs[f"{name}/{variant}/position"], inputs[f"{name}/{variant}/yaw"])
+            )
+    for variant, scenes in runs.items():
+        features |= _run_arrays(variant, scenes)
+    files |= {"ctg_inputs": inputs, "plain_features": features}
+    files["ctg_histograms"], deviated = _ctg(positions)
+    return files, {"ctg_deviations": deviated, "plain_divergences": _divergences(chosen, runs)}
+
+
+def write() -> None:
+    """Write all three sets."""
+    made, facts = made_driver_scenes()
+    arrays, texts = thinned_drivers()
+    _write(DRIVERS, {**arrays, "scenes": made}, {**texts, "scenes": facts})
+    _write(SEVERITY, *thinned_severity())
+    arrays, texts = made_realism()
+    samples = _read(SHARED / "realism" / "plain_arrays.npz")
+    golden = json.loads((SHARED / "realism" / "plain_divergences.json").read_text())["arrays"]
+    texts["plain_divergences"]["arrays"] = golden
+    _write(REALISM, {**arrays, "plain_arrays": samples}, texts)
+
+
+def _first(tracks: Tracks, frames: int) -> Tracks:
+    kept = slice(frames)
+    return Tracks(
+        tracks.seconds[kept], tracks.ego[kept], tracks.agents[:, kept], tracks.valid[:, kept], tracks.categories
+    )
+
+
+def _outcome(outcome: Outcome) -> dict[str, Any]:
+    contact = outcome.contact
+    hit = contact and {
+        "time": contact.time,
+        "agent": contact.agent,
+        "type": contact.kind.value,
+        "ego_speed": contact.ego_speed,
+        "other_speed": contact.other_speed,
+        "impact_speed": contact.impact_speed,
+        "ego_box": contact.ego.tolist(),
+        "other_box": contact.other.tolist(),
+    }
+    return {
+        "contact": hit,
+        "reacted": outcome.reacted,
+        "first_reason": outcome.reason,
+        "min_speed": float(outcome.speed.min()),
+        "end_station": float(outcome.station[-1]),
+        "unsafe_steps": int(outcome.unsafe.sum()),
+        "beyond_end": outcome.beyond_end,
+        "fragile": False,
+    }
+
+
+def _scene_arrays(tracks: Tracks, keyframes: NDArray[np.int64]) -> Arrays:
+    return {
+        "seconds": tracks.seconds,
+        "keyframes": keyframes,
+        "ego": tracks.ego,
+        "agents": tracks.agents,
+        "valid": tracks.valid,
+        "categories": np.array(tracks.categories),
+    }
+
+
+def _run_arrays(variant: str, scenes: dict[str, list[Run]]) -> Arrays:
+    arrays: Arrays = {}
+    for name, runs in scenes.items():
+        numbers: dict[int, int] = {}
+        for run in runs:
+            number = numbers[run.agent] = numbers.get(run.agent, -1) + 1
+            label = f"{variant}/{name}/{run.agent}/{number}"
+            arrays |= {f"{label}/time": run.times, **{f"{label}/{key}": run.values[key] for key in FEATURES}}
+    return arrays
+
+
+def _divergences(chosen: dict[str, int], runs: dict[str, dict[str, list[Run]]]) -> dict[str, Any]:
+    pools = {
+        variant: {name: pooled_features(some) for name, some in scenes.items()} for variant, scenes in runs.items()
+    }
+
+    def pool(variant: str, scenes: list[str], feature: str) -> Floats:
+        return np.concatenate([pools[variant][name][feature] for name in scenes])
+
+    names = list(chosen)
+    facts: dict[str, Any] = {"chosen": chosen, "features": list(FEATURES)}
+    for variant in ("swerving", "recorded", "halves"):
+        halves = variant == "halves"
+        samples = {
+            feature: (
+                pool("recorded" if halves else variant, names[::2] if halves else names, feature),
+                pool("recorded", names[1::2] if halves else names, feature),
+            )
+            for feature in FEATURES
+        }
+        facts[variant] = {feature: _divergence(*both) for feature, both in samples.items()}
+        for key, bins in (("realism", quantile_bins), ("realism_equal_width", equal_bins)):
+            facts[variant][key] = float(np.mean([1 - bins(*both).divergence for both in samples.values()]))
+    return facts
+
+
+def _divergence(sample: Floats, reference: Floats) -> dict[str, Any]:
+    quantile, equal = quantile_bins(sample, reference), equal_bins(sample, reference)
+
+    def counts(bins: Histograms, name: str) -> dict[str, Any]:
+        return {name: bins.counts.tolist(), f"{name}_reference": bins.reference.tolist()}
+
+    return {
+        "w1": w1(sample, reference),
+        "jsd_quantile": quantile.divergence,
+        "quantile_edges": quantile.edges.tolist(),
+        **counts(quantile, "quantile_counts"),
+        "jsd": equal.divergence,
+        "low": float(equal.edges[0]),
+        "high": float(equal.edges[1]),
+        **counts(equal, "counts"),
+    }
+
+
+def _ctg_input(tracks: Tracks, name: str, variant: str, angle: float) -> Arrays:
+    times = 0.1 * np.arange(101)
+    found, _ = tracks.agents_at(times)
+    cars = np.concatenate([tracks.ego_at(times)[None], found[[0, 1, 3]]])
+    x, y = cars[..., 0] + 3.0, cars[..., 1] + 5.0
+    cos, sin = np.cos(angle), np.sin(angle)
+    position = np.round(np.stack([x * cos - y * sin, x * sin + y * cos], axis=-1), 6)
+    return {
+        f"{name}/{variant}/position": position,
+        f"{name}/{variant}/yaw": np.round(cars[..., 4] + angle, 6),
+    }
+
+
+def _ctg(positions: dict[str, list[SceneTracks]]) -> tuple[Arrays, dict[str, Any]]:
+    edges = bin_edges()
+    arrays: Arrays = {f"edges/{name}": values for name, values in edges.items()}
+    facts: dict[str, Any] = {}
+    settings = [(version, Normalisation.SCENE, Mask.NONE) for version in Version]
+    settings += [
+        (Version.CTG, Normalisation.DATASET, Mask.CURRENT_SPEED),
+        (Version.MTD, Normalisation.SCENE, Mask.ANY_SPEED),
+    ]
+    for setting in settings:
+        found = {variant: histograms(scenes, *setting, edges) for variant, scenes in positions.items()}
+        label = "/".join(setting)
+        for variant, shares in found.items():
+            arrays |= {f"{label}/{variant}/{name}": values for name, values in shares.items()}
+        facts[label] = {"rotated": deviations(found["rotated"], found["recorded"], edges)}
+    return arrays, facts
+
+
+def _thinned_following(arrays: Arrays) -> Arrays:
+    rows = len(arrays["speed_km_h"])
+    return {k: v[..., ::37] if v.shape[-1] == rows else v for k, v in arrays.items()}
+
+
+def _thinned_cut_ins(arrays: Arrays) -> Arrays:
+    return {
+        "pairs_km_h": arrays["pairs_km_h"][::5],
+        "models": arrays["models"],
+        "gap": arrays["gap"][::6],
+        "lateral_speed": arrays["lateral_speed"][2::4],
+        "crash": arrays["crash"][::5, :, ::6, 2::4],
+    }
+
+
+def _some_encounters(arrays: Arrays) -> Arrays:
+    return {k: v for k, v in arrays.items() if k.split("/")[0] in ENCOUNTERS}
+
+
+def _some_facts(folder: Path) -> list[dict[str, Any]]:
+    return [each for each in json.loads((folder / "encounters.json").read_text()) if each["name"] in ENCOUNTERS]
+
+
+def _read(path: Path) -> Arrays:
+    with np.load(path) as stored:
+        return {name: stored[name] for name in stored.files}
+
+
+def _write(folder: Path, arrays: dict[str, Arrays], texts: dict[str, Any]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, held in arrays.items():
+        np.savez_compressed(folder / f"{name}.npz", **held)
+    for name, facts in texts.items():
+        (folder / f"{name}.json").write_text(json.dumps(facts, indent=None, separators=(",", ":")) + "\n")
+
+
+if __name__ == "__main__":
+    write()

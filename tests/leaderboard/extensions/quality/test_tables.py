@@ -1,0 +1,123 @@
+"""Table 3: what stands beside what, and that different definitions never share a table."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from benchmark.extensions.quality.definition import Definition
+from benchmark.records.quality import QualityRecord, write_quality
+from benchmark.records.quality_schema import SceneRows, SubjectRow, Sum, VideoRow
+from benchmark.records.run_schema import SceneFacts
+from leaderboard.build import leaderboard_files, stale_files, write_leaderboard
+from leaderboard.extensions.quality.tables import quality_tables
+
+
+def rows(scene: str, *, adversary: bool, level: float, size: tuple[int, int]) -> SceneRows:
+    subjects = [
+        SubjectRow(
+            scene=scene,
+            camera="CAM_FRONT",
+            instance=name,
+            category="vehicle.car",
+            adversary=adversary and name == "a",
+            appearances=3,
+            returns=0,
+            first_us=0,
+            last_us=10**6,
+            mean_area_px=2000.0,
+            consistency=Sum.of([level, level]),
+            imaging=Sum.of([level / 2] * 3),
+        )
+        for name in ("a", "b")
+    ]
+    video = VideoRow(
+        scene=scene,
+        camera="CAM_FRONT",
+        frames=3,
+        width=size[0],
+        height=size[1],
+        formats={"jpg": 3},
+        imaging=Sum.of([level / 4] * 3),
+    )
+    return SceneRows(scene=scene, subjects=subjects, videos=[video])
+
+
+def made(folder: Path, split: str, **changes: Any) -> QualityRecord:
+    """A record of two scenes."""
+    definition = changes.get("definition", Definition(masks="boxes"))
+    names = [f"{split}-{index}" for index in range(2)]
+    size = changes.get("size", (448, 256))
+    scenes = [
+        rows(name, adversary=split == "adv", level=0.8 + 0.1 * index, size=size) for index, name in enumerate(names)
+    ]
+    scenes = [
+        each.model_copy(update={"subjects": []}) if each.scene in changes.get("unmasked", ()) else each
+        for each in scenes
+    ]
+    described = {
+        "data": {"name": "mini", "version": "v1", "fingerprint": "f"},
+        "split": split,
+        "scenes": names,
+        "scenes_in_split": changes.get("scenes_in_split", 2),
+        "scene_facts": {name: SceneFacts(source=name, adversaries=int(split == "adv")) for name in names},
+        "definition": definition.as_json(),
+        "weights": {"dino-vitb16": {"repository": "r", "revision": "v", "content": changes.get("content", "c")}},
+        "device": "cpu",
+        "environment": {},
+    }
+    return write_quality(folder / f"{split}-{len(list(folder.glob('*')))}", described, scenes)
+
+
+def test_splits_stand_in_the_order_of_the_paper_with_its_values_beside(tmp_path: Path) -> None:
+    (table,) = quality_tables([made(tmp_path, "adv"), made(tmp_path, "val")])
+    cells = [dict(zip(table.columns[:3], row)) for row in table.rows]
+    assert [(cell["split"], cell["subjects"]) for cell in cells] == [
+        ("val", "all"),
+        ("adv", "all"),
+        ("adv", "adversary"),
+        ("adv", "others"),
+    ]
+    assert table.name == "quality-boxes" and table.rows[0][2:4] == ("0.8500", "[0.800, 0.900]")
+    assert table.rows[0][-2:] == ("0.8349", "0.3801") and table.rows[1][-2:] == ("0.8093", "0.3469")
+    assert table.rows[2][-2:] == ("–", "–")
+    assert any("448 x 256 pixels, jpg" in note for note in table.notes)
+    assert any("Table 3" in source for source in table.sources) and any("Fewer than 20" in note for note in table.notes)
+
+
+def test_scenes_without_masks_are_said_and_mark_the_rows(tmp_path: Path) -> None:
+    (table,) = quality_tables([made(tmp_path, "adv", unmasked=("adv-1",)), made(tmp_path, "val")])
+    assert [row[0] for row in table.rows] == ["val", "adv ¶", "adv ¶", "adv ¶"]
+    assert [note for note in table.notes if note.startswith("¶")] == [
+        f"¶ adv: 1 of 2 scenes have no mask of {what} from boxes: they are in none of its numbers."
+        for what in ("a vehicle", "an adversary")
+    ]
+
+
+def test_what_does_not_compare_has_a_table_of_its_own(tmp_path: Path) -> None:
+    boxes = Definition(masks="boxes")
+    records = [
+        made(tmp_path, "val"),
+        made(tmp_path, "val", definition=Definition()),
+        made(tmp_path, "val", definition=replace(boxes, frames="all")),
+        made(tmp_path, "val", content="other weights"),
+    ]
+    tables = quality_tables(records)
+    assert tables[0].title.split("masks from ")[1] == "grounded-sam2, 2 Hz keyframes"
+    assert len({table.name for table in tables}) == 4 and tables == quality_tables(records[::-1])
+
+
+def test_parts_and_other_frames_are_said(tmp_path: Path) -> None:
+    part = made(tmp_path, "val", scenes_in_split=10)
+    (table,) = quality_tables([part, made(tmp_path, "val-r", size=(400, 224))])
+    assert any("val: 2 of 10 scenes of the split only" in note for note in table.notes)
+    assert any("Frames differ between splits" in note and "400 x 224" in note for note in table.notes)
+
+
+def test_the_leaderboard_has_the_table_with_and_without_runs(tmp_path: Path) -> None:
+    found = [made(tmp_path / "records", "val")]
+    files = leaderboard_files([], found)
+    assert "tables/mini/quality-boxes.tex" in files and "tables/mini/quality-boxes.csv" in files
+    assert b"## Video quality" in files["README.md"] and "published/quality-published.tex" in files
+    write_leaderboard([], tmp_path / "board", found)
+    assert stale_files([], tmp_path / "board", found) == []
+    assert stale_files([], tmp_path / "board", [made(tmp_path / "records", "val", size=(1, 1))])
