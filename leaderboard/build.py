@@ -1,7 +1,7 @@
 """From run records to the files of a leaderboard; the same records give the same bytes."""
 
 import filecmp
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -69,14 +69,14 @@ class _Made:
         files: Files without the site.
         tables: Tables in the order in which they are read.
         figures: Figures, with their place below the leaderboard's folder.
-        of_site: Files that only the site has.
+        of_site: What draws the files that only the site has.
         page: Lines of ``README.md``.
     """
 
     files: Files = field(default_factory=dict)
     tables: list[PlacedTable] = field(default_factory=list)
     figures: list[PlacedFigure] = field(default_factory=list)
-    of_site: Files = field(default_factory=dict)
+    of_site: dict[str, Callable[[], bytes]] = field(default_factory=dict)
     page: list[str] = field(default_factory=list)
 
     def add(self, section: Section) -> None:
@@ -210,7 +210,8 @@ def _all_files(results: Results, *, site: bool) -> dict[str, bytes | Path]:
         return dict(made.files)
     shown = {figure.path for figure in made.figures}
     downloads = {name: data for name, data in made.files.items() if name in shown or name.endswith(_ON_THE_SITE)}
-    pages = site_files(results, made.tables, made.figures, downloads | made.of_site)
+    downloads |= {name: draw() for name, draw in made.of_site.items()}
+    pages = site_files(results, made.tables, made.figures, downloads)
     return made.files | {f"{SITE_FOLDER}/{name}": content for name, content in pages.items()}
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.errors import InputError
-from benchmark.machine.storage import canonical_json, content_key, only_writer, parse_json, write_parts
+from benchmark.machine.storage import canonical_json, content_key, parse_json, write_parts
 from benchmark.machine.user_cache import cache_root
 from benchmark.untrusted.files import open_file
 from benchmark.untrusted.limits import KEPT_ARRAYS
@@ -45,7 +45,7 @@ def kept_place(folder: str, source: Path) -> Path | None:
 
 
 def write_batch(path: Path, source: Path, made_of: str, batch: "pa.RecordBatch") -> bool:
-    """Keep a batch, unless another command is keeping one there, or there is no room or right to.
+    """Keep a batch, unless there is no room or right to. Of two who write at once one writes last, each a whole file.
 
     What is kept of sources that are gone, and what lies beside it under its name, is removed.
 
@@ -68,12 +68,20 @@ def write_batch(path: Path, source: Path, made_of: str, batch: "pa.RecordBatch")
     head = canonical_json(said).encode()
     _forget_what_is_gone(path.parent)
     try:
-        with only_writer(path.parent):
-            write_parts(path, (head, b" " * (-(len(head) + 1) % _ALIGNED), b"\n", body))
+        write_parts(path, (head, b" " * (-(len(head) + 1) % _ALIGNED), b"\n", body))
     except InputError:
         # Nothing is lost: the same is computed again.
         return False
     return True
+
+
+def is_made_of(path: Path, made_of: str) -> bool:
+    """Whether a file says that it holds a batch that depends on that; whether it is sound shows when it is read."""
+    try:
+        with open_file(path, KEPT_ARRAYS) as stream:
+            return bool(_head(stream).get("made_of") == made_of)
+    except (InputError, OSError):
+        return False
 
 
 def read_batch(path: Path, made_of: str) -> "pa.RecordBatch | None":

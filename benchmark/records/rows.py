@@ -6,11 +6,12 @@ a record is parsed and checked once. They count for rows with one SHA-256, that 
 that made them; whatever does not fit is as good as none.
 """
 
+import contextlib
 import functools
 import hashlib
 import operator
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import groupby, islice, pairwise
 from pathlib import Path
@@ -18,8 +19,11 @@ from typing import TYPE_CHECKING, Any, Final, overload
 
 import numpy as np
 
-from benchmark.machine.kept_arrays import kept_place, read_batch, write_batch
+from benchmark.errors import InputError
+from benchmark.machine.kept_arrays import is_made_of, kept_place, read_batch, write_batch
+from benchmark.machine.progress import Count
 from benchmark.machine.storage import canonical_json, content_key, file_sha256
+from benchmark.machine.workers import default_workers, map_ordered
 from benchmark.records.row_schema import SampleRow
 from benchmark.untrusted.files import open_file
 from benchmark.untrusted.json_text import read_lines
@@ -32,6 +36,8 @@ if TYPE_CHECKING:
 
 WORTH_BYTES: Final = 1 << 22
 """Rows of less are read in less time than anybody notices; nothing is kept of them."""
+WORTH_WORKERS_BYTES: Final = 1 << 27
+"""Rows of less are read before workers have begun."""
 _FOLDER: Final = "records"
 _CODE: Final = (
     *(f"records/{name}" for name in ("columns", "driving", "judgement", "row_schema", "rows", "run", "stored")),
@@ -228,6 +234,33 @@ def keep_rows(path: Path, sha256: str, rows: Rows) -> Rows:
     if place is None or path.stat().st_size < WORTH_BYTES:
         return rows
     return (write_batch(place, path, content_key(_checks(), sha256), rows.batch()) and kept_rows(path, sha256)) or rows
+
+
+def keep_together(files: Mapping[Path, str], read: Callable[[Path], object]) -> None:
+    """Let workers read files of which nothing is kept, so that all of them are, where that takes less time.
+
+    Args:
+        files: SHA-256 of each.
+        read: Importable; reads the record in a folder and keeps its rows.
+    """
+    new = {path: sha256 for path, sha256 in files.items() if path.is_file() and not _is_kept((path, sha256))}
+    sizes = [path.stat().st_size for path in new]
+    workers = min(default_workers(), sum(size >= WORTH_BYTES for size in sizes))
+    if workers > 1 and sum(sizes) >= WORTH_WORKERS_BYTES:
+        # What is damaged is said by who reads it next, and where the first cannot be kept, no other is tried.
+        with contextlib.suppress(InputError):
+            keep, count = functools.partial(_keeps, read), Count("record")
+            all(map_ordered(keep, list(new.items()), workers=workers, label="reading records", count=count))
+
+
+def _keeps(read: Callable[[Path], object], file: tuple[Path, str]) -> bool:
+    read(file[0].parent)
+    return file[0].stat().st_size < WORTH_BYTES or _is_kept(file)
+
+
+def _is_kept(file: tuple[Path, str]) -> bool:
+    place = kept_place(_FOLDER, file[0])
+    return place is not None and is_made_of(place, content_key(_checks(), file[1]))
 
 
 def line_of(row: SampleRow) -> str:

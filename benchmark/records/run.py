@@ -6,6 +6,7 @@ from the rows alone. ``run.json`` names the hashes of the other two, and the thr
 Every run gives the same bytes; how long it took is noted elsewhere (``<out>/timings``).
 """
 
+import contextlib
 import dataclasses
 import json
 from collections.abc import Mapping, Sequence
@@ -26,7 +27,7 @@ from benchmark.protocols import protocol as definition_of
 from benchmark.records.driving import driving_summary
 from benchmark.records.planner_cost import PlannerCost
 from benchmark.records.row_schema import SampleRow
-from benchmark.records.rows import Rows, columns_of, keep_rows, kept_rows
+from benchmark.records.rows import Rows, columns_of, keep_rows, keep_together, kept_rows
 from benchmark.records.run_schema import SCHEMA, ProtocolSummary, RateRow, RunFacts, SceneFacts, Summary
 from benchmark.records.store import (
     ROWS_FILE,
@@ -447,6 +448,15 @@ def _fault(path: Path, where: str, why: str) -> str:
     return f"{path} is not that of a valid run record: {where or 'the whole'}: {why}"
 
 
+def _named_rows(directory: Path) -> tuple[Path, str] | None:
+    """Where the rows of a record lie, and the hash that it names, if it is one of today."""
+    with contextlib.suppress(InputError):
+        head = stored_head(directory)
+        if head["schema"] == SCHEMA:
+            return directory / ROWS_FILE, str(head["files"].get(ROWS_FILE))
+    return None
+
+
 def find_records(*roots: Path) -> list[RunRecord]:
     """Every record below folders, each once.
 
@@ -465,7 +475,8 @@ def find_records(*roots: Path) -> list[RunRecord]:
             raise InputError(
                 f"there is no folder {root}; run challenger-bench eval first, or name the right one with --out"
             )
-        places = (path.parent for path in sorted(root.rglob(RUN_FILE)))
+        places = [path.parent for path in sorted(root.rglob(RUN_FILE))]
+        keep_together(dict(filter(None, map(_named_rows, places))), load_record)
         for record in read_each(places, load_record, instead=" to do without this record"):
             found[record.directory.resolve()] = record
     return list(found.values())

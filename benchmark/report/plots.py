@@ -5,6 +5,7 @@ import struct
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import matplotlib as mpl
@@ -92,10 +93,10 @@ def picture(sketch: Sketch, suffix: str, theme: Theme = LIGHT) -> bytes:
     return _saved(sketch, (suffix,), theme)[0]
 
 
-def for_pages(sketch: Sketch) -> tuple[bytes, bytes, bytes]:
-    """A figure for a site: PNG and SVG for light pages, SVG for dark ones; each the same bytes as of `picture`."""
+def for_pages(sketch: Sketch) -> tuple[bytes, bytes, Callable[[], bytes]]:
+    """A figure for pages: PNG and SVG for light ones, what draws the SVG for dark ones; bytes as of `picture`."""
     png, svg = _saved(sketch, (".png", ".svg"), LIGHT)
-    return png, svg, picture(sketch, ".svg", DARK)
+    return png, svg, partial(picture, sketch, ".svg", DARK)
 
 
 def _saved(sketch: Sketch, suffixes: tuple[str, ...], theme: Theme) -> tuple[bytes, ...]:

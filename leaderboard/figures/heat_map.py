@@ -79,8 +79,8 @@ def heat_map(matrix: TransferMatrix, suffix: str, theme: Theme = LIGHT) -> bytes
     return picture(partial(_shares, matrix), suffix, theme)
 
 
-def heat_maps(matrix: TransferMatrix) -> tuple[bytes, bytes, bytes]:
-    """`heat_map` as a site shows it: PNG and SVG for light pages, SVG for dark ones."""
+def heat_maps(matrix: TransferMatrix) -> tuple[bytes, bytes, Callable[[], bytes]]:
+    """`heat_map` as `for_pages` draws it."""
     return for_pages(partial(_shares, matrix))
 
 
@@ -92,8 +92,8 @@ def lift_map(matrix: TransferMatrix, suffix: str, theme: Theme = LIGHT) -> bytes
     return picture(partial(_beyond_chance, matrix), suffix, theme)
 
 
-def lift_maps(matrix: TransferMatrix) -> tuple[bytes, bytes, bytes]:
-    """`lift_map` as a site shows it."""
+def lift_maps(matrix: TransferMatrix) -> tuple[bytes, bytes, Callable[[], bytes]]:
+    """The same of `lift_map`."""
     return for_pages(partial(_beyond_chance, matrix))
 
 

@@ -1,6 +1,6 @@
 """Sections of a leaderboard: tables and figures under one heading; extensions make some of records of their own."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,14 +17,14 @@ class NamedFigure:
         title: What it shows.
         png: For screens.
         svg: For print and light pages.
-        dark: SVG for dark pages.
+        dark: Draws the SVG for dark pages, which sites alone have.
     """
 
     name: str
     title: str
     png: bytes
     svg: bytes
-    dark: bytes
+    dark: Callable[[], bytes]
 
 
 Item = str | Table | NamedFigure

@@ -3,9 +3,11 @@
 import hashlib
 import json
 import pickle
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pyarrow as pa
@@ -19,7 +21,7 @@ from benchmark.records import rows as stored_rows
 from benchmark.records import run
 from benchmark.records.columns import LINES, RowColumns, batch_of
 from benchmark.records.rows import Rows
-from benchmark.records.run import RunRecord, load_record, scene_failures, write_record
+from benchmark.records.run import RunRecord, find_records, load_record, scene_failures, write_record
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Failing
 
@@ -212,6 +214,44 @@ def test_a_cache_that_cannot_be_written_to_is_done_without(loaded: Loaded, kept:
     for _ in range(2):
         again, parsed = loaded()
         assert parsed == len(again.rows)
+
+
+def test_two_who_keep_the_same_at_once_leave_a_whole_file(loaded: Loaded, record: Path, kept: Path) -> None:
+    first, _ = loaded()
+    whole = kept.read_bytes()
+    kept.unlink()
+    with ThreadPoolExecutor(4) as threads:
+        found = list(threads.map(load_record, [record] * 8))
+    assert all(each == first for each in found)
+    assert kept.read_bytes() == whole and list(kept.parent.iterdir()) == [kept]
+
+
+@pytest.mark.parametrize("spoilt", [False, True])
+def test_workers_keep_what_is_new_and_leave_what_is_damaged(
+    record: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, spoilt: bool
+) -> None:
+    monkeypatch.setattr(stored_rows, "WORTH_WORKERS_BYTES", 1)
+    monkeypatch.setattr(stored_rows, "default_workers", lambda: 2)
+    # Workers have modules of their own.
+    rows = record / "samples.jsonl"
+    run_head = json.loads((record / "run.json").read_text())
+    many = rows.read_bytes() * (1 + (1 << 22) // rows.stat().st_size)
+    run_head["files"]["samples.jsonl"] = hashlib.sha256(many).hexdigest()
+    folders = [tmp_path / "all" / name for name in "abc"]
+    for folder in folders:
+        shutil.copytree(record, folder)
+        (folder / "samples.jsonl").write_bytes(many)
+        (folder / "run.json").write_text(json.dumps(run_head))
+    if spoilt:
+        (folders[1] / "samples.jsonl").write_bytes(many + b"{}")
+        with pytest.raises(InputError, match="does not belong to the run"):
+            find_records(tmp_path / "all")
+        return
+    found = find_records(tmp_path / "all")
+    parsed: list[int] = []
+    monkeypatch.setattr(run, "_row", lambda *given, **more: parsed.append(1))
+    assert find_records(tmp_path / "all") == found and not parsed
+    assert len(found) == 3 and len(list((tmp_path / "cache" / "records").iterdir())) == 3
 
 
 def test_small_records_are_not_kept(loaded: Loaded, kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:

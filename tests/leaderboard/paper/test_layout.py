@@ -101,7 +101,7 @@ def test_the_chart_shows_shares_that_are_a_whole() -> None:
     # Five attempts took 10 s of sampling, two scenes 8 s of rendering.
     assert shares["sampling"] / shares["rendering"] == pytest.approx((10 / 5) / (8 / 2))
     (chart,) = runtime_charts("d", sheets)
-    assert chart.name == "runtime-adv" and chart.png.startswith(b"\x89PNG") and chart.svg != chart.dark
+    assert chart.name == "runtime-adv" and chart.png.startswith(b"\x89PNG") and chart.svg != chart.dark()
     assert runtime_charts("d", sheets_of(split_sheet("val"))) == ()
     assert runtime_charts("d", sheets)[0] == chart
 

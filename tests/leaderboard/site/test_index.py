@@ -37,7 +37,7 @@ from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 from tests.leaderboard.site.big_workspace import DATA_NAME, IMAGE_TAG, BigWorkspace, make_workspace
 
 ASSETS = Path(__file__).resolve().parents[3] / "leaderboard" / "site" / "assets"
-FIGURE = NamedFigure("rates-exact", "Rates", b"png", b"<svg/>", b"<svg id='dark'/>")
+FIGURE = NamedFigure("rates-exact", "Rates", b"png", b"<svg/>", lambda: b"<svg id='dark'/>")
 
 
 @dataclass(frozen=True)
@@ -232,7 +232,7 @@ def test_what_pages_link_and_show_is_in_the_folder(folder: Path) -> None:
     for path in [*paths, *(figure["path"] for figure in index["figures"])]:
         assert (site / unquote(path)).read_bytes() == (folder / unquote(path)).read_bytes()
     (rates,) = [figure for figure in index["figures"] if figure["title"] == "Rates"]
-    assert (site / unquote(rates["dark"])).read_bytes() == FIGURE.dark
+    assert (site / unquote(rates["dark"])).read_bytes() == FIGURE.dark()
     assert not (folder / unquote(rates["dark"])).exists()
     page = (site / "index.html").read_text()
     scripts = set(re.findall(r'(?:src|href)="([a-z_/]+\.(?:js|css))"', page))
