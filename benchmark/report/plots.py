@@ -1,5 +1,6 @@
 """Plots by matplotlib: the same numbers give the same bytes, whatever settings the user has."""
 
+import gc
 import io
 import struct
 import warnings
@@ -117,6 +118,9 @@ def _saved(sketch: Sketch, suffixes: tuple[str, ...], theme: Theme) -> tuple[byt
             else:
                 figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
             saved.append(stream.getvalue())
+        # Thousands of artists that refer to each other would wait for Python's collector beside those of the next one.
+        del figure
+        gc.collect(1)
     return tuple(saved)
 
 
