@@ -56,7 +56,7 @@ def drawn() -> None:
 def texts(records: Sequence[RunRecord]) -> dict[str, str]:
     with pytest.MonkeyPatch.context() as patch:
         for name in ("heat_maps", "lift_maps"):
-            patch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"", b"", b""))
+            patch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"", b"", lambda: b""))
         files = leaderboard_files(records).items()
     return {name: content.decode() for name, content in files if not name.endswith(".png")}
 
@@ -227,7 +227,7 @@ def test_a_name_from_a_strangers_record_stays_inside_the_folder(
     runs: tuple[RunRecord, ...], name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("heat_maps", "lift_maps"):
-        monkeypatch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"", b"", b""))
+        monkeypatch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"", b"", lambda: b""))
     folder = tmp_path / "board"
     for path in write_leaderboard([named(record, data=name) for record in runs], folder):
         assert path.resolve().is_relative_to(folder.resolve())

@@ -61,7 +61,7 @@ def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures have tests of their own and take most of the time."""
     monkeypatch.setattr("leaderboard.figures.contents.OF_RUNS", (lambda frame: (FIGURE,),))
     for name in ("heat_maps", "lift_maps"):
-        monkeypatch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"png", b"png", b"png"))
+        monkeypatch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"png", b"png", lambda: b"png"))
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def folder(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pat
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("leaderboard.figures.contents.OF_RUNS", (lambda frame: (FIGURE,),))
         for name in ("heat_maps", "lift_maps"):
-            patch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"png", b"png", b"png"))
+            patch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"png", b"png", lambda: b"png"))
         found = tmp_path_factory.mktemp("board")
         write_leaderboard(made.records, found, sheets=made.sheets)
         yield found
