@@ -104,14 +104,7 @@ def _write(draw: Callable[[TransferMatrix, str], bytes], matrix: TransferMatrix,
 
 
 def text_colour(background: Sequence[float]) -> str:
-    """Black or white, whichever stands out more (WCAG contrast).
-
-    Args:
-        background: Red, green, blue, 0..1.
-
-    Returns:
-        A colour whose contrast with the background is at least 4.5.
-    """
+    """Black or white, whichever has more contrast (WCAG), 4.5 at least, with a background of red, green, blue, 0..1."""
     luminance = relative_luminance(background)
     return "white" if 1.05 / (luminance + 0.05) > (luminance + 0.05) / 0.05 else "black"
 

@@ -41,14 +41,7 @@ class Results:
 
 
 def frames_of(records: Sequence[RunRecord]) -> tuple[Frame, ...]:
-    """Runs by data set.
-
-    Args:
-        records: Run records of any data sets, splits and planners, in any order; `one_run_each` says which of them
-            count.
-
-    Returns:
-        A frame of each data set, by its name.
+    """A frame of each data set, by its name, of records in any order; `one_run_each` says which of them count.
 
     Raises:
         InputError: If there are no records, two records of one planner and split would share a row, or records of one

@@ -24,7 +24,7 @@ class NamedFigure:
     title: str
     png: bytes
     svg: bytes
-    dark: Callable[[], bytes]
+    dark: Callable[[], bytes] = field(compare=False)
 
 
 Item = str | Table | NamedFigure
@@ -67,13 +67,7 @@ def said_once(shown: Iterable[Item], said: Iterable[str] = ()) -> Iterator[Item]
 
 
 def sections_of(records: Mapping[str, Sequence[Any]]) -> Iterator[Section]:
-    """Sections that extensions make of records of every kind.
-
-    Args:
-        records: By kind; kinds without a record need no extension.
-
-    Yields:
-        The sections.
+    """Sections that extensions make of records by kind; kinds without a record need no extension.
 
     Raises:
         InputError: If there are records of an extension that is not installed.

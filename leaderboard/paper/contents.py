@@ -14,15 +14,9 @@ from leaderboard.paper.table_1 import paper_table_1
 def paper_tables(
     records: Mapping[str, Sequence[RunRecord]], sheets: Sheets, ablations: Sequence[AblationReport]
 ) -> dict[str, tuple[Table, ...]]:
-    """The paper's tables in the paper's order: Table 1, hyper-parameters, runtime, the data set in numbers.
+    """Table 1, hyper-parameters, runtime, the data set in numbers, by name of the data set, in the order of the names.
 
-    Args:
-        records: Runs by name of the data set, at most one for each planner and split.
-        sheets: Scene sheets.
-        ablations: Ablation studies.
-
-    Returns:
-        Tables by name of the data set, in the order of the names.
+    Runs are by name of the data set, at most one for each planner and split.
     """
     first = {name: paper_table_1(name, runs) for name, runs in records.items()}
     return by_name(

@@ -18,16 +18,7 @@ PREAMBLE: Final = r"""\documentclass[10pt]{article}
 
 
 def paper_document(data_name: str, tables: Sequence[Table], charts: Sequence[tuple[str, str]]) -> str:
-    """The tables in the paper's order, and the charts below them.
-
-    Args:
-        data_name: Name of the data set, for the heading.
-        tables: They.
-        charts: For each chart its file beside the document, and what it shows.
-
-    Returns:
-        LaTeX.
-    """
+    """LaTeX of tables in the paper's order, and below them of charts: of each its file, and what it shows."""
     parts = [PREAMBLE, r"\begin{document}", rf"\section*{{{escape_latex(data_name)}: the paper's tables}}", ""]
     parts += [table.latex() for table in tables]
     for file, title in charts:

@@ -19,15 +19,7 @@ _NOWHERE: Final = np.empty((0, 1, 2))
 
 
 def considered_data(sheet: Sheet, frames: Sequence[ConsideredFrame]) -> list[dict[str, Any]]:
-    """What the player draws.
-
-    Args:
-        sheet: The scene, which the drive is of.
-        frames: Planning frames.
-
-    Returns:
-        As above.
-    """
+    """What the player draws, as above; the drive is of the sheet's scene."""
     found = []
     for each in frames:
         points = np.array(each.candidates, np.float64) - np.array(sheet.origin_m) if each.candidates else _NOWHERE

@@ -67,15 +67,7 @@ class _Shown:
 
 
 def drive_files(drives: Sequence[DriveRecord], sheets: Sheets) -> dict[str, bytes]:
-    """Scripts of the drives whose scene has a sheet of the same content.
-
-    Args:
-        drives: Records of drives.
-        sheets: Scene sheets.
-
-    Returns:
-        ``data/scenes/<key>.js`` by path below the site's folder.
-    """
+    """Scripts of the drives whose scene has a sheet of the same content: ``data/scenes/<key>.js`` below the site."""
     files = {}
     for one in _shown(drives):
         if _has_sheet(one, sheets):
@@ -207,12 +199,7 @@ def _until_gone(agent: SheetAgent, seconds: Floats, gone: Mapping[str, float]) -
 def driven_adversary(sheet: Sheet, row: DriveRow) -> SheetAgent | None:
     """An adversary that answers, as it drove: up to its hand-over it is where the recording has it.
 
-    Args:
-        sheet: The scene.
-        row: The drive.
-
-    Returns:
-        Its track; ``None`` without one, and where the sheet does not know the vehicle.
+    ``None`` without one, and where the sheet does not know the vehicle.
     """
     went = row.adversary
     agent = None if went is None else next((each for each in sheet.agents if each.id == went.uuid), None)

@@ -64,16 +64,9 @@ class PlacedFigure:
 def index_data(
     results: Results, tables: Sequence[PlacedTable], figures: Sequence[PlacedFigure], written: frozenset[str]
 ) -> dict[str, Any]:
-    """The value of ``window.CHALLENGER``.
+    """The value of ``window.CHALLENGER``; lists are in the order in which pages show them.
 
-    Args:
-        results: What the leaderboard is made from.
-        tables: Tables in the order in which they are read.
-        figures: Figures.
-        written: Paths of the site's other files.
-
-    Returns:
-        Something that JSON can hold; lists are in the order in which pages show them.
+    ``written`` are paths of the site's other files.
     """
     protocols = {name for frame in results.frames for name in frame.protocols}
     ids, origins = _table_ids(tables), _Origins()

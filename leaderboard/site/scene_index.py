@@ -71,16 +71,9 @@ def scene_key(name: SceneName) -> str:
 def scene_index(
     records: Sequence[RunRecord], sheets: Sheets, quality: Sequence[QualityRecord], written: frozenset[str]
 ) -> list[dict[str, Any]]:
-    """One entry for each scene that a record or a sheet names.
+    """One entry for each scene that a record or a sheet names, by data set, split (the paper's three first) and name.
 
-    Args:
-        records: At most one for each data set, split and planner.
-        sheets: Scene sheets.
-        quality: Records of video quality.
-        written: Paths of the site's files; tells which scenes have a thumbnail.
-
-    Returns:
-        Entries by data set, split (the paper's three first) and name.
+    ``written`` are paths of the site's files; they tell which scenes have a thumbnail.
 
     Raises:
         InputError: If a sheet was made from other content than a record of its split.
@@ -199,13 +192,9 @@ def _add_samples(found: _Seen, record: RunRecord, places: NDArray[np.int64], tou
 
 
 def label_words(label: Mapping[str, Any]) -> str:
-    """What a data set's labels say of one adversary, in words; what a stranger's labels lack is left out.
+    """What labels (docs/manoeuvres.md) say of one adversary; what a stranger's labels lack is left out.
 
-    Args:
-        label: The labels (docs/manoeuvres.md).
-
-    Returns:
-        For example ``cut-in-left; on: straight; closest 0.40 m, left, at 9.2 s; also blocking``.
+    For example ``cut-in-left; on: straight; closest 0.40 m, left, at 9.2 s; also blocking``.
     """
     manoeuvre, place = label.get("manoeuvre"), label.get("place")
     words = [manoeuvre if isinstance(manoeuvre, str) else "", f"on: {place}" if isinstance(place, str) else ""]

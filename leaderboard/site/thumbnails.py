@@ -18,14 +18,7 @@ _QUALITY: Final = 80
 
 
 def thumbnail(sheet: Sheet, colours: GroundColours = ON_LIGHT) -> bytes:
-    """The scene from above in its `closest_frame`.
-
-    Args:
-        sheet: The scene's sheet; it must have frames.
-        colours: For a light or a dark page.
-
-    Returns:
-        A WebP picture of 320 x 320 pixels.
+    """A WebP picture of 320 x 320 pixels: the scene, which has frames, from above in its `closest_frame`.
 
     Raises:
         InputError: If OpenCV was built without WebP.
@@ -40,14 +33,7 @@ def thumbnail(sheet: Sheet, colours: GroundColours = ON_LIGHT) -> bytes:
 
 
 def closest_frame(sheet: Sheet) -> int:
-    """Frame in which an adversary's box is closest to the recorded ego's.
-
-    Args:
-        sheet: The scene's sheet.
-
-    Returns:
-        The first such frame; the middle one where no adversary is ever there.
-    """
+    """First frame in which an adversary's box is closest to the recorded ego's; the middle one without adversaries."""
     adversaries = [agent for agent in sheet.agents if agent.adversary]
     best = (np.inf, len(sheet.timestamps_us) // 2)
     for frame in range(len(sheet.timestamps_us)):
