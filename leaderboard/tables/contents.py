@@ -30,12 +30,11 @@ from leaderboard.tables.further_columns import further_table
 from leaderboard.tables.judgements import judgement_tables
 from leaderboard.tables.longer_plans import longer_table
 from leaderboard.tables.loops import loop_tables
-from leaderboard.tables.manoeuvres import manoeuvre_tables
 from leaderboard.tables.pressure import pressure_tables
 from leaderboard.tables.runtime import runtime_tables
 from leaderboard.tables.seeds import seed_spread_table
 from leaderboard.tables.slices import DIAGNOSIS, slices_of
-from leaderboard.tables.statistics import statistics_tables
+from leaderboard.tables.statistics import manoeuvre_tables, statistics_tables
 from leaderboard.tables.transfer import transfer_tables
 
 Made = Table | None | Iterable[Table]

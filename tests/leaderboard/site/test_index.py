@@ -27,8 +27,7 @@ from leaderboard.build import stale_files, write_leaderboard
 from leaderboard.frame.results import Results
 from leaderboard.frame.runs import Frame
 from leaderboard.page.sections import NamedFigure
-from leaderboard.site.index_data import PlacedTable, index_data
-from leaderboard.site.key_table import key_table
+from leaderboard.site.index_data import PlacedTable, index_data, key_table
 from leaderboard.site.model_index import model_index
 from leaderboard.site.scene_index import label_words, scene_index
 from leaderboard.site.scripts import data_script

@@ -16,10 +16,9 @@ from leaderboard.build import leaderboard_files, stale_files, write_leaderboard
 from leaderboard.frame.sheets import by_data_set
 from leaderboard.tables.ablation import ablation_tables
 from leaderboard.tables.contents import generation_tables
-from leaderboard.tables.manoeuvres import manoeuvre_tables
 from leaderboard.tables.published import published_data_set_table, published_runtime_table, published_tables
 from leaderboard.tables.runtime import runtime_tables
-from leaderboard.tables.statistics import statistics_tables
+from leaderboard.tables.statistics import manoeuvre_tables, statistics_tables
 from tests.leaderboard.csv_rows import csv_rows
 from tests.leaderboard.made_up import (
     ATTEMPTS,
