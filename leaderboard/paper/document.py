@@ -1,4 +1,4 @@
-"""The paper's tables in its order, and one LaTeX document of them and the chart, which needs booktabs and graphicx alone."""
+"""The paper's tables in its order, and one LaTeX document of them and the chart with booktabs and graphicx alone."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final

@@ -40,7 +40,7 @@ def _table(study: AblationReport, suffix: str) -> Table:
             *under(
                 f"collision rate in %, {judge}",
                 numbers("collisions"),
-                estimates("of tried", "of kept", digits=2, ends=2),
+                estimates("of tried", "of kept", digits=2, ends=2, beside="95 % {}"),
             ),
             *under("smallest gap in m", numbers("mean gap, m", digits=2)),
             *under("paper, collision rate in %, uniad", numbers("paper")),
