@@ -56,11 +56,11 @@ def frames_of(records: Sequence[RunRecord]) -> tuple[Frame, ...]:
 
 def read_results(
     records: Sequence[RunRecord],
-    quality: Sequence[QualityRecord],
-    sheets: Sheets,
-    ablations: Sequence[AblationReport],
-    drives: Sequence[DriveRecord],
-    challenges: Sequence[ChallengeScores],
+    quality: Sequence[QualityRecord] = (),
+    sheets: Sheets = NO_SHEETS,
+    ablations: Sequence[AblationReport] = (),
+    drives: Sequence[DriveRecord] = (),
+    challenges: Sequence[ChallengeScores] = (),
 ) -> Results:
     """Results of records of every kind; run records may be missing only if there is anything else.
 

@@ -24,7 +24,7 @@ from benchmark.records.scenes import NO_SHEETS, Sheets, StoredSheet, find_sheets
 from benchmark.report.palette import ADVERSARY, PLANNERS_ON_DARK, PLANNERS_ON_LIGHT, hexadecimal
 from benchmark.report.table import Table
 from leaderboard.build import stale_files, write_leaderboard
-from leaderboard.frame.results import Results
+from leaderboard.frame.results import Results, read_results
 from leaderboard.frame.runs import Frame
 from leaderboard.page.sections import NamedFigure
 from leaderboard.site.index_data import PlacedTable, index_data, key_table
@@ -71,7 +71,7 @@ def folder(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pat
         for name in ("heat_maps", "lift_maps"):
             patch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"png", b"png", lambda: b"png"))
         found = tmp_path_factory.mktemp("board")
-        write_leaderboard(made.records, found, sheets=made.sheets)
+        write_leaderboard(read_results(made.records, sheets=made.sheets), found)
         yield found
 
 
@@ -248,7 +248,7 @@ def test_pages_ask_nobody_and_make_no_code_of_texts(path: Path) -> None:
 
 
 def test_the_order_of_records_changes_no_byte(made: Made, folder: Path, tmp_path: Path) -> None:
-    write_leaderboard(made.records[::-1], tmp_path, sheets=made.sheets)
+    write_leaderboard(read_results(made.records[::-1], sheets=made.sheets), tmp_path)
     for path in sorted((folder / "site").rglob("*")):
         assert path.is_dir() or (tmp_path / path.relative_to(folder)).read_bytes() == path.read_bytes()
 
@@ -256,40 +256,39 @@ def test_the_order_of_records_changes_no_byte(made: Made, folder: Path, tmp_path
 def test_a_changed_missing_or_foreign_file_makes_the_site_stale_until_written_again(
     made: Made, folder: Path, tmp_path: Path
 ) -> None:
-    write_leaderboard(made.records, tmp_path, sheets=made.sheets)
-    assert stale_files(made.records, tmp_path, sheets=made.sheets) == []
+    write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path)
+    assert stale_files(read_results(made.records, sheets=made.sheets), tmp_path) == []
     site = tmp_path / "site"
     pictures = sorted(site.glob("media/*/cameras/*.webp"))
     pictures[0].write_bytes(b"other")
     (site / "app.js").unlink()
     write_bytes(site / "media" / "gone" / "thumb.webp", b"old")
-    assert sorted(sentence.removeprefix(f"{site}/") for sentence in stale_files(
-        made.records, tmp_path, sheets=made.sheets
-    )) == sorted([
+    stale = stale_files(read_results(made.records, sheets=made.sheets), tmp_path)
+    assert sorted(sentence.removeprefix(f"{site}/") for sentence in stale) == sorted([
         "app.js is missing",
         f"{pictures[0].relative_to(site)} differs from what the run records say",
         "media/gone/thumb.webp is a file that the run records no longer give",
     ])  # fmt: skip
-    write_leaderboard(made.records, tmp_path, sheets=made.sheets)
-    assert stale_files(made.records, tmp_path, sheets=made.sheets) == []
+    write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path)
+    assert stale_files(read_results(made.records, sheets=made.sheets), tmp_path) == []
 
 
 def test_a_folder_that_is_no_site_of_ours_is_left_alone(made: Made, tmp_path: Path) -> None:
     write_bytes(tmp_path / "site" / "index.html", b"mine")
     with pytest.raises(InputError, match="--no-site"):
-        write_leaderboard(made.records, tmp_path, sheets=made.sheets)
+        write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path)
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["index.html"]
-    write_leaderboard(made.records, tmp_path, sheets=made.sheets, site=False)
+    write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path, site=False)
     assert (tmp_path / "site" / "index.html").read_bytes() == b"mine"
     assert "site/index.html" not in (tmp_path / "README.md").read_text()
-    assert stale_files(made.records, tmp_path, sheets=made.sheets, site=False) == []
+    assert stale_files(read_results(made.records, sheets=made.sheets), tmp_path, site=False) == []
 
 
 def test_a_first_site_that_was_killed_before_its_first_file_is_begun_again(made: Made, tmp_path: Path) -> None:
     (tmp_path / "site" / "data").mkdir(parents=True)
     (tmp_path / "site" / "data" / ".index.js.42.part").write_bytes(b"half")
-    write_leaderboard(made.records, tmp_path, sheets=made.sheets)
-    assert stale_files(made.records, tmp_path, sheets=made.sheets) == []
+    write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path)
+    assert stale_files(read_results(made.records, sheets=made.sheets), tmp_path) == []
     assert not list(tmp_path.rglob(".*"))
 
 
