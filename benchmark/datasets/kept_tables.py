@@ -102,7 +102,8 @@ def _to_keep(tables: SceneTables) -> "pa.RecordBatch":
     for table in GROWING_TABLES:
         stored, of_scenes = tables.stored[table], tables.rows_of_scenes[table]
         rows = np.concatenate([np.zeros(0, np.int32), *of_scenes])
-        parts = stored.starts, stored.lengths, rows, np.cumsum([len(each) for each in of_scenes])
+        ends = np.cumsum([len(each) for each in of_scenes])
+        parts: tuple[NDArray[Any], ...] = (stored.starts, stored.lengths, rows, ends)
         found |= {f"{table}.{part}": values.astype(_PARTS[part]) for part, values in zip(_PARTS, parts)}
     # Each array is the one value of a column.
     columns = {

@@ -84,7 +84,7 @@ def published_ablation_table() -> Table:
 def published_quality_table() -> Table:
     """The paper's Table 3."""
     columns = [*texts("data set"), *numbers("SC", "IQ")]
-    rows = [(name, *quoted_quality(name)) for name in TABLE_3]
+    rows: list[tuple[Value, ...]] = [(name, *quoted_quality(name)) for name in TABLE_3]
     note = "SC: subject consistency, IQ: imaging quality."
     return quoted_table("quality-published", "numbers, not ours: video quality", columns, rows, [QUALITY_SOURCE], note)
 
