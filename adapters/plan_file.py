@@ -369,10 +369,6 @@ def _read_table(path: Path) -> Any:
         raise InputError(f"{path} is neither .csv, .parquet nor .json")
     try:
         return read_table(path)
-    except ImportError as error:
-        raise InputError(
-            f"reading {path} needs pyarrow; pip install 'challenger-bench[parquet]', or save the plans as CSV"
-        ) from error
     except (ValueError, OSError, AttributeError, TypeError) as error:
         raise InputError(f"{path} cannot be read as {kind[1:]}: {one_line(error)}; make it again") from error
 

@@ -23,6 +23,7 @@ from benchmark.machine.workers import single_threaded
 from benchmark.records.run import find_records
 from benchmark.records.scenes import find_sheets
 from leaderboard.build import write_leaderboard
+from leaderboard.frame.results import read_results
 from tests.leaderboard.site.big_workspace import DATA_NAME, make_workspace
 from tests.leaderboard.site.browser import Browser, find_chromium, started
 from tests.leaderboard.site.reading import key_of, model_query
@@ -152,8 +153,11 @@ def main() -> None:
         records = timed("read the records", lambda: find_records(out / "runs"))
         sheets = timed("read the sheets", lambda: find_sheets(out / "sheets"))
         folder = out / "leaderboard"
-        timed("write tables and figures", lambda: write_leaderboard(records, folder, sheets=sheets, site=False))
-        timed("write them and the site", lambda: write_leaderboard(records, folder, sheets=sheets))
+        timed(
+            "write tables and figures",
+            lambda: write_leaderboard(read_results(records, sheets=sheets), folder, site=False),
+        )
+        timed("write them and the site", lambda: write_leaderboard(read_results(records, sheets=sheets), folder))
         site = folder / "site"
         scripts = [path.stat().st_size for path in (site / "data" / "scenes").iterdir()]
         print(f"{'index.js':<52}{folder_size(site, 'data/index.js') / 1e6:8.2f} MB   (aim 2)")

@@ -1,7 +1,7 @@
 """From run records to the files of a leaderboard; the same records give the same bytes."""
 
 import filecmp
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -9,15 +9,10 @@ from urllib.parse import quote
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, is_left_over, write_bytes, writing_to
-from benchmark.records.ablation import AblationReport
-from benchmark.records.challenge_scores import ChallengeScores
-from benchmark.records.drives import DriveRecord
-from benchmark.records.quality import QualityRecord
 from benchmark.records.run import RunRecord
-from benchmark.records.scenes import NO_SHEETS, Sheets
 from benchmark.report.plots import page_size
 from benchmark.report.table import Table, escape_markdown
-from leaderboard.frame.results import Results, frames_of, read_results
+from leaderboard.frame.results import Results, frames_of
 from leaderboard.page.contents import SECTIONS
 from leaderboard.page.files import TABLES_FOLDER, table_files
 from leaderboard.page.sections import Item, NamedFigure, Section
@@ -43,22 +38,15 @@ def leaderboard_tables(records: Sequence[RunRecord]) -> list[DataSetTables]:
     return [data_set_tables(frame) for frame in frames_of(records)]
 
 
-def leaderboard_files(
-    records: Sequence[RunRecord],
-    quality: Sequence[QualityRecord] = (),
-    sheets: Sheets = NO_SHEETS,
-    ablations: Sequence[AblationReport] = (),
-    drives: Sequence[DriveRecord] = (),
-    challenges: Sequence[ChallengeScores] = (),
-) -> Files:
-    """The leaderboard's files without the site, of records as of `write_leaderboard`.
+def leaderboard_files(results: Results) -> Files:
+    """The leaderboard's files without the site.
 
     Returns:
         ``README.md`` with the tables under ``exact`` and the planners' own protocols first; per table, LaTeX, CSV and
         JSON, and per other protocol a page, below ``tables/<data set>/``; heat maps and the other figures (PNG and SVG)
         below ``figures/<data set>/``; the published numbers apart from ours below ``published/``.
     """
-    return _made(read_results(records, quality, sheets, ablations, drives, challenges)).files
+    return _made(results).files
 
 
 @dataclass(slots=True)
@@ -69,14 +57,14 @@ class _Made:
         files: Files without the site.
         tables: Tables in the order in which they are read.
         figures: Figures, with their place below the leaderboard's folder.
-        of_site: Files that only the site has.
+        of_site: What draws the files that only the site has.
         page: Lines of ``README.md``.
     """
 
     files: Files = field(default_factory=dict)
     tables: list[PlacedTable] = field(default_factory=list)
     figures: list[PlacedFigure] = field(default_factory=list)
-    of_site: Files = field(default_factory=dict)
+    of_site: dict[str, Callable[[], bytes]] = field(default_factory=dict)
     page: list[str] = field(default_factory=list)
 
     def add(self, section: Section) -> None:
@@ -132,28 +120,8 @@ def _made(results: Results, *, site: bool = False) -> _Made:
     return made
 
 
-def write_leaderboard(
-    records: Sequence[RunRecord],
-    folder: Path,
-    quality: Sequence[QualityRecord] = (),
-    sheets: Sheets = NO_SHEETS,
-    ablations: Sequence[AblationReport] = (),
-    drives: Sequence[DriveRecord] = (),
-    *,
-    challenges: Sequence[ChallengeScores] = (),
-    site: bool = True,
-) -> list[Path]:
-    """Write the leaderboard; what an earlier one had and the records no longer give is removed.
-
-    Args:
-        records: Run records of any data sets, splits and planners; none only if there is anything else.
-        folder: Where to.
-        quality: Records of video quality.
-        sheets: Scene sheets.
-        ablations: Ablation studies.
-        drives: Records of drives.
-        challenges: Scores of entries of challenges.
-        site: Whether to write the site too.
+def write_leaderboard(results: Results, folder: Path, *, site: bool = True) -> list[Path]:
+    """Write the leaderboard, and the site if asked; what an earlier one had and the records no longer give is removed.
 
     Returns:
         The files written.
@@ -161,7 +129,7 @@ def write_leaderboard(
     Raises:
         InputError: If a file cannot be written, or the site's folder holds something else.
     """
-    files = _all_files(read_results(records, quality, sheets, ablations, drives, challenges), site=site)
+    files = _all_files(results, site=site)
     if site:
         _require_own(folder / SITE_FOLDER)
     for name, content in files.items():
@@ -174,23 +142,13 @@ def write_leaderboard(
     return [folder / name for name in files]
 
 
-def stale_files(
-    records: Sequence[RunRecord],
-    folder: Path,
-    quality: Sequence[QualityRecord] = (),
-    sheets: Sheets = NO_SHEETS,
-    ablations: Sequence[AblationReport] = (),
-    drives: Sequence[DriveRecord] = (),
-    *,
-    challenges: Sequence[ChallengeScores] = (),
-    site: bool = True,
-) -> list[str]:
+def stale_files(results: Results, folder: Path, *, site: bool = True) -> list[str]:
     """Files of a leaderboard in a folder that differ from what `write_leaderboard` would write there.
 
     Returns:
         One sentence for each file that is missing, differs or is left over; empty if the leaderboard is current.
     """
-    found, files = [], _all_files(read_results(records, quality, sheets, ablations, drives, challenges), site=site)
+    found, files = [], _all_files(results, site=site)
     for name, content in files.items():
         path = folder / name
         if not path.is_file():
@@ -210,7 +168,8 @@ def _all_files(results: Results, *, site: bool) -> dict[str, bytes | Path]:
         return dict(made.files)
     shown = {figure.path for figure in made.figures}
     downloads = {name: data for name, data in made.files.items() if name in shown or name.endswith(_ON_THE_SITE)}
-    pages = site_files(results, made.tables, made.figures, downloads | made.of_site)
+    downloads |= {name: draw() for name, draw in made.of_site.items()}
+    pages = site_files(results, made.tables, made.figures, downloads)
     return made.files | {f"{SITE_FOLDER}/{name}": content for name, content in pages.items()}
 
 

@@ -11,12 +11,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from benchmark.datasets.roots import DataSet
-    from benchmark.records.ablation import AblationReport
-    from benchmark.records.drives import DriveRecord
-    from benchmark.records.quality import QualityRecord
-    from benchmark.records.run import RunRecord
-    from benchmark.records.scenes import Sheets
     from benchmark.scene_pages.writing import SheetSettings, WrittenSheets
+    from leaderboard.frame.results import Results
 
 _Record = TypeVar("_Record")
 
@@ -65,39 +61,31 @@ def write_leaderboard(
     Raises:
         InputError: If there is nothing to show, records cannot stand in one table, or files cannot be written.
     """
-    from benchmark.records.challenge_scores import find_scores
     from leaderboard.build import write_leaderboard as write
 
-    found, quality, sheets, ablations, drives = _shown(out, records)
-    challenges = _with_tables("challenges", find_scores(workspace(out).challenge_root()))
-    return write(found, to or out / "leaderboard", quality, sheets, ablations, drives, challenges=challenges, site=site)
+    return write(_shown(out, records), to or out / "leaderboard", site=site)
 
 
 def stale_leaderboard(
     out: Path = OUT, to: Path | None = None, records: "Sequence[Path] | None" = None, *, site: bool = True
 ) -> list[str]:
     """What of a written leaderboard is not what `write_leaderboard` would write now, as paths below it."""
-    from benchmark.records.challenge_scores import find_scores
     from leaderboard.build import stale_files
 
-    found, quality, sheets, ablations, drives = _shown(out, records)
-    challenges = _with_tables("challenges", find_scores(workspace(out).challenge_root()))
-    return stale_files(
-        found, to or out / "leaderboard", quality, sheets, ablations, drives, challenges=challenges, site=site
-    )
+    return stale_files(_shown(out, records), to or out / "leaderboard", site=site)
 
 
-def _shown(
-    out: Path, folders: "Sequence[Path] | None"
-) -> "tuple[list[RunRecord], list[QualityRecord], Sheets, list[AblationReport], list[DriveRecord]]":
+def _shown(out: Path, folders: "Sequence[Path] | None") -> "Results":
     """What a leaderboard is made from; without run records it may be made from the rest."""
     from benchmark.records.ablation import find_ablations
+    from benchmark.records.challenge_scores import find_scores
     from benchmark.records.drives import find_drives
     from benchmark.records.quality import find_quality
     from benchmark.records.record_costs import with_cost, with_drive_cost
     from benchmark.records.reproduction import find_reproductions, with_reproductions
     from benchmark.records.run import find_records
     from benchmark.records.scenes import find_sheets
+    from leaderboard.frame.results import read_results
 
     space = workspace(out)
     quality = _with_tables("quality", find_quality(space.quality_root()))
@@ -111,7 +99,8 @@ def _shown(
     roots = folders or [space.run_root()]
     records = [] if no_runs else with_reproductions(find_records(*roots), find_reproductions(roots))
     records = [with_cost(record, roots, space.timings_of) for record in records]
-    return records, quality, sheets, ablations, drives
+    challenges = _with_tables("challenges", find_scores(space.challenge_root()))
+    return read_results(records, quality, sheets, ablations, drives, challenges)
 
 
 def _with_tables(kind: str, records: "list[_Record]") -> "list[_Record]":

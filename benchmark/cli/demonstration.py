@@ -46,6 +46,7 @@ def demo(
     from generation.search.presets import hyper_parameters
     from generation.sources.mini import TownSettings, build_town
     from leaderboard.build import write_leaderboard
+    from leaderboard.frame.results import read_results
 
     space, processes = api.workspace(out), api.worker_count(workers)
     say(f"1/4 building {counted(town_scenes, 'scene')} of the embedded town")
@@ -74,7 +75,9 @@ def demo(
         records += _evaluate_built_in(dataset, split, out, processes)
         api.write_sheets(dataset, split, space.sheet_root(), SheetSettings(workers=processes, rounds=split == "adv"))
     say("4/4 writing the leaderboard")
-    write_leaderboard(find_records(space.run_root()), out / "leaderboard", sheets=find_sheets(space.sheet_root()))
+    write_leaderboard(
+        read_results(find_records(space.run_root()), sheets=find_sheets(space.sheet_root())), out / "leaderboard"
+    )
     return report, records
 
 

@@ -4,13 +4,12 @@ The tables are not parsed again as long as each is the file that it was (`benchm
 checks are the same; rows themselves are always read from the tables. All processes share the memory of what is kept.
 """
 
-import contextlib
 import functools
 import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,20 +18,23 @@ from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.scene_tables import GROWING_TABLES, SceneTables, read_scene_tables, read_shared
 from benchmark.datasets.schema import FaultList, Refusal
 from benchmark.datasets.stored_rows import StoredRows, stamp_while_open
-from benchmark.machine.kept_arrays import kept_place, read_arrays, said_of, write_arrays
+from benchmark.machine.kept_arrays import arrow_of, kept_place, numpy_of, read_batch, write_batch
 from benchmark.machine.storage import content_key, file_sha256, parse_json
 from benchmark.machine.user_cache import Stamp, is_settled, stamp_of
 from benchmark.untrusted.limits import TABLE
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 WORTH_BYTES: Final = 1 << 24
 """Tables of less are parsed in less time than anybody notices."""
 _FOLDER: Final = "opened"
 _IMAGES: Final = "images"
-_PARTS: Final = {"starts": "<i8", "lengths": "<i4", "rows": "<i4", "ends": "<i4"}
+_PARTS: Final = {"starts": "int64", "lengths": "int32", "rows": "int32", "ends": "int64"}
 """Of each growing table: places and lengths of its rows; numbers of the rows of all scenes, and where a scene ends."""
 _TYPES: Final = {
-    **{f"{table}.{part}": kind for table in GROWING_TABLES for part, kind in _PARTS.items()},
-    _IMAGES: "u1",
+    **{f"{table}.{part}": f"large_list<item: {kind}>" for table in GROWING_TABLES for part, kind in _PARTS.items()},
+    _IMAGES: "large_list<item: uint8>",
 }
 
 
@@ -54,7 +56,7 @@ def read_or_kept(folder: Path, rates: FaultList) -> SceneTables | None:
     if place is None or sum(stamps[table][2] for table in GROWING_TABLES if table in stamps) < WORTH_BYTES:
         return read_scene_tables(folder, rates)
     made_of = content_key(_checks(), sorted(stamps.items()))
-    kept = read_arrays(place, made_of, _TYPES)
+    kept = read_batch(place, made_of)
     found = None if kept is None else _of_kept(folder, stamps, kept)
     if found is not None and _stamps(folder) == stamps:
         return found
@@ -63,8 +65,7 @@ def read_or_kept(folder: Path, rates: FaultList) -> SceneTables | None:
     settled = all(is_settled(stamp, looked_ns) for stamp in stamps.values())
     # What is noted of scenes is not kept, so that tables with anything to note are read again.
     if tables is not None and settled and rates.counts.total() == noted and _stamps(folder) == stamps:
-        _forget_what_is_gone(place.parent)
-        write_arrays(place, made_of, {"folder": str(folder.resolve())}, _to_keep(tables))
+        write_batch(place, folder, made_of, _to_keep(tables))
     return tables
 
 
@@ -93,51 +94,38 @@ def _checks() -> str:
     return content_key([(path.name, file_sha256(path)) for path in modules])
 
 
-def _to_keep(tables: SceneTables) -> dict[str, NDArray[Any]]:
-    found: dict[str, NDArray[Any]] = {}
+def _to_keep(tables: SceneTables) -> "pa.RecordBatch":
+    import pyarrow as pa
+
+    images = json.dumps(tables.keyframe_images(), separators=(",", ":")).encode()
+    found: dict[str, NDArray[Any]] = {_IMAGES: np.frombuffer(images, np.uint8)}
     for table in GROWING_TABLES:
         stored, of_scenes = tables.stored[table], tables.rows_of_scenes[table]
-        values: dict[str, NDArray[Any]] = {
-            "starts": stored.starts,
-            "lengths": stored.lengths,
-            "rows": np.concatenate([np.zeros(0, np.int32), *of_scenes]),
-            "ends": np.cumsum([len(rows) for rows in of_scenes]),
-        }
-        found |= {f"{table}.{part}": values[part].astype(kind, copy=False) for part, kind in _PARTS.items()}
-    images = json.dumps(tables.keyframe_images(), separators=(",", ":")).encode()
-    return {**found, _IMAGES: np.frombuffer(images, np.uint8)}
+        rows = np.concatenate([np.zeros(0, np.int32), *of_scenes])
+        ends = np.cumsum([len(each) for each in of_scenes])
+        parts: tuple[NDArray[Any], ...] = (stored.starts, stored.lengths, rows, ends)
+        found |= {f"{table}.{part}": values.astype(_PARTS[part]) for part, values in zip(_PARTS, parts)}
+    # Each array is the one value of a column.
+    columns = {
+        name: pa.LargeListArray.from_arrays(arrow_of(np.array([0, len(values)])), arrow_of(values))
+        for name, values in found.items()
+    }
+    return pa.RecordBatch.from_arrays(list(columns.values()), names=list(columns))
 
 
-def _of_kept(folder: Path, stamps: dict[str, Stamp], kept: dict[str, NDArray[Any]]) -> SceneTables:
+def _of_kept(folder: Path, stamps: dict[str, Stamp], batch: "pa.RecordBatch") -> SceneTables | None:
+    if {field.name: str(field.type) for field in batch.schema} != _TYPES:
+        return None
+    kept = {name: numpy_of(batch.column(name).values) for name in _TYPES}
+
     def images() -> Sequence[str]:
         names: list[str] = parse_json(kept[_IMAGES].tobytes(), TABLE)
         return names
 
-    def of_scenes(table: str) -> list[Any]:
-        ends = kept[f"{table}.ends"].tolist()
-        rows = kept[f"{table}.rows"]
-        return [rows[first:last] for first, last in zip([0, *ends], ends)]
-
+    stored, by_scene = {}, {}
+    for table in GROWING_TABLES:
+        starts, lengths, rows, ends = (kept[f"{table}.{part}"] for part in _PARTS)
+        stored[table] = StoredRows(folder / f"{table}.json", stamp_while_open(stamps[table]), starts, lengths)
+        by_scene[table] = np.split(rows, ends)[:-1]
     faults = Refusal(folder=folder)
-    stored = {
-        table: StoredRows(
-            folder / f"{table}.json",
-            stamp_while_open(stamps[table]),
-            kept[f"{table}.starts"],
-            kept[f"{table}.lengths"],
-        )
-        for table in GROWING_TABLES
-    }
-    by_scene = {table: of_scenes(table) for table in GROWING_TABLES}
     return SceneTables(images, stored, by_scene, read_shared(folder, faults), faults)
-
-
-def _forget_what_is_gone(kept: Path) -> None:
-    """Remove what is kept of folders that are no longer there."""
-    for path in kept.glob("*.arrays"):
-        folder = (said_of(path) or {}).get("folder")
-        if isinstance(folder, str) and Path(folder).is_dir():
-            continue
-        for gone in (path, digests_beside(path)):
-            with contextlib.suppress(OSError):
-                gone.unlink()

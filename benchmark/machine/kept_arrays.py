@@ -1,37 +1,38 @@
-"""Arrays kept in one file of the user's cache: written whole, read as a part of memory that processes share.
+"""Arrow batches in files of the user's cache: written whole, read as a part of memory that processes share.
 
-The file says what it was made of, and has a hash of all that follows; whatever does not fit is as good as none. Nothing
-in it is code or a pickle, and types and places come from whoever reads, not from the file.
+A line of JSON says what a batch was made of and the SHA-256 of all that follows: a file of Arrow IPC, which is read as
+one only if both fit. Whatever does not is as good as none. Numbers go in and out through buffers: ``pyarrow.array`` and
+``to_numpy`` would import pandas.
 """
 
+import contextlib
 import hashlib
-import struct
-from collections.abc import Mapping, Sequence
-from io import BufferedReader
+import mmap
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.errors import InputError
-from benchmark.machine.storage import canonical_json, content_key, only_writer, parse_json, write_parts
+from benchmark.machine.storage import canonical_json, content_key, parse_json, write_parts
 from benchmark.machine.user_cache import cache_root
 from benchmark.untrusted.files import open_file
 from benchmark.untrusted.limits import KEPT_ARRAYS
 
-_MAGIC: Final = b"kept arrays 1\n\0\0"
-_LENGTH: Final = struct.Struct("<Q")
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 _ALIGNED: Final = 64
 _LONGEST_HEAD: Final = 1 << 20
 
 
-def kept_place(folder: str, known_by: Path) -> Path | None:
-    """Where arrays that are made of a file or folder are kept.
+def kept_place(folder: str, source: Path) -> Path | None:
+    """Where a batch that is made of a file or folder is kept.
 
     Args:
-        folder: Of the user's cache, for arrays of one kind.
-        known_by: The file or folder.
+        folder: Of the user's cache, for batches of one kind.
+        source: The file or folder.
 
     Returns:
         The file; nowhere where the user has no home.
@@ -40,106 +41,111 @@ def kept_place(folder: str, known_by: Path) -> Path | None:
         root = cache_root()
     except RuntimeError:
         return None
-    return root / folder / f"{content_key(str(known_by.resolve()))[:32]}.arrays"
+    return root / folder / f"{content_key(str(source.resolve()))[:32]}.arrays"
 
 
-def write_arrays(path: Path, made_of: str, said: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bool:
-    """Keep arrays, unless somebody else is keeping some there, or there is no room or right to.
+def write_batch(path: Path, source: Path, made_of: str, batch: "pa.RecordBatch") -> bool:
+    """Keep a batch, unless there is no room or right to. Of two who write at once one writes last, each a whole file.
+
+    What is kept of sources that are gone, and what lies beside it under its name, is removed.
 
     Args:
-        path: The file; its folder is made, and holds such files alone.
-        made_of: What the arrays depend on.
-        said: What else is to be said of them, as JSON.
-        arrays: One-dimensional arrays by name.
+        path: The file (`kept_place`); its folder is made, and holds such files alone.
+        source: What the batch was made of.
+        made_of: The state of it, and whatever else the batch depends on.
+        batch: The batch.
 
     Returns:
-        Whether they are kept.
+        Whether it is kept.
     """
-    body: list[bytes | memoryview] = []
-    hashed, counts = hashlib.sha256(), {}
-    for name, values in arrays.items():
-        data = np.ascontiguousarray(values).data.cast("B") if len(values) else memoryview(b"")
-        body += [data, bytes(-len(data) % _ALIGNED)]
-        counts[name] = len(values)
-    for part in body:
-        hashed.update(part)
-    head = canonical_json({"made_of": made_of, "said": said, "counts": counts, "sha256": hashed.hexdigest()}).encode()
-    head += b" " * (-(len(_MAGIC) + _LENGTH.size + len(head)) % _ALIGNED)
+    import pyarrow as pa
+
+    stream = pa.BufferOutputStream()
+    with pa.ipc.new_file(stream, batch.schema) as writer:
+        writer.write_batch(batch)
+    body = memoryview(stream.getvalue())
+    said = {"source": str(source.resolve()), "made_of": made_of, "sha256": hashlib.sha256(body).hexdigest()}
+    head = canonical_json(said).encode()
+    _forget_what_is_gone(path.parent)
     try:
-        with only_writer(path.parent):
-            write_parts(path, (_MAGIC, _LENGTH.pack(len(head)), head, *body))
+        write_parts(path, (head, b" " * (-(len(head) + 1) % _ALIGNED), b"\n", body))
     except InputError:
         # Nothing is lost: the same is computed again.
         return False
     return True
 
 
-def read_arrays(path: Path, made_of: str, types: Mapping[str, str]) -> dict[str, NDArray[Any]] | None:
-    """Arrays that were kept.
+def is_made_of(path: Path, made_of: str) -> bool:
+    """Whether a file says that it holds a batch that depends on that; whether it is sound shows when it is read."""
+    try:
+        with open_file(path, KEPT_ARRAYS) as stream:
+            return bool(_head(stream).get("made_of") == made_of)
+    except (InputError, OSError):
+        return False
+
+
+def read_batch(path: Path, made_of: str) -> "pa.RecordBatch | None":
+    """A batch that was kept.
 
     Args:
         path: The file.
-        made_of: What they must depend on.
-        types: Types of numpy by name, in the order in which they were given to `write_arrays`.
+        made_of: What it must depend on.
 
     Returns:
-        Arrays that nobody may write to, which lie in the file; ``None`` if it is absent, damaged or made of something
-        else.
+        The batch, which lies in the file; ``None`` if it is absent, damaged or made of something else.
     """
+    import pyarrow as pa
+
     try:
         with open_file(path, KEPT_ARRAYS) as stream:
-            head = _head(stream)
-            if head.get("made_of") != made_of or set(head.get("counts", ())) != set(types):
+            head, start = _head(stream), stream.tell()
+            own = hashlib.file_digest(stream, "sha256").hexdigest()
+            if (head.get("made_of"), head.get("sha256")) != (made_of, own):
                 return None
-            places = _places(stream.tell(), types, head["counts"])
-            if hashlib.file_digest(stream, "sha256").hexdigest() != head.get("sha256") or stream.tell() != places[-1]:
-                return None
-            whole = np.asarray(np.memmap(stream, np.uint8, "r"))
-    except (InputError, OSError, ValueError):
+            mapped = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+        batch = pa.ipc.open_file(pa.py_buffer(mapped)[start:]).get_batch(0)
+        batch.validate(full=True)
+        # What was looked at for that alone.
+        mapped.madvise(mmap.MADV_DONTNEED)
+    except (InputError, OSError, ValueError, pa.ArrowException):
         return None
-    starts = zip(types.items(), places)
-    return {
-        name: whole[first : first + head["counts"][name] * np.dtype(kind).itemsize].view(kind)
-        for (name, kind), first in starts
-    }
+    return batch
 
 
-def said_of(path: Path) -> Mapping[str, Any] | None:
-    """What else was said of kept arrays; ``None`` if there are none."""
+def arrow_of(values: NDArray[Any]) -> "pa.Array":
+    """Numbers or truth values, in the order in which they lie, as a column."""
+    import pyarrow as pa
+
+    flat = np.ascontiguousarray(values).reshape(-1)
+    data = np.packbits(flat, bitorder="little") if flat.dtype == np.bool_ else flat
+    return pa.Array.from_buffers(pa.from_numpy_dtype(flat.dtype), len(flat), [None, pa.py_buffer(data)])
+
+
+def numpy_of(column: "pa.Array") -> NDArray[Any]:
+    """The values of a whole column of them, whatever it has in its gaps; nobody may write to them."""
+    kind, data = np.dtype(str(column.type)), column.buffers()[1]
+    if kind == np.bool_:
+        values = np.unpackbits(np.frombuffer(data, np.uint8), count=len(column), bitorder="little").view(np.bool_)
+    else:
+        values = np.frombuffer(data, kind, len(column))
+    values.flags.writeable = False
+    return values
+
+
+def _head(stream: BinaryIO) -> dict[str, Any]:
+    """What the first line says; nothing if it is not one of ours."""
     try:
-        with open_file(path, KEPT_ARRAYS) as stream:
-            said = _head(stream).get("said")
-    except (InputError, OSError, ValueError):
-        return None
-    return said if isinstance(said, dict) else None
+        head = parse_json(stream.readline(_LONGEST_HEAD))
+    except ValueError:
+        return {}
+    return head if isinstance(head, dict) else {}
 
 
-def _head(stream: BufferedReader) -> dict[str, Any]:
-    """What the file begins with; raises ValueError if it begins otherwise."""
-    if stream.read(len(_MAGIC)) != _MAGIC:
-        raise ValueError("it begins with something else")
-    length = _LENGTH.unpack(_exactly(stream, _LENGTH.size))[0]
-    if length > _LONGEST_HEAD:
-        raise ValueError("its head is too long")
-    head = parse_json(_exactly(stream, length))
-    if not isinstance(head, dict) or not isinstance(head.get("counts"), dict):
-        raise ValueError("its head is not one")
-    if not all(type(count) is int and count >= 0 for count in head["counts"].values()):
-        raise ValueError("its counts are none")
-    return head
-
-
-def _exactly(stream: BufferedReader, count: int) -> bytes:
-    data = stream.read(count)
-    if len(data) < count:
-        raise ValueError("it ends too soon")
-    return data
-
-
-def _places(first: int, types: Mapping[str, str], counts: Mapping[str, int]) -> Sequence[int]:
-    """Where each array begins, and where the last one ends."""
-    places = [first]
-    for name, kind in types.items():
-        size = counts[name] * np.dtype(kind).itemsize
-        places.append(places[-1] + size + -size % _ALIGNED)
-    return places
+def _forget_what_is_gone(folder: Path) -> None:
+    for path in folder.glob("*.arrays"):
+        with contextlib.suppress(InputError, OSError):
+            with open_file(path, KEPT_ARRAYS) as stream:
+                source = _head(stream).get("source")
+            if not (isinstance(source, str) and Path(source).exists()):
+                for gone in folder.glob(f"{path.stem}.*"):
+                    gone.unlink()

@@ -1,54 +1,46 @@
-"""What tables read of a record's rows, as columns: made once, a tenth of the rows' memory.
+"""What tables read of a record's rows, as one Arrow batch: the same in memory and in a file of the user's cache.
 
-Columns that are kept in the user's cache (`benchmark.records.kept_columns`) lie in a file whose memory the system takes
-back when it needs it; what is made of them anew is remembered for a few planners at a time.
+A column has a value for each row, some value where the row has none. Verdicts, plans and scores are lists of numbers;
+everything else is JSON, each different text once. What is made of columns for Python is remembered for a few planners.
 """
 
+import math
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields
 from functools import cached_property, lru_cache
-from typing import Any, Final, Literal, overload
+from itertools import islice
+from typing import Any, Final
+from urllib.parse import quote, unquote
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
+from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats
+from benchmark.machine.kept_arrays import arrow_of, numpy_of
 from benchmark.protocols import PROTOCOLS, Outcomes, says_all
-from benchmark.records.column_arrays import CODES, Arrays, arrays_of, different_values, outcomes_in
-from benchmark.records.row_schema import DiagnosisRow, LongerRow, PlaceName, PlanSeverityRow, SampleRow
+from benchmark.records.row_schema import BriefRow, DiagnosisRow, LongerRow, PlanSeverityRow, SampleRow, Waypoints
+from benchmark.untrusted.json_text import parse_json
+from benchmark.untrusted.limits import RECORD
+from benchmark.waypoints import waypoints_in_lidar
 
+LINES: Final = "lines"
+"""The column of what `benchmark.records.rows.Rows` keeps beside columns."""
 _REMEMBERED: Final = 64
 """Columns whose values are remembered: all of four planners."""
-
-
-@dataclass(frozen=True, slots=True)
-class BriefRow:
-    """A `SampleRow` less plan, recorded motion and verdicts; ``judged`` are the protocols that have one.
-
-    Attributes:
-        recorded: Whether the recording goes on for a step at least.
-        driven: Whether there are driving scores.
-    """
-
-    scene: str
-    sample_token: str
-    index: int
-    timestamp_us: int
-    status: Literal["ok", "failed"]
-    command: int
-    complete: bool
-    recorded: bool
-    place: PlaceName | None
-    speed_m_s: float | None
-    judged: frozenset[str]
-    diagnosis: DiagnosisRow | None
-    disagreements: Mapping[str, str]
-    driven: bool
-    longer: LongerRow | None
-    severity: PlanSeverityRow | None
-
-
+_ROWS_AT_ONCE: Final = 512
+_VERDICTS: Final = ("outcomes", "steps", "facts")
+"""How the names of their columns begin; those of a protocol and of a part follow."""
+_TO_JSON: Final = TypeAdapter(Any).serializer.to_json
+_SHARED_L2: Final = "outcomes/exact/l2"
+_IN_LIDAR, _RECORDED, _MOVED = "waypoints_in_lidar", "recorded_in_lidar", "moved"
+_SCORES, _SCORED = "driving/values", "driving/known"
+_ENDED: Final = (np.nan, np.nan)
+_BRIEF: Final = tuple(field.name for field in fields(BriefRow))
+_TYPES: Final = {pa.dictionary(pa.int32(), pa.string()), pa.bool_(), pa.int64(), pa.float64(), pa.binary()}
 _MAKES: Final[Mapping[str, Callable[[Any], Any]]] = {
     # All planners of a split have the same ones.
     "scene": sys.intern,
@@ -66,23 +58,21 @@ class RowColumns:
 
     Args:
         rows: One for each sample; they are asked again only for verdicts that do not go together in columns.
-        arrays: Their columns, where they are at hand.
+        batch: Their columns, where they are at hand.
 
     Attributes:
-        arrays: The columns; nobody may write to them.
-        failures: Kept by `benchmark.records.run.scene_failures`, by protocol.
+        batch: The columns, as `batch_of` makes them.
         kept: What others made of the columns, under a key of theirs that says all that it depends on.
     """
 
-    def __init__(self, rows: Sequence[SampleRow], arrays: Arrays | None = None) -> None:
+    def __init__(self, rows: Sequence[SampleRow], batch: pa.RecordBatch | None = None) -> None:
         self._rows = rows
-        self.arrays = arrays_of(list(rows)) if arrays is None else arrays
-        self._outcomes: dict[str, Outcomes] = {}
-        self.failures: dict[str, dict[str, bool | None]] = {}
+        found = batch_of(rows) if batch is None else batch
+        self.batch = _piece(list(rows)) if found is None else found
         self.kept: dict[Any, Any] = {}
 
     def __len__(self) -> int:
-        return len(self.arrays["scene", CODES])
+        return int(self.batch.num_rows)
 
     def values(self, field: str) -> Sequence[Any]:
         """(R,) values of a field of `BriefRow`, one for each row; nobody may change the list."""
@@ -90,71 +80,65 @@ class RowColumns:
 
     def flags(self, field: str) -> Bools:
         """(R,) the same of a field that is true or false."""
-        return np.array(different_values(self.arrays, (field,)), np.bool_)[self.arrays[field, CODES]]
+        different, codes = self._coded(field)
+        return np.array(different, np.bool_)[codes]
 
     @property
-    def brief(self) -> "BriefRows":
+    def brief(self) -> list[BriefRow]:
         """What is light of each row."""
-        return BriefRows(self)
+        return list(map(BriefRow, *map(self.values, _BRIEF)))
 
-    @property
+    def brief_at(self, places: Sequence[int]) -> list[BriefRow]:
+        """The same of some of the rows."""
+        return [BriefRow(*row) for row in zip(*(map(self.values(field).__getitem__, places) for field in _BRIEF))]
+
+    @cached_property
     def planned(self) -> NDArray[np.int64]:
         """(S,) places of the rows with a plan."""
-        return self.arrays[("planned",)]
+        return numpy_of(arrow_of(np.flatnonzero(~self.failed)))
 
     @property
     def in_lidar(self) -> Floats:
         """(S, 6, 2) planned waypoints of the lidar origin of the rows in `planned`, metres."""
-        return self.arrays[("in_lidar",)]
+        return self._numbers(_IN_LIDAR, ~self.failed).reshape(-1, PLAN_STEPS, 2)
 
     @property
     def recorded(self) -> Floats:
         """(S, 6, 2) recorded positions of the lidar origin at the same steps, metres; NaN past the end."""
-        return self.arrays[("recorded",)]
+        return self._numbers(_RECORDED, ~self.failed).reshape(-1, PLAN_STEPS, 2)
 
     @property
     def moved(self) -> Floats:
         """(S, 3) x, y, yaw of the recorded lidar origin half a second later; NaN past the end."""
-        return self.arrays[("moved",)]
+        return self._numbers(_MOVED, ~self.failed)
 
     def outcomes(self, protocol: str) -> Outcomes:
-        """Verdicts of a protocol on the samples that have a plan, in their order; nobody may write to the arrays.
-
-        Args:
-            protocol: Its name.
-
-        Returns:
-            The verdicts.
-
-        Raises:
-            KeyError: If it did not judge a sample.
-        """
-        if protocol not in self._outcomes:
-            found = outcomes_in(self.arrays, protocol)
-            if found is None:
-                return Outcomes.from_rows([vars(row.outcomes[protocol]) for row in self._rows if row.status == "ok"])
-            self._outcomes[protocol] = found
-        return self._outcomes[protocol]
+        """Verdicts of a protocol, which judged all of them (else KeyError), on the rows in `planned`; read-only."""
+        if _named("outcomes", protocol, "counted") not in self.batch.schema.names:
+            return Outcomes.from_rows([vars(row.outcomes[protocol]) for row in self._rows if row.status == "ok"])
+        return _outcomes(self, protocol)
 
     def collides(self, protocol: str) -> Bools:
         """(R,) whether a row counts under a protocol and its plan collides; rows without a plan do not."""
-        found = np.zeros(len(self), np.bool_)
         outcomes = self.outcomes(protocol)
-        found[self.planned] = outcomes.decided & outcomes.collision.any(axis=1)
-        return found
+        return self._of_planned(outcomes.decided & outcomes.collision.any(axis=1))
 
     def counted(self, protocol: str) -> Bools:
         """(R,) whether a row counts under a known protocol, at all three horizons, and its collisions are known."""
+        return self._of_planned(says_all(PROTOCOLS[protocol], self.outcomes(protocol)))
+
+    def _of_planned(self, flags: Bools) -> Bools:
         found = np.zeros(len(self), np.bool_)
-        found[self.planned] = says_all(PROTOCOLS[protocol], self.outcomes(protocol))
+        found[self.planned] = flags
         return found
 
     @property
     def driving(self) -> tuple[Floats, Bools] | None:
         """`benchmark.records.driving.sample_scores` of the rows that have driving scores, if any has."""
-        if ("driving", "values") not in self.arrays:
+        if _SCORES not in self.batch.schema.names:
             return None
-        return self.arrays["driving", "values"], self.arrays["driving", "known"]
+        driven = self.flags("driven")
+        return self._numbers(_SCORES, driven), self._numbers(_SCORED, driven)
 
     @cached_property
     def planned_tokens(self) -> tuple[str, ...]:
@@ -169,8 +153,7 @@ class RowColumns:
     @cached_property
     def failed(self) -> Bools:
         """(R,) whether a sample has no plan."""
-        found = np.ones(len(self), np.bool_)
-        found[self.planned] = False
+        found: Bools = np.array(self.values("status")) == "failed"
         return found
 
     @cached_property
@@ -181,48 +164,176 @@ class RowColumns:
     @cached_property
     def places_of_scenes(self) -> dict[str, NDArray[np.int64]]:
         """Places of each scene's rows, in the order in which scenes appear."""
-        codes, scenes = self.arrays["scene", CODES], different_values(self.arrays, ("scene",))
+        scenes, codes = self._coded("scene")
         ends = np.cumsum(np.bincount(codes, minlength=len(scenes)))[:-1]
         return dict(zip(map(sys.intern, scenes), np.split(np.argsort(codes, kind="stable"), ends)))
 
+    def _numbers(self, name: str, rows: Bools) -> NDArray[Any]:
+        """Of some rows."""
+        column = self.batch.column(name)
+        values = numpy_of(column.values).reshape(len(self), -1)
+        values = values[:, 0] if column.type.list_size == 1 else values
+        if not rows.all():
+            values = values[rows]
+            values.flags.writeable = False
+        return values
 
-class BriefRows(Sequence[BriefRow]):
-    """What is light of each row of columns; rows are made when they are asked for.
+    def _json(self, name: str, rows: Bools) -> tuple[Any, ...]:
+        """Of some rows."""
+        different, codes = self._coded(name)
+        return tuple(map(different.__getitem__, codes[rows].tolist()))
 
-    Args:
-        columns: The columns.
-    """
-
-    def __init__(self, columns: RowColumns) -> None:
-        self._columns = columns
-
-    def __len__(self) -> int:
-        return len(self._columns)
-
-    def __iter__(self) -> Iterator[BriefRow]:
-        return map(BriefRow, *self._values())
-
-    @overload
-    def __getitem__(self, place: int) -> BriefRow: ...
-    @overload
-    def __getitem__(self, place: slice) -> Sequence[BriefRow]: ...
-    def __getitem__(self, place: int | slice) -> BriefRow | Sequence[BriefRow]:
-        if isinstance(place, slice):
-            return list(self)[place]
-        return BriefRow(*(values[place] for values in self._values()))
-
-    def at(self, places: Sequence[int]) -> list[BriefRow]:
-        """Some of the rows."""
-        return [BriefRow(*row) for row in zip(*(map(values.__getitem__, places) for values in self._values()))]
-
-    def _values(self) -> list[Sequence[Any]]:
-        return [self._columns.values(field.name) for field in fields(BriefRow)]
+    def _coded(self, name: str) -> tuple[list[Any], NDArray[np.int32]]:
+        """Different values of JSON in the order in which they appear, and the number of each row's."""
+        column = self.batch.column(name)
+        texts = ",".join(column.dictionary.to_pylist())
+        return parse_json(f"[{texts}]".encode(), RECORD), numpy_of(column.indices)
 
 
 @lru_cache(maxsize=_REMEMBERED)
-def _values(columns: RowColumns, field: str) -> Sequence[Any]:
-    make = _MAKES.get(field)
-    different = different_values(columns.arrays, (field,))
-    if make is not None:
-        different = [None if value is None else make(value) for value in different]
-    return tuple(map(different.__getitem__, columns.arrays[field, CODES].tolist()))
+def _values(columns: RowColumns, name: str) -> tuple[Any, ...]:
+    different, codes = columns._coded(name)
+    make = _MAKES.get(name, lambda value: value)
+    return tuple(map([None if value is None else make(value) for value in different].__getitem__, codes.tolist()))
+
+
+@lru_cache(maxsize=_REMEMBERED)
+def _outcomes(columns: RowColumns, protocol: str) -> Outcomes:
+    planned = ~columns.failed
+
+    def those(kind: str, read: Callable[[str, Bools], Any]) -> dict[str, Any]:
+        above = _named(kind, protocol)
+        names = (name for name in columns.batch.schema.names if name.startswith(above))
+        return {unquote(name.removeprefix(above)): read(name, planned) for name in names}
+
+    own, steps, facts = map(those, _VERDICTS, (columns._numbers, columns._numbers, columns._json))
+    own["l2"] = own["l2"] if "l2" in own else columns._numbers(_SHARED_L2, planned)
+    known = own.pop("known")
+    return Outcomes(**own, steps=steps, facts=facts, known=None if known.all() else known)
+
+
+def _named(kind: str, protocol: str, part: str = "") -> str:
+    return f"{kind}/{quote(protocol, safe='')}/{quote(part, safe='')}"
+
+
+def batch_of(rows: Iterable[SampleRow]) -> pa.RecordBatch | None:
+    """Columns of R rows, of which few are in memory at a time.
+
+    Args:
+        rows: One for each sample.
+
+    Returns:
+        Every field of `BriefRow`, as JSON; plans and recorded motion as in `RowColumns`; driving scores, where a row
+        has some; what `Outcomes` has of each protocol whose verdicts go together, under names as `_named` makes them.
+        ``None`` where only all rows together show what goes together.
+    """
+    waiting, pieces, unjudged = iter(rows), list[pa.Table](), 0
+    while some := list(islice(waiting, _ROWS_AT_ONCE)):
+        pieces.append(pa.Table.from_batches([_piece(some)]))
+        unjudged += 0 if any(row.status == "ok" for row in some) else len(some)
+    if not pieces:
+        return _piece([])
+    try:
+        table = pa.concat_tables(pieces, promote_options="default")
+    except (pa.ArrowInvalid, pa.ArrowTypeError):
+        return None
+    gaps = {table.column(name).null_count for name in table.column_names if name.startswith(_VERDICTS)}
+    if not gaps <= {unjudged}:
+        return None
+    batch = table.combine_chunks().to_batches()[0]
+    # Displacements of most protocols are those of one, where they stand once.
+    l2 = {name: batch.column(name).buffers()[-1] for name in batch.schema.names if name.split("/")[2:] == ["l2"]}
+    shared = l2.pop(_SHARED_L2, None)
+    return batch.drop_columns([name for name, values in l2.items() if shared is not None and values == shared])
+
+
+def _piece(rows: Sequence[SampleRow]) -> pa.RecordBatch:
+    columns = _brief(rows)
+    planned = [row for row in rows if row.status == "ok"]
+    numbers = _motion(planned)
+    for name in sorted({name for row in planned for name in row.outcomes}):
+        if all(name in row.outcomes for row in planned):
+            numbers |= _verdicts(name, planned)
+    there = np.array([row.status == "ok" for row in rows], np.bool_)
+    columns |= {name: _placed(values, there) for name, values in numbers.items()}
+    scored = np.array([row.driving is not None for row in rows], np.bool_)
+    columns |= {name: _placed(values, scored) for name, values in _scores(rows).items()}
+    return pa.RecordBatch.from_arrays(list(columns.values()), names=list(columns))
+
+
+def is_made_of_columns(batch: pa.RecordBatch) -> bool:
+    """Whether a batch has what every record has, its lines too, and types of columns alone."""
+    needed = _piece([]).append_column(LINES, joined(pa.binary(), [])).schema
+    flat = {kind.value_type if pa.types.is_fixed_size_list(kind) else kind for kind in batch.schema.types}
+    return flat <= _TYPES and set(needed) <= set(batch.schema)
+
+
+def _brief(rows: Sequence[SampleRow]) -> dict[str, pa.Array]:
+    stored = [name for name in _BRIEF if name in SampleRow.model_fields]
+    return {name: _texts(getattr(row, name) for row in rows) for name in stored} | {
+        "recorded": _texts(any(row.recorded_future) for row in rows),
+        "judged": _texts(sorted(row.outcomes) for row in rows),
+        "driven": _texts(row.driving is not None for row in rows),
+    }
+
+
+def _verdicts(protocol: str, planned: Sequence[SampleRow]) -> dict[str, Any]:
+    """Verdicts of a protocol on rows with a plan; none where they do not go together."""
+    try:
+        found = Outcomes.from_rows([vars(row.outcomes[protocol]) for row in planned])
+    except (KeyError, ValueError):
+        # Whoever asks for them gets the error that they deserve.
+        return {}
+    if any(values.shape != found.l2.shape or values.dtype.kind not in "bif" for values in found.steps.values()):
+        return {}
+    own = {name: getattr(found, name) for name in ("collision", "l2", "valid", "counted")}
+    own["known"] = np.ones(len(found), np.bool_) if found.known is None else found.known
+    kinds = zip(_VERDICTS, (own, found.steps, found.facts))
+    return {_named(kind, protocol, part): values for kind, those in kinds for part, values in those.items()}
+
+
+def _motion(rows: Sequence[SampleRow]) -> dict[str, Any]:
+    """Plans and recorded motion of rows with a plan; NaN where there is none."""
+    moved, in_lidar = np.full((len(rows), 3), np.nan), np.full((len(rows), PLAN_STEPS, 2), np.nan)
+    recorded, of_frames = in_lidar.copy(), dict[str, list[tuple[int, float, Waypoints]]]()
+    for place, row in enumerate(rows):
+        waypoints, future = row.plan.waypoints[:PLAN_STEPS] if row.plan is not None else [], row.recorded_future
+        # Plans that are no plans are found by whoever judges them.
+        if row.plan is not None and len(waypoints) == PLAN_STEPS and all(len(point) == 2 for point in waypoints):
+            of_frames.setdefault(row.plan.frame, []).append((place, row.lidar_ahead_m, waypoints))
+        if future and future[0]:
+            moved[place] = future[0]
+        if len(future) == PLAN_STEPS:
+            recorded[place] = [pose[:2] if pose is not None and len(pose) > 1 else _ENDED for pose in future]
+    for frame, those in of_frames.items():
+        places, ahead, stacked = map(np.array, zip(*those))
+        in_lidar[places] = waypoints_in_lidar(stacked, frame, ahead)
+    return {_IN_LIDAR: in_lidar, _RECORDED: recorded, _MOVED: moved}
+
+
+def _scores(rows: Sequence[SampleRow]) -> dict[str, NDArray[Any]]:
+    from benchmark.records.driving import sample_scores
+
+    driven = [row.driving for row in rows if row.driving is not None]
+    return dict(zip((_SCORES, _SCORED), sample_scores(driven))) if driven else {}
+
+
+def _placed(values: NDArray[Any] | tuple[Any, ...], there: Bools) -> pa.Array:
+    """Values of the rows that are there as a column of all rows."""
+    if isinstance(values, tuple):
+        waiting = iter(values)
+        return _texts(next(waiting) if found else None for found in there.tolist())
+    whole = np.zeros((len(there), math.prod(values.shape[1:])), values.dtype)
+    whole[there] = values.reshape(-1, whole.shape[1])
+    return pa.FixedSizeListArray.from_arrays(arrow_of(whole), whole.shape[1])
+
+
+def _texts(values: Iterable[Any]) -> pa.DictionaryArray:
+    """Values of JSON as a column."""
+    return joined(pa.string(), list(map(_TO_JSON, values))).dictionary_encode()
+
+
+def joined(kind: pa.DataType, pieces: Sequence[bytes | memoryview]) -> pa.Array:
+    """Bytes, or text as bytes, as a column."""
+    ends = np.cumsum([0, *map(len, pieces)], dtype=np.int32)
+    return pa.Array.from_buffers(kind, len(pieces), [None, pa.py_buffer(ends), pa.py_buffer(b"".join(pieces))])

@@ -1,5 +1,7 @@
 """The schema of ``samples.jsonl``, a line a sample, checked at the edge."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Final, Literal, get_args
 
 from pydantic import Field, model_validator
@@ -222,3 +224,30 @@ class SampleRow(Stored):
     place: PlaceName | None = None
     speed_m_s: float | None = Field(default=None, ge=0)
     severity: PlanSeverityRow | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BriefRow:
+    """A `SampleRow` less plan, recorded motion and verdicts; ``judged`` are the protocols that have one.
+
+    Attributes:
+        recorded: Whether the recording goes on for a step at least.
+        driven: Whether there are driving scores.
+    """
+
+    scene: str
+    sample_token: str
+    index: int
+    timestamp_us: int
+    status: Literal["ok", "failed"]
+    command: int
+    complete: bool
+    recorded: bool
+    place: PlaceName | None
+    speed_m_s: float | None
+    judged: frozenset[str]
+    diagnosis: DiagnosisRow | None
+    disagreements: Mapping[str, str]
+    driven: bool
+    longer: LongerRow | None
+    severity: PlanSeverityRow | None

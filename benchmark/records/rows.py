@@ -1,30 +1,51 @@
 """Rows of a record as they are kept in memory: compressed JSON lines, and columns of what tables read.
 
 A parsed row takes 20 to 30 kB, its line 3 to 4 kB, and compressed, scene by scene, 0.4 kB. Rows are parsed again when
-somebody goes through them, a scene at a time.
+somebody goes through them, a scene at a time. Lines and columns of large records are kept in the user's cache, so that
+a record is parsed and checked once. They count for rows with one SHA-256, that of ``samples.jsonl``, and for the code
+that made them; whatever does not fit is as good as none.
 """
 
+import contextlib
+import functools
+import hashlib
+import operator
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
-from itertools import groupby, islice
+from itertools import groupby, islice, pairwise
 from pathlib import Path
-from typing import Any, Final, overload
+from typing import TYPE_CHECKING, Any, Final, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmark.machine.garbage import uncollected
-from benchmark.machine.storage import canonical_json
-from benchmark.records.column_arrays import CODES, Arrays, Name, arrays_of, coded, different_values
-from benchmark.records.columns import RowColumns
+from benchmark.errors import InputError
+from benchmark.machine.kept_arrays import is_made_of, kept_place, read_batch, write_batch
+from benchmark.machine.progress import Count
+from benchmark.machine.storage import canonical_json, content_key, file_sha256
+from benchmark.machine.workers import default_workers, map_ordered
 from benchmark.records.row_schema import SampleRow
+from benchmark.untrusted.files import open_file
 from benchmark.untrusted.json_text import read_lines
 from benchmark.untrusted.limits import RECORD
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from benchmark.records.columns import RowColumns
+
+WORTH_BYTES: Final = 1 << 22
+"""Rows of less are read in less time than anybody notices; nothing is kept of them."""
+WORTH_WORKERS_BYTES: Final = 1 << 27
+"""Rows of less are read before workers have begun."""
+_FOLDER: Final = "records"
+_CODE: Final = (
+    *(f"records/{name}" for name in ("columns", "driving", "judgement", "row_schema", "rows", "run", "stored")),
+    *("constants", "geometry", "waypoints", "untrusted/json_text", "untrusted/limits", "pdm/totals"),
+    "protocols/contract",
+)
 _LINES_AT_ONCE: Final = 64
 """Lines that are looked at together before they are parsed one by one."""
-_BLOCKS: Final = "blocks"
 _QUICK: Final = 1
 """Level of compression: lines of a scene repeat each other, so that more effort gains little."""
 
@@ -41,32 +62,20 @@ class Rows(Sequence[SampleRow]):
 
     @classmethod
     def of(cls, rows: Sequence[SampleRow]) -> "Rows":
-        """Rows in compressed form.
-
-        Args:
-            rows: Checked rows.
-
-        Returns:
-            The same rows, or themselves if they are in this form already.
-        """
+        """Checked rows in compressed form, which they may be in already."""
         if isinstance(rows, cls):
             return rows
         made = cls()
-        for _, scene in groupby(rows, key=lambda row: row.scene):
-            made.add(list(scene))
+        made.add(rows)
         return made
 
-    def add(self, rows: Sequence[SampleRow], lines: Sequence[str] | None = None) -> None:
-        """Add the rows of one scene at the end, before anybody asks for columns.
+    def add(self, rows: Sequence[SampleRow]) -> None:
+        """Add rows, scene after scene, at the end, before anybody asks for columns."""
+        for scene, those in groupby(rows, key=lambda row: row.scene):
+            self._add(scene, list(map(line_of, those)))
 
-        Args:
-            rows: The rows.
-            lines: Their JSON, where it is at hand.
-        """
-        if rows:
-            texts = [line_of(row) for row in rows] if lines is None else lines
-            packed = zlib.compress("\n".join(texts).encode(), _QUICK)
-            self._blocks.append((rows[0].scene, len(rows), packed))
+    def _add(self, scene: str, lines: Sequence[str]) -> None:
+        self._blocks.append((scene, len(lines), zlib.compress("\n".join(lines).encode(), _QUICK)))
 
     @classmethod
     def read(cls, path: Path, parse: Callable[[Sequence[tuple[int, str]]], Sequence[SampleRow]]) -> "Rows":
@@ -82,50 +91,53 @@ class Rows(Sequence[SampleRow]):
         Raises:
             InputError: If the file is damaged.
         """
-        made, parsed = cls(), list[SampleRow]()
-        with uncollected():
-            for _, scene in groupby(_checked(path, parse), key=lambda pair: pair[0].scene):
-                rows, lines = zip(*scene)
-                made.add(rows, lines)
-                parsed += rows
-            vars(made)["columns"] = RowColumns(made, arrays_of(parsed))
+        from benchmark.records.columns import RowColumns, batch_of
+
+        made, waiting = cls(), read_lines(path, RECORD)
+        chunks = iter(lambda: list(islice(waiting, _LINES_AT_ONCE)), [])
+        checked = ((row, line) for some in chunks for row, (_, line) in zip(parse(some), some, strict=True))
+
+        def added() -> Iterator[SampleRow]:
+            for scene, pairs in groupby(checked, key=lambda pair: pair[0].scene):
+                lines = []
+                for row, line in pairs:
+                    lines.append(line)
+                    yield row
+                made._add(scene, lines)
+
+        batch = batch_of(added())
+        # Of rows of their own: what refers to itself stays in memory until Python looks for it.
+        made.columns = RowColumns(cls(made._blocks), batch)
         return made
 
     @classmethod
-    def of_arrays(cls, arrays: Arrays) -> "Rows":
-        """Rows in the form that `arrays` gives; they stay where they are, in a file perhaps, until they are asked."""
-        scenes, packed = different_values(arrays, (_BLOCKS,)), arrays[_BLOCKS, "packed"].data
-        names = (scenes[code] for code in arrays[_BLOCKS, CODES].tolist())
-        counts, ends = arrays[_BLOCKS, "counts"].tolist(), arrays[_BLOCKS, "ends"].tolist()
-        starts = [0, *ends]
-        made = cls((name, count, packed[first:last]) for name, count, first, last in zip(names, counts, starts, ends))
-        vars(made)["columns"] = RowColumns(made, arrays)
+    def of_batch(cls, batch: "pa.RecordBatch") -> "Rows":
+        """Rows as `batch` gives them, which stay where they are, in a file perhaps."""
+        from benchmark.records.columns import LINES, RowColumns
+
+        rows, (_, ends, packed) = cls(), batch.column(LINES).buffers()
+        columns, lines = RowColumns(rows, batch), np.frombuffer(ends, np.int32)
+        scenes, starts = columns.values("scene"), np.flatnonzero(np.diff(lines)).tolist()
+        for first, last in pairwise([*starts, len(scenes)]):
+            rows._blocks.append((scenes[first], last - first, memoryview(packed)[lines[first] : lines[last]]))
+        made = cls(rows._blocks)
+        made.columns = columns
         return made
 
-    def arrays(self) -> dict[Name, NDArray[Any]]:
-        """All of them as arrays: their columns, and their lines compressed."""
-        names, counts, packed = [], [], []
-        for name, count, lines in self._blocks:
-            names.append(name)
-            counts.append(count)
-            packed.append(lines)
-        return {
-            **self.columns.arrays,
-            **coded((_BLOCKS,), names),
-            (_BLOCKS, "counts"): np.array(counts, np.int64),
-            (_BLOCKS, "ends"): np.cumsum([len(lines) for lines in packed], dtype=np.int64),
-            (_BLOCKS, "packed"): np.frombuffer(b"".join(packed), np.uint8),
-        }
+    def batch(self) -> "pa.RecordBatch":
+        """All of them: their columns, and their lines, compressed, beside the first row of each scene."""
+        import pyarrow as pa
+
+        from benchmark.records.columns import LINES, joined
+
+        batch = self.columns.batch
+        if LINES in batch.schema.names:
+            return batch
+        lines = [part for _, count, packed in self._blocks for part in (packed, *[b""] * (count - 1))]
+        return batch.append_column(LINES, joined(pa.binary(), lines))
 
     def in_order_of(self, scenes: Sequence[str]) -> "Rows":
-        """The same rows with their scenes in another order.
-
-        Args:
-            scenes: Names of all scenes.
-
-        Returns:
-            The rows.
-        """
+        """The same rows with their scenes, all of which are named, in another order."""
         place = {name: number for number, name in enumerate(scenes)}
         return Rows(sorted(self._blocks, key=lambda block: place[block[0]]))
 
@@ -150,10 +162,11 @@ class Rows(Sequence[SampleRow]):
         return [row for scene, _, packed in self._blocks if scene in failed for row in _parsed(packed)]
 
     @cached_property
-    def columns(self) -> RowColumns:
+    def columns(self) -> "RowColumns":
         """What tables read of them."""
-        with uncollected():
-            return RowColumns(self)
+        from benchmark.records.columns import RowColumns
+
+        return RowColumns(Rows(self._blocks))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Columns are made again, and nobody else can read what lies in a file of ours.
@@ -173,17 +186,15 @@ class Rows(Sequence[SampleRow]):
     def __getitem__(self, place: int | slice) -> SampleRow | list[SampleRow]:
         if isinstance(place, slice):
             return list(self)[place]
-        wanted = range(len(self))[place]
-        for _, count, packed in self._blocks:
-            if wanted < count:
-                return SampleRow.model_validate_json(zlib.decompress(packed).split(b"\n")[wanted])
-            wanted -= count
-        raise AssertionError("a place among the rows is in none of their blocks")
+        wanted, ends = range(len(self))[place], np.cumsum([count for _, count, _ in self._blocks])
+        block = int(np.searchsorted(ends, wanted, side="right"))
+        lines = zlib.decompress(self._blocks[block][2]).split(b"\n")
+        return SampleRow.model_validate_json(lines[wanted - ends[block]])
 
     def __eq__(self, other: object) -> bool:
         if isinstance(other, Rows) and self._blocks == other._blocks:
             return True
-        return isinstance(other, Sequence) and len(self) == len(other) and all(map(_equal, self, other))
+        return isinstance(other, Sequence) and len(self) == len(other) and all(map(operator.eq, self, other))
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -191,18 +202,65 @@ class Rows(Sequence[SampleRow]):
         return f"<{len(self)} rows of {len(self._blocks)} scenes>"
 
 
-def columns_of(rows: Sequence[SampleRow] | RowColumns) -> RowColumns:
-    """Columns of rows, made once where they are a record's.
+def columns_of(rows: "Sequence[SampleRow] | RowColumns") -> "RowColumns":
+    """Columns of rows, made once where they are a record's."""
+    from benchmark.records.columns import RowColumns
 
-    Args:
-        rows: One for each sample.
-
-    Returns:
-        The columns.
-    """
     if isinstance(rows, RowColumns):
         return rows
     return rows.columns if isinstance(rows, Rows) else RowColumns(rows)
+
+
+def kept_rows(rows: Path, sha256: str) -> Rows | None:
+    """Rows with their columns that were read before from a file with that hash, where they are kept in the cache.
+
+    Raises:
+        InputError: If they are, and the file cannot be read.
+    """
+    from benchmark.records.columns import is_made_of_columns
+
+    place = kept_place(_FOLDER, rows)
+    batch = None if place is None else read_batch(place, content_key(_checks(), sha256))
+    if batch is None or not is_made_of_columns(batch):
+        return None
+    with open_file(rows, RECORD) as stream:
+        own = hashlib.file_digest(stream, "sha256").hexdigest()
+    return Rows.of_batch(batch) if own == sha256 else None
+
+
+def keep_rows(path: Path, sha256: str, rows: Rows) -> Rows:
+    """The same rows, kept for the next who reads the file, and so in no memory, if that is worth it and possible."""
+    place = kept_place(_FOLDER, path)
+    if place is None or path.stat().st_size < WORTH_BYTES:
+        return rows
+    return (write_batch(place, path, content_key(_checks(), sha256), rows.batch()) and kept_rows(path, sha256)) or rows
+
+
+def keep_together(files: Mapping[Path, str], read: Callable[[Path], object]) -> None:
+    """Let workers read files of which nothing is kept, so that all of them are, where that takes less time.
+
+    Args:
+        files: SHA-256 of each.
+        read: Importable; reads the record in a folder and keeps its rows.
+    """
+    new = {path: sha256 for path, sha256 in files.items() if path.is_file() and not _is_kept((path, sha256))}
+    sizes = [path.stat().st_size for path in new]
+    workers = min(default_workers(), sum(size >= WORTH_BYTES for size in sizes))
+    if workers > 1 and sum(sizes) >= WORTH_WORKERS_BYTES:
+        # What is damaged is said by who reads it next, and where the first cannot be kept, no other is tried.
+        with contextlib.suppress(InputError):
+            keep, count = functools.partial(_keeps, read), Count("record")
+            all(map_ordered(keep, list(new.items()), workers=workers, label="reading records", count=count))
+
+
+def _keeps(read: Callable[[Path], object], file: tuple[Path, str]) -> bool:
+    read(file[0].parent)
+    return file[0].stat().st_size < WORTH_BYTES or _is_kept(file)
+
+
+def _is_kept(file: tuple[Path, str]) -> bool:
+    place = kept_place(_FOLDER, file[0])
+    return place is not None and is_made_of(place, content_key(_checks(), file[1]))
 
 
 def line_of(row: SampleRow) -> str:
@@ -210,19 +268,14 @@ def line_of(row: SampleRow) -> str:
     return canonical_json(row.model_dump(mode="json"))
 
 
-def _checked(
-    path: Path, parse: Callable[[Sequence[tuple[int, str]]], Sequence[SampleRow]]
-) -> Iterator[tuple[SampleRow, str]]:
-    """Rows of a file, each with its line."""
-    lines = read_lines(path, RECORD)
-    while some := list(islice(lines, _LINES_AT_ONCE)):
-        yield from zip(parse(some), (line for _, line in some), strict=True)
+@functools.cache
+def _checks() -> str:
+    """What decides which rows are refused and what columns say of them: code, and who checks for it."""
+    import pydantic
+
+    root = Path(__file__).parents[1]
+    return content_key(pydantic.VERSION, [(name, file_sha256(root / f"{name}.py")) for name in _CODE])
 
 
 def _parsed(packed: bytes | memoryview) -> list[SampleRow]:
-    with uncollected():
-        return [SampleRow.model_validate_json(line) for line in zlib.decompress(packed).split(b"\n")]
-
-
-def _equal(one: Any, other: Any) -> bool:
-    return bool(one == other)
+    return [SampleRow.model_validate_json(line) for line in zlib.decompress(packed).split(b"\n")]

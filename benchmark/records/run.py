@@ -6,13 +6,14 @@ from the rows alone. ``run.json`` names the hashes of the other two, and the thr
 Every run gives the same bytes; how long it took is noted elsewhere (``<out>/timings``).
 """
 
+import contextlib
 import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
@@ -23,12 +24,10 @@ from benchmark.machine.storage import content_key, read_json, write_json
 from benchmark.metrics.rates import rates
 from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes, says_all
 from benchmark.protocols import protocol as definition_of
-from benchmark.records.columns import RowColumns
 from benchmark.records.driving import driving_summary
-from benchmark.records.kept_columns import keep_rows, kept_rows
 from benchmark.records.planner_cost import PlannerCost
 from benchmark.records.row_schema import SampleRow
-from benchmark.records.rows import Rows, columns_of
+from benchmark.records.rows import Rows, columns_of, keep_rows, keep_together, kept_rows
 from benchmark.records.run_schema import SCHEMA, ProtocolSummary, RateRow, RunFacts, SceneFacts, Summary
 from benchmark.records.store import (
     ROWS_FILE,
@@ -47,13 +46,16 @@ from benchmark.report.words import counted
 from benchmark.untrusted.json_text import is_plain, parse_line
 from benchmark.untrusted.limits import RECORD
 
+if TYPE_CHECKING:
+    from benchmark.records.columns import RowColumns
+
 _Read = TypeVar("_Read", bound=Stored)
 
 NATIVE = "native"
 """What the planner's own protocol is called where a protocol is asked for."""
 NO_NATIVE = "exact"
 """Who judges planners that have no protocol of their own."""
-_CONTENT_ID: Final = "content id"
+_CONTENT_ID, _FAILURES = "content id", "failures of scenes"
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +111,7 @@ class RunRecord:
         return self.label or self.run.planner.name
 
     @property
-    def columns(self) -> RowColumns:
+    def columns(self) -> "RowColumns":
         """What tables read of the rows."""
         return columns_of(self.rows)
 
@@ -263,7 +265,7 @@ def _removed_by_mask(outcomes: Outcomes, touching: str = "recorded") -> int | No
     return int((removed & outcomes.valid & enters[:, None]).sum())
 
 
-def scene_failures(rows: Sequence[SampleRow] | RowColumns, protocol: str) -> dict[str, bool | None]:
+def scene_failures(rows: "Sequence[SampleRow] | RowColumns", protocol: str) -> dict[str, bool | None]:
     """Which scenes a planner fails: those with a counted sample that collides at any step.
 
     Args:
@@ -279,19 +281,19 @@ def scene_failures(rows: Sequence[SampleRow] | RowColumns, protocol: str) -> dic
     """
     definition_of(protocol)
     columns = columns_of(rows)
-    if protocol not in columns.failures:
+    if (_FAILURES, protocol) not in columns.kept:
         judged = columns.values("judged")
         unjudged = next((place for place in columns.planned.tolist() if protocol not in judged[place]), None)
         if unjudged is not None:
             raise InputError(
-                f"scene {columns.brief[unjudged].scene} was not judged by protocol {protocol!r}; run challenger-bench "
-                "rescore"
+                f"scene {columns.values('scene')[unjudged]} was not judged by protocol {protocol!r}; run "
+                "challenger-bench rescore"
             )
-        columns.failures[protocol] = scenes_with(columns, protocol, columns.collides(protocol))
-    return dict(columns.failures[protocol])
+        columns.kept[_FAILURES, protocol] = scenes_with(columns, protocol, columns.collides(protocol))
+    return dict(columns.kept[_FAILURES, protocol])
 
 
-def scenes_with(columns: RowColumns, protocol: str, hits: Bools) -> dict[str, bool | None]:
+def scenes_with(columns: "RowColumns", protocol: str, hits: Bools) -> dict[str, bool | None]:
     """Which scenes have one of some colliding samples.
 
     Args:
@@ -315,7 +317,7 @@ def _fails(hits: Bools, counted: Bools, unknown: Bools) -> bool | None:
     return None if unknown.any() or not counted.any() else False
 
 
-def _unknown(columns: RowColumns, protocol: str) -> Bools:
+def _unknown(columns: "RowColumns", protocol: str) -> Bools:
     """(R,) whether the planner raised on a sample that could have shown a contact."""
     could = columns.flags("complete")
     if definition_of(protocol).counts_incomplete:
@@ -446,6 +448,15 @@ def _fault(path: Path, where: str, why: str) -> str:
     return f"{path} is not that of a valid run record: {where or 'the whole'}: {why}"
 
 
+def _named_rows(directory: Path) -> tuple[Path, str] | None:
+    """Where the rows of a record lie, and the hash that it names, if it is one of today."""
+    with contextlib.suppress(InputError):
+        head = stored_head(directory)
+        if head["schema"] == SCHEMA:
+            return directory / ROWS_FILE, str(head["files"].get(ROWS_FILE))
+    return None
+
+
 def find_records(*roots: Path) -> list[RunRecord]:
     """Every record below folders, each once.
 
@@ -464,7 +475,8 @@ def find_records(*roots: Path) -> list[RunRecord]:
             raise InputError(
                 f"there is no folder {root}; run challenger-bench eval first, or name the right one with --out"
             )
-        places = (path.parent for path in sorted(root.rglob(RUN_FILE)))
+        places = [path.parent for path in sorted(root.rglob(RUN_FILE))]
+        keep_together(dict(filter(None, map(_named_rows, places))), load_record)
         for record in read_each(places, load_record, instead=" to do without this record"):
             found[record.directory.resolve()] = record
     return list(found.values())

@@ -1,10 +1,12 @@
 """Plots by matplotlib: the same numbers give the same bytes, whatever settings the user has."""
 
+import gc
 import io
 import struct
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import matplotlib as mpl
@@ -92,10 +94,10 @@ def picture(sketch: Sketch, suffix: str, theme: Theme = LIGHT) -> bytes:
     return _saved(sketch, (suffix,), theme)[0]
 
 
-def for_pages(sketch: Sketch) -> tuple[bytes, bytes, bytes]:
-    """A figure for a site: PNG and SVG for light pages, SVG for dark ones; each the same bytes as of `picture`."""
+def for_pages(sketch: Sketch) -> tuple[bytes, bytes, Callable[[], bytes]]:
+    """A figure for pages: PNG and SVG for light ones, what draws the SVG for dark ones; bytes as of `picture`."""
     png, svg = _saved(sketch, (".png", ".svg"), LIGHT)
-    return png, svg, picture(sketch, ".svg", DARK)
+    return png, svg, partial(picture, sketch, ".svg", DARK)
 
 
 def _saved(sketch: Sketch, suffixes: tuple[str, ...], theme: Theme) -> tuple[bytes, ...]:
@@ -116,6 +118,9 @@ def _saved(sketch: Sketch, suffixes: tuple[str, ...], theme: Theme) -> tuple[byt
             else:
                 figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
             saved.append(stream.getvalue())
+        # Thousands of artists that refer to each other would wait for Python's collector beside those of the next one.
+        del figure
+        gc.collect(1)
     return tuple(saved)
 
 

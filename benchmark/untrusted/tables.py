@@ -27,7 +27,6 @@ def read_table(path: Path, limits: Limits = PLANS) -> "pandas.DataFrame":
 
     Raises:
         InputError: If the file cannot be opened, or a Parquet file takes more than it may.
-        ImportError: If a Parquet file is asked for and pyarrow is not installed.
         ValueError: If it is none of these or damaged, or has more rows, columns or characters in a line than a table of
             plans; other errors of what pandas cannot read, too.
     """
@@ -87,12 +86,8 @@ def _require_numbers(place: int, row: object) -> None:
 
 
 def _read_parquet(path: Path, limits: Limits) -> "pandas.DataFrame":
-    import importlib.util
-
     import pandas as pd
 
-    if importlib.util.find_spec("pyarrow") is None:
-        raise ImportError("pyarrow")
     answer = taken_apart(path, "parquet", limits)
     if answer.kind != "value":
         raise ValueError(": ".join(map(one_line, answer.parts)))

@@ -58,15 +58,7 @@ class Setting:
 
 
 def generator_settings(records: Sequence[RunRecord]) -> list[Setting]:
-    """Settings of which anything can be drawn.
-
-    Args:
-        records: Of any data sets, at most one for each data set, split and planner.
-
-    Returns:
-        Those in which somebody said whether the careful human survives the scenes and how severe plans are; by data set
-        and split.
-    """
+    """Settings, by data set and split, that say whether the careful human survives and how severe plans are."""
     found: dict[tuple[str, str], list[RunRecord]] = {}
     for record in in_table_order(list(filter(counts_attacks, records))):
         found.setdefault((record.run.data.name, record.run.split), []).append(record)

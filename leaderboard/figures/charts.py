@@ -59,8 +59,7 @@ def rates_over_horizon(frame: Frame, protocol: str) -> Sketch | None:
 def disagreement_figure(frame: Frame, split: str) -> Sketch | None:
     """How much of what ``exact`` sees each protocol misses, and how much of what it reports is false.
 
-    Returns:
-        What draws it, or ``None`` where no record of the split was judged by ``exact`` and another protocol.
+    ``None`` where no record of the split was judged by ``exact`` and another protocol.
     """
     runs = [run for run in frame.runs if run.run.split == split and EXACT in run.run.protocols]
     found = [(run, comparisons(run)) for run in runs]
@@ -72,10 +71,8 @@ def disagreement_figure(frame: Frame, split: str) -> Sketch | None:
 def manoeuvre_figure(frame: Frame, protocol: str) -> Sketch | None:
     """How many adversarial scenes there are of each manoeuvre, and in how many each planner hits the adversary first.
 
-    Where records do not say whom contacts are with: how many it fails.
-
-    Returns:
-        What draws it, or ``None`` where no record of split ``adv`` says what the adversaries do.
+    Where records do not say whom contacts are with: how many it fails. ``None`` where no record of split ``adv`` says
+    what the adversaries do.
     """
     runs = [
         run

@@ -25,9 +25,10 @@ def matrix_figures(frame: Frame) -> list[NamedFigure]:
     """
     name = frame.data_name
     found = [(judge, _matrices(frame, judge, split)) for split in frame.splits for judge in frame.judges]
-    shares = [NamedFigure(*name_of_transfer(name, each), *heat_maps(each)) for _, some in found for each in some]
-    lifts = [some[-1] for judge, some in found if judge == EXACT and some]
-    return [*shares, *(NamedFigure(*name_of_lift(name, each), *lift_maps(each)) for each in lifts)]
+    shares = [(name_of_transfer(name, each), heat_maps(each)) for _, some in found for each in some]
+    of_lift = [some[-1] for judge, some in found if judge == EXACT and some]
+    lifts = [(name_of_lift(name, each), lift_maps(each)) for each in of_lift]
+    return [NamedFigure(stem, title, *drawn) for (stem, title), drawn in [*shares, *lifts]]
 
 
 def _matrices(frame: Frame, judge: str, split: str) -> list[TransferMatrix]:

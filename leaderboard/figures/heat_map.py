@@ -79,8 +79,8 @@ def heat_map(matrix: TransferMatrix, suffix: str, theme: Theme = LIGHT) -> bytes
     return picture(partial(_shares, matrix), suffix, theme)
 
 
-def heat_maps(matrix: TransferMatrix) -> tuple[bytes, bytes, bytes]:
-    """`heat_map` as a site shows it: PNG and SVG for light pages, SVG for dark ones."""
+def heat_maps(matrix: TransferMatrix) -> tuple[bytes, bytes, Callable[[], bytes]]:
+    """`heat_map` as `for_pages` draws it."""
     return for_pages(partial(_shares, matrix))
 
 
@@ -92,8 +92,8 @@ def lift_map(matrix: TransferMatrix, suffix: str, theme: Theme = LIGHT) -> bytes
     return picture(partial(_beyond_chance, matrix), suffix, theme)
 
 
-def lift_maps(matrix: TransferMatrix) -> tuple[bytes, bytes, bytes]:
-    """`lift_map` as a site shows it."""
+def lift_maps(matrix: TransferMatrix) -> tuple[bytes, bytes, Callable[[], bytes]]:
+    """The same of `lift_map`."""
     return for_pages(partial(_beyond_chance, matrix))
 
 
@@ -104,14 +104,7 @@ def _write(draw: Callable[[TransferMatrix, str], bytes], matrix: TransferMatrix,
 
 
 def text_colour(background: Sequence[float]) -> str:
-    """Black or white, whichever stands out more (WCAG contrast).
-
-    Args:
-        background: Red, green, blue, 0..1.
-
-    Returns:
-        A colour whose contrast with the background is at least 4.5.
-    """
+    """Black or white, whichever has more contrast (WCAG), 4.5 at least, with a background of red, green, blue, 0..1."""
     luminance = relative_luminance(background)
     return "white" if 1.05 / (luminance + 0.05) > (luminance + 0.05) / 0.05 else "black"
 

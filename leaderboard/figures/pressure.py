@@ -37,14 +37,7 @@ Budget = tuple[float, int, int]
 
 
 def pressure_figures(records: Sequence[DriveRecord]) -> tuple[NamedFigure, ...]:
-    """A figure of every adversary that was given several budgets.
-
-    Args:
-        records: Any records of drives.
-
-    Returns:
-        Figures, in the order of the tables.
-    """
+    """A figure of every adversary that was given several budgets, in the order of the tables."""
     found = []
     for number, (title, rows) in enumerate(pressures(records)):
         drawn = for_pages(partial(pressure_figure, title, rows))
@@ -53,16 +46,7 @@ def pressure_figures(records: Sequence[DriveRecord]) -> tuple[NamedFigure, ...]:
 
 
 def pressure_figure(title: str, rows: Sequence[Pressure], theme: Theme) -> Figure:
-    """One figure, as matplotlib has it.
-
-    Args:
-        title: What was measured.
-        rows: Planners against budgets.
-        theme: Its colours.
-
-    Returns:
-        A panel for each of `PANELS`.
-    """
+    """One figure of planners against budgets: a panel for each of `PANELS`."""
     strength = {each.budget: each.candidates for each in rows}
     budgets = sorted(strength, key=lambda budget: (strength[budget], budget))
     planners = {each.row.name: each.row.record.facts.planner for each in rows}

@@ -47,14 +47,7 @@ _HALF_STRIP: Final = 0.31
 
 
 def refinement_figures(data_name: str, sheets: Sheets) -> tuple[NamedFigure, ...]:
-    """Figures of the first traced scenes of each split.
-
-    Args:
-        data_name: Name of the data set.
-        sheets: Sheets with traces (`challenger-bench sheets --rounds`).
-
-    Returns:
-        At most `SCENES_OF_A_SPLIT` for each split, by split and scene name.
+    """Figures of at most `SCENES_OF_A_SPLIT` traced scenes (`challenger-bench sheets --rounds`) of each split, by name.
 
     Raises:
         InputError: If a trace does not fit together.
@@ -104,13 +97,9 @@ def _sketch(stored: StoredSheet, frame: int | None = None) -> Sketch | None:
 
 
 def most_improved(rounds: RefinementTrace) -> TraceFrame | None:
-    """The planning frame whose best score falls most from the first round to the last.
+    """The planning frame whose best score falls most from the first round to the last, the first of equals.
 
-    Args:
-        rounds: The search.
-
-    Returns:
-        The first of equals; ``None`` where no frame has candidates with scores in its first and last round.
+    ``None`` where no frame has candidates with scores in its first and last round.
     """
     best: tuple[float, TraceFrame] | None = None
     for each in rounds.frames:

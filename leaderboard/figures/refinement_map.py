@@ -49,17 +49,7 @@ class MapView:
 
 
 def view_of(sheet: Sheet, agent_id: str, at: TraceFrame, shape: float) -> MapView:
-    """The part of the map that holds all candidates and, where it is near, the ego.
-
-    Args:
-        sheet: The scene.
-        agent_id: Instance identifier of the adversary.
-        at: A planning frame with at least one candidate.
-        shape: Width by height.
-
-    Returns:
-        The view.
-    """
+    """The part of the map, of a shape of width by height, that holds all candidates and, where it is near, the ego."""
     lines = [np.array(line) for entry in at.rounds for line in entry.candidates if line]
     boxes = (agent_box(agent, at.frame) for agent in sheet.agents if agent.id == agent_id)
     box = next((each for each in boxes if each is not None), None)
@@ -76,14 +66,7 @@ def view_of(sheet: Sheet, agent_id: str, at: TraceFrame, shape: float) -> MapVie
 
 
 def draw_road(axes: Axes, sheet: Sheet, view: MapView, colours: GroundColours) -> None:
-    """Draw the map of a sheet.
-
-    Args:
-        axes: Where to.
-        sheet: The scene.
-        view: What is seen of it.
-        colours: Of the map.
-    """
+    """Draw the map of a sheet."""
     axes.set_facecolor(rgb(colours.land))
     window = shapely.box(view.left - 1, view.bottom - 1, view.right + 1, view.top + 1)
     ground = ground_of(sheet, colours)
@@ -106,16 +89,7 @@ def draw_road(axes: Axes, sheet: Sheet, view: MapView, colours: GroundColours) -
 
 
 def draw_traffic(axes: Axes, sheet: Sheet, agent_id: str, frame: int, view: MapView, theme: Theme) -> None:
-    """Draw who is where at a planning frame, and the ego's recorded way from there.
-
-    Args:
-        axes: Where to.
-        sheet: The scene.
-        agent_id: Instance identifier of the adversary.
-        frame: The planning frame.
-        view: What is seen.
-        theme: Colours of the others and of edges.
-    """
+    """Draw who is where at a planning frame, and the ego's recorded way from there."""
     for agent in sheet.agents:
         box = agent_box(agent, frame)
         if box is not None:
@@ -132,17 +106,7 @@ def draw_traffic(axes: Axes, sheet: Sheet, agent_id: str, frame: int, view: MapV
 def draw_candidates(
     axes: Axes, at: TraceFrame, number: int, view: MapView, scale: LogNorm, colours: Colormap, theme: Theme
 ) -> None:
-    """Draw the candidates of one round, the better over the worse, and the executed one if it is of this round.
-
-    Args:
-        axes: Where to.
-        at: The planning frame.
-        number: The round.
-        view: What is seen.
-        scale: From scores to shares of the colours.
-        colours: The colours.
-        theme: Of the executed one.
-    """
+    """Draw the candidates of one round, the better over the worse, and the executed one if it is of this round."""
     entry = at.rounds[number]
     scores = np.array([np.inf if score is None else score for score in entry.scores])
     order = [index for index in np.argsort(scores, kind="stable")[::-1] if len(entry.candidates[index]) > 1]

@@ -117,15 +117,9 @@ class World:
 
 
 def worlds(records: Sequence[DriveRecord]) -> list[World]:
-    """What was measured, each with the records that may stand beside each other.
+    """What was measured, each with the records that may stand beside each other; NeuroNCAP's engines last.
 
     Planners that look at nothing stand beside those of every sensor: what cameras see is nothing to them.
-
-    Args:
-        records: Of any planners.
-
-    Returns:
-        Each with at least one record, NeuroNCAP's engines last.
 
     Raises:
         InputError: If two records are of one planner in one version.

@@ -41,14 +41,7 @@ class Results:
 
 
 def frames_of(records: Sequence[RunRecord]) -> tuple[Frame, ...]:
-    """Runs by data set.
-
-    Args:
-        records: Run records of any data sets, splits and planners, in any order; `one_run_each` says which of them
-            count.
-
-    Returns:
-        A frame of each data set, by its name.
+    """A frame of each data set, by its name, of records in any order; `one_run_each` says which of them count.
 
     Raises:
         InputError: If there are no records, two records of one planner and split would share a row, or records of one
@@ -63,11 +56,11 @@ def frames_of(records: Sequence[RunRecord]) -> tuple[Frame, ...]:
 
 def read_results(
     records: Sequence[RunRecord],
-    quality: Sequence[QualityRecord],
-    sheets: Sheets,
-    ablations: Sequence[AblationReport],
-    drives: Sequence[DriveRecord],
-    challenges: Sequence[ChallengeScores],
+    quality: Sequence[QualityRecord] = (),
+    sheets: Sheets = NO_SHEETS,
+    ablations: Sequence[AblationReport] = (),
+    drives: Sequence[DriveRecord] = (),
+    challenges: Sequence[ChallengeScores] = (),
 ) -> Results:
     """Results of records of every kind; run records may be missing only if there is anything else.
 

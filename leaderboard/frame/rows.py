@@ -147,15 +147,10 @@ def recordings(record: RunRecord) -> int:
 
 
 def run_notes(records: Sequence[RunRecord], told: Sequence[str]) -> list[str]:
-    """What has to be said of the runs behind a table.
+    """What has to be said of the runs behind a table, in the table's order.
 
-    Args:
-        records: The runs, in the order of the table.
-        told: Sentences on single runs.
-
-    Returns:
-        What marks mean, what numbers lacked, whether any has few recorded scenes, what inspectors said, ``told``, and
-        what is not whole.
+    What marks mean, what numbers lacked, whether any has few recorded scenes, what inspectors said, what is ``told`` of
+    single runs, and what is not whole.
     """
     few = [FEW_NOTE] if any(recordings(record) < FEW_SCENES for record in records) else []
     lacking = caveat_notes(record.run for record in records)

@@ -140,14 +140,9 @@ class Frame:
         return made
 
     def rows(self, judge: str, measure: Callable[[RunRecord], Found | None]) -> list[Row[Found]]:
-        """A row for each run of which something is measured.
+        """A row, in the order of tables, for each run of which something is measured.
 
-        Args:
-            judge: Protocol or definition behind it; empty where there is none.
-            measure: What is measured.
-
-        Returns:
-            The rows, in the order of tables.
+        ``judge`` is the protocol or definition behind it; empty where there is none.
         """
         said = [(record, measure(record)) for record in self.runs]
         return [Row(record, judge, found) for record, found in said if found is not None]

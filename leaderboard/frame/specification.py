@@ -103,6 +103,7 @@ def tabulate(
     notes: Sequence[str] = (),
     *,
     brief: Collection[str] | None = None,
+    brief_title: str = "",
     brief_notes: Sequence[str] | None = None,
     sources: Sequence[str] = (),
     latex_form: LatexForm | None = None,
@@ -116,6 +117,7 @@ def tabulate(
         rows: From top to bottom.
         notes: Sentences below it.
         brief: Keys of the columns that a terminal shows, if not all.
+        brief_title: What it says above them, if not the same.
         brief_notes: What it says below, if not the same.
         sources: Where quoted numbers come from.
         latex_form: How LaTeX lays it out, if not plainly.
@@ -128,7 +130,7 @@ def tabulate(
     if brief is not None:
         places = [place for place, column in enumerate(columns) if column.key in brief]
         said = tuple(notes if brief_notes is None else brief_notes)
-        shown = Brief(title, tuple(places), said, sum(columns[place].text for place in places))
+        shown = Brief(brief_title or title, tuple(places), said, sum(columns[place].text for place in places))
     return table_of(
         name,
         title,

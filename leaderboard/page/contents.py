@@ -11,8 +11,7 @@ from leaderboard.figures.pressure import pressure_figures
 from leaderboard.frame.results import Results
 from leaderboard.page.files import CLOSED_LOOP, TABLES_FOLDER, group_of, page_path, page_text
 from leaderboard.page.sections import Item, Section, said_once, sections_of
-from leaderboard.paper.contents import paper_tables
-from leaderboard.paper.document import paper_document
+from leaderboard.paper.document import paper_document, paper_tables
 from leaderboard.paper.runtime_chart import runtime_charts
 from leaderboard.tables.contents import closed_loop_tables, data_set_tables, generation_tables, missing_notes
 from leaderboard.tables.loops import DISAGREEMENTS

@@ -1,6 +1,6 @@
 """Sections of a leaderboard: tables and figures under one heading; extensions make some of records of their own."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,14 +17,14 @@ class NamedFigure:
         title: What it shows.
         png: For screens.
         svg: For print and light pages.
-        dark: SVG for dark pages.
+        dark: Draws the SVG for dark pages, which sites alone have.
     """
 
     name: str
     title: str
     png: bytes
     svg: bytes
-    dark: bytes
+    dark: Callable[[], bytes] = field(compare=False)
 
 
 Item = str | Table | NamedFigure
@@ -67,13 +67,7 @@ def said_once(shown: Iterable[Item], said: Iterable[str] = ()) -> Iterator[Item]
 
 
 def sections_of(records: Mapping[str, Sequence[Any]]) -> Iterator[Section]:
-    """Sections that extensions make of records of every kind.
-
-    Args:
-        records: By kind; kinds without a record need no extension.
-
-    Yields:
-        The sections.
+    """Sections that extensions make of records by kind; kinds without a record need no extension.
 
     Raises:
         InputError: If there are records of an extension that is not installed.

@@ -58,14 +58,9 @@ _SHOWN: Final[dict[str, tuple[str, Callable[[Any], str]]]] = {
 
 
 def hyper_parameter_tables(sheets: Sheets, ablations: Sequence[AblationReport]) -> dict[str, tuple[Table, ...]]:
-    """The paper's table of hyper-parameters, with those of each search of ours.
+    """The paper's table of hyper-parameters by name of the data set, with those of each search and study of ours.
 
-    Args:
-        sheets: Sheets of any splits; those that know the settings of their search count.
-        ablations: Studies, which hold the settings of their full search.
-
-    Returns:
-        A table by name of the data set that has any.
+    Sheets count that know the settings of their search.
     """
     found: dict[str, dict[str, Mapping[str, Any]]] = {}
     for (data_name, split), sheet in sorted(sheets.splits.items()):

@@ -21,15 +21,7 @@ _SMALLEST_LABEL: Final = 0.03
 
 
 def runtime_charts(data_name: str, sheets: Sheets) -> tuple[NamedFigure, ...]:
-    """A chart for each split of a data set whose generation was timed.
-
-    Args:
-        data_name: Its name.
-        sheets: Sheets of any splits.
-
-    Returns:
-        The charts, by name of the split.
-    """
+    """A chart for each split, by its name, of a data set whose generation was timed."""
     found = []
     for (name, split), sheet in sorted(sheets.splits.items()):
         shares = runtime_shares(sheet)

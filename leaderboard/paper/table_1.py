@@ -30,13 +30,8 @@ Block = Mapping[str, Row[ProtocolSummary]]
 def paper_table_1(data_name: str, records: Sequence[RunRecord]) -> Table | None:
     """Table 1 as the paper lays it out, each planner under the protocol of its own repository.
 
-    Args:
-        data_name: Name of the data set, for the title.
-        records: Runs on this data set; those on the paper's three splits count.
-
-    Returns:
-        Two planners a block, those of the paper first and in its order; published averages and increases have columns
-        of their own. ``None`` without runs.
+    Two planners a block, those of the paper first and in its order, on the paper's three splits; published averages and
+    increases have columns of their own. ``None`` without runs.
     """
     blocks = _blocks(Frame(data_name, records))
     if not blocks:

@@ -8,7 +8,7 @@ they went, and all of the scene, each for as long as it was there, where somebod
 * ``recordedPath``: x, y in turn of the recorded body, centimetres as steps;
 * ``contact``: ``{t, x, y}`` seconds and metres of the contact that ended it, or null;
 * ``moved``: where there was an adversary that answers, its track, as ``agents`` has it; it takes the place of its own;
-* ``considered``: where it was kept, what that adversary considered (`leaderboard.site.considered_data`).
+* ``considered``: where it was kept, what that adversary considered (`considered_data`).
 
 The ego is between the stored states, half a second apart, where a cubic through their places and speeds leads.
 """
@@ -22,15 +22,14 @@ import numpy as np
 from benchmark.constants import LIDAR_FROM_REAR_AXLE_M
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key
-from benchmark.records.considered import read_considered
+from benchmark.records.considered import ConsideredFrame, read_considered
 from benchmark.records.drive_schema import DriveRow
 from benchmark.records.drives import DriveRecord
 from benchmark.records.scenes import Sheet, SheetAgent, Sheets
-from benchmark.report.overlays import shared_point
+from benchmark.report.overlays import candidates_by_score, shared_point
 from benchmark.report.placing import agent_box, agent_box_at, ego_box, ego_pose, frame_seconds, placed_waypoints
 from leaderboard.frame.drives import worlds
-from leaderboard.site.considered_data import considered_data
-from leaderboard.site.packing import CENTIMETRE, MILLIRADIAN, packed, packed_path
+from leaderboard.site.packing import CENTIMETRE, DECIMETRE, MILLIRADIAN, packed, packed_path
 from leaderboard.site.scene_data import agent_data
 from leaderboard.site.scene_index import scene_key
 from leaderboard.site.scene_plans import ERROR_CHARACTERS
@@ -39,6 +38,7 @@ from leaderboard.site.scripts import data_script
 _SCENES: Final = "window.CHALLENGER_SCENES = window.CHALLENGER_SCENES || {}"
 _X, _Y, _YAW, _SPEED = range(4)
 _LATE_S: Final = 1e-3
+_NOWHERE: Final = np.empty((0, 1, 2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,15 +67,7 @@ class _Shown:
 
 
 def drive_files(drives: Sequence[DriveRecord], sheets: Sheets) -> dict[str, bytes]:
-    """Scripts of the drives whose scene has a sheet of the same content.
-
-    Args:
-        drives: Records of drives.
-        sheets: Scene sheets.
-
-    Returns:
-        ``data/scenes/<key>.js`` by path below the site's folder.
-    """
+    """Scripts of the drives whose scene has a sheet of the same content: ``data/scenes/<key>.js`` below the site."""
     files = {}
     for one in _shown(drives):
         if _has_sheet(one, sheets):
@@ -207,12 +199,7 @@ def _until_gone(agent: SheetAgent, seconds: Floats, gone: Mapping[str, float]) -
 def driven_adversary(sheet: Sheet, row: DriveRow) -> SheetAgent | None:
     """An adversary that answers, as it drove: up to its hand-over it is where the recording has it.
 
-    Args:
-        sheet: The scene.
-        row: The drive.
-
-    Returns:
-        Its track; ``None`` without one, and where the sheet does not know the vehicle.
+    ``None`` without one, and where the sheet does not know the vehicle.
     """
     went = row.adversary
     agent = None if went is None else next((each for each in sheet.agents if each.id == went.uuid), None)
@@ -314,3 +301,26 @@ def driven_poses(seconds: Floats, ticks: Floats, states: Floats) -> Floats:
     place = weights[0] * first + weights[1] * out + weights[2] * second + weights[3] * into
     turned = yaw[at] + s[:, 0] * (yaw[at + 1] - yaw[at])
     return np.column_stack([place, (turned + np.pi) % (2 * np.pi) - np.pi])
+
+
+def considered_data(sheet: Sheet, frames: Sequence[ConsideredFrame]) -> list[dict[str, Any]]:
+    """What an adversary considered: planning frames, in force until the next; the drive is of the sheet's scene.
+
+    Each has ``t`` (seconds from the first frame), ``did`` (`benchmark.records.considered`), ``paths`` (x, y in turn of
+    each candidate, decimetres as steps, worst first), ``shares`` (of each, hundredths: 0 for the best score, 100 for
+    the worst or infinite ones) and ``chosen`` (x, y in turn of the one that was driven; null where none was).
+    """
+    found = []
+    for each in frames:
+        points = np.array(each.candidates, np.float64) - np.array(sheet.origin_m) if each.candidates else _NOWHERE
+        shown = candidates_by_score(points, each.scores, each.chosen)
+        found.append(
+            {
+                "t": round((each.time_us - sheet.timestamps_us[0]) * 1e-6, 3),
+                "did": each.did,
+                "paths": [packed_path(path, DECIMETRE) for path in shown.paths],
+                "shares": [round(100 * share) for share in shown.shares.tolist()],
+                "chosen": None if shown.chosen is None else packed_path(shown.chosen, DECIMETRE),
+            }
+        )
+    return found

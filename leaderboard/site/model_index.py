@@ -18,14 +18,7 @@ _DIGITS: Final = 6
 
 
 def model_index(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
-    """One entry for each planner.
-
-    Args:
-        records: At most one for each data set, split and planner.
-
-    Returns:
-        Entries in the order of the tables: privileged planners last.
-    """
+    """Planners in the order of tables, of at most one record for each data set, split and planner."""
     runs_of: dict[str, list[RunRecord]] = {}
     for record in in_table_order(records):
         runs_of.setdefault(record.planner, []).append(record)

@@ -15,14 +15,9 @@ Packed = list[int | None]
 
 
 def packed(values: Sequence[float | None], unit: float) -> Packed:
-    """A series as steps.
+    """A series as steps, as many as values, less the zeros at the end.
 
-    Args:
-        values: Numbers, ``None`` where there is none.
-        unit: What they are rounded to. Rounding comes first, so that errors do not add up.
-
-    Returns:
-        As many steps as values, less the zeros at the end.
+    Rounding to the unit comes first, so that errors do not add up.
     """
     steps: Packed = []
     before = 0
@@ -39,15 +34,6 @@ def packed(values: Sequence[float | None], unit: float) -> Packed:
 
 
 def packed_path(points: ArrayLike, unit: float, start: tuple[float, float] = (0.0, 0.0)) -> list[int]:
-    """A path as steps, x and y in turn; zeros at the end stay, so that its length is known.
-
-    Args:
-        points: (N, 2) metres.
-        unit: What they are rounded to.
-        start: Where the first step begins.
-
-    Returns:
-        2 N whole numbers.
-    """
+    """(N, 2) metres as 2 N steps from ``start``, x and y in turn; zeros at the end stay: they tell its length."""
     whole = np.rint(np.vstack([np.array([start]), np.asarray(points, np.float64).reshape(-1, 2)]) / unit)
     return [int(step) for step in np.diff(whole, axis=0).ravel()]

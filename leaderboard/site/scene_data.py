@@ -24,26 +24,31 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import cv2
 import numpy as np
 
 from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M
 from benchmark.errors import InputError
-from benchmark.geometry import Floats
+from benchmark.geometry import Floats, box_gap
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.effect import attributes
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord
 from benchmark.records.scenes import Polygon, Sheet, SheetAgent, SheetMap, Sheets, StoredSheet, picture_name
-from benchmark.report.palette import ON_DARK
+from benchmark.report.birdseye import SceneFromAbove
+from benchmark.report.palette import ON_DARK, ON_LIGHT, GroundColours
+from benchmark.report.placing import agent_box, ego_box
 from benchmark.waypoints import points_in_ego
 from leaderboard.site.packing import CENTIMETRE, MILLIRADIAN, packed, packed_path
 from leaderboard.site.scene_index import SceneName, scene_key
 from leaderboard.site.scene_plans import planner_samples
 from leaderboard.site.scripts import data_script
-from leaderboard.site.thumbnails import thumbnail
 
 _MICROSECONDS: Final = 1e6
 _SCENES: Final = "window.CHALLENGER_SCENES = window.CHALLENGER_SCENES || {}"
+THUMBNAIL_PX: Final = 320
+THUMBNAIL_EXTENT_M: Final = 20.0
+_QUALITY: Final = 80
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,3 +262,29 @@ def _edges(sheet: Sheet) -> dict[str, dict[str, list[int]]]:
         }
         for frame, by_camera in sheet.adversary_edges.items()
     }
+
+
+def thumbnail(sheet: Sheet, colours: GroundColours = ON_LIGHT) -> bytes:
+    """A WebP picture of 320 x 320 pixels: the scene, which has frames, from above in its `closest_frame`.
+
+    Raises:
+        InputError: If OpenCV was built without WebP.
+    """
+    image, _ = SceneFromAbove(sheet, colours).draw(
+        closest_frame(sheet), width_px=THUMBNAIL_PX, height_px=THUMBNAIL_PX, extent_m=THUMBNAIL_EXTENT_M
+    )
+    done, encoded = cv2.imencode(".webp", image[:, :, ::-1], [cv2.IMWRITE_WEBP_QUALITY, _QUALITY])
+    if not done:
+        raise InputError(f"OpenCV cannot write the WebP picture of {sheet.scene}; install a build of it that has WebP")
+    return encoded.tobytes()
+
+
+def closest_frame(sheet: Sheet) -> int:
+    """First frame in which an adversary's box is closest to the recorded ego's; the middle one without adversaries."""
+    adversaries = [agent for agent in sheet.agents if agent.adversary]
+    best = (np.inf, len(sheet.timestamps_us) // 2)
+    for frame in range(len(sheet.timestamps_us)):
+        boxes = [box for box in (agent_box(agent, frame) for agent in adversaries) if box is not None]
+        if boxes:
+            best = min(best, (float(box_gap(ego_box(sheet, frame), np.array(boxes)).min()), frame))
+    return best[1]

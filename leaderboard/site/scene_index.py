@@ -11,20 +11,23 @@ from numpy.typing import NDArray
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, file_name
+from benchmark.metrics.attacks import SceneAttack, scene_attacks
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.effect import FirstTouches, attributes, first_touches, touched_scenes
 from benchmark.metrics.scores import registered_version, source_of_scenes
+from benchmark.records.judgement import DRIVER_NAMES, JudgementSummary
 from benchmark.records.quality import QualityRecord
+from benchmark.records.row_schema import BriefRow
 from benchmark.records.run import RunRecord
 from benchmark.records.scenes import Sheet, Sheets
 from benchmark.report.words import split_of
 from leaderboard.frame.rows import split_place
-from leaderboard.site.scene_judgements import judgement_entry, severity_entries
 
 SceneName = tuple[str, str, str]
 """Data set, split and scene."""
 _MICROSECONDS: Final = 1e6
 _QUALITY_DIGITS: Final = 4
+_DIGITS: Final = 3
 
 
 @dataclass(slots=True)
@@ -71,16 +74,9 @@ def scene_key(name: SceneName) -> str:
 def scene_index(
     records: Sequence[RunRecord], sheets: Sheets, quality: Sequence[QualityRecord], written: frozenset[str]
 ) -> list[dict[str, Any]]:
-    """One entry for each scene that a record or a sheet names.
+    """One entry for each scene that a record or a sheet names, by data set, split (the paper's three first) and name.
 
-    Args:
-        records: At most one for each data set, split and planner.
-        sheets: Scene sheets.
-        quality: Records of video quality.
-        written: Paths of the site's files; tells which scenes have a thumbnail.
-
-    Returns:
-        Entries by data set, split (the paper's three first) and name.
+    ``written`` are paths of the site's files; they tell which scenes have a thumbnail.
 
     Raises:
         InputError: If a sheet was made from other content than a record of its split.
@@ -177,7 +173,7 @@ def _add_record(seen: dict[SceneName, _Seen], record: RunRecord) -> None:
 
 def _add_samples(found: _Seen, record: RunRecord, places: NDArray[np.int64], touches: FirstTouches | None) -> None:
     """Add one planner's samples of a scene."""
-    rows, planner = record.columns.brief.at(places.tolist()), record.planner
+    rows, planner = record.columns.brief_at(places.tolist()), record.planner
     times = [row.timestamp_us for row in rows]
     found.seconds = max(found.seconds, (max(times) - min(times)) / _MICROSECONDS)
     failed = sum(row.status == "failed" for row in rows)
@@ -199,13 +195,9 @@ def _add_samples(found: _Seen, record: RunRecord, places: NDArray[np.int64], tou
 
 
 def label_words(label: Mapping[str, Any]) -> str:
-    """What a data set's labels say of one adversary, in words; what a stranger's labels lack is left out.
+    """What labels (docs/manoeuvres.md) say of one adversary; what a stranger's labels lack is left out.
 
-    Args:
-        label: The labels (docs/manoeuvres.md).
-
-    Returns:
-        For example ``cut-in-left; on: straight; closest 0.40 m, left, at 9.2 s; also blocking``.
+    For example ``cut-in-left; on: straight; closest 0.40 m, left, at 9.2 s; also blocking``.
     """
     manoeuvre, place = label.get("manoeuvre"), label.get("place")
     words = [manoeuvre if isinstance(manoeuvre, str) else "", f"on: {place}" if isinstance(place, str) else ""]
@@ -259,3 +251,83 @@ def _require_same_content(records: Sequence[RunRecord], sheets: Sheets) -> None:
                 "the run records saw (the data fingerprints differ); run challenger-bench sheets again, or eval again "
                 "if the data is newer"
             )
+
+
+def judgement_entry(judgement: JudgementSummary | None) -> dict[str, Any] | None:
+    """What was said of a scene.
+
+    Args:
+        judgement: It, or ``None`` where nobody judged the scene.
+
+    Returns:
+        ``survives`` (names of drivers), ``unsolvable``, ``margin``, ``gap``, ``ttc``, ``tet``, ``pet``, ``btn`` of the
+        recorded ego, ``faults`` (words), ``unknown`` (words), ``map``; null where there is nothing to say.
+    """
+    if judgement is None:
+        return None
+    return {
+        "survives": [name for name in DRIVER_NAMES if judgement.survives.get(name)],
+        "unsolvable": judgement.unsolvable is True,
+        "margin": _short(judgement.margin_s),
+        "gap": _short(judgement.least_gap_m),
+        "ttc": _short(judgement.least_ttc_s),
+        "tet": _short(judgement.tet_s),
+        "pet": _short(judgement.pet_s),
+        "btn": _short(judgement.max_btn),
+        "faults": [name.replace("_", " ") for name in judgement.faults],
+        "unknown": [name.replace("_", " ") for name in judgement.unknown_faults],
+        "map": judgement.has_map,
+    }
+
+
+def severity_entries(record: RunRecord) -> dict[str, dict[str, Any]]:
+    """How severe a planner's plans are, by scene; only of scenes with something to say.
+
+    Args:
+        record: Of one planner on one split.
+
+    Returns:
+        ``contacts`` (samples whose first contact is with an adversary, with anybody on a split without them),
+        ``bystanders`` (samples whose first contact is with somebody else; null on a split without adversaries),
+        ``atFault`` and ``attributable`` (verdicts on the scene, null where nobody can tell), of the most severe of
+        ``contacts`` its ``kind``, ``speed``, ``deltaV`` and ``fatal``, and of samples without contact ``ttc`` and
+        ``gap``.
+    """
+    attacks, rows_of, adversarial = scene_attacks(record), _rows_of(record), attributes(record)
+    return {
+        scene: _severity_entry(rows, attacks[scene], adversarial)
+        for scene, rows in rows_of.items()
+        if any(row.severity is not None and (row.severity.contact or row.severity.near) for row in rows)
+    }
+
+
+def _rows_of(record: RunRecord) -> dict[str, list[BriefRow]]:
+    found: dict[str, list[BriefRow]] = {}
+    for row in record.columns.brief:
+        if row.status == "ok" and row.complete and row.severity is not None:
+            found.setdefault(row.scene, []).append(row)
+    return found
+
+
+def _severity_entry(rows: Sequence[BriefRow], attack: SceneAttack, adversarial: bool) -> dict[str, Any]:
+    said = [row.severity for row in rows if row.severity is not None]
+    touched = [each.contact for each in said if each.contact is not None]
+    contacts = [each for each in touched if each.adversary or not adversarial]
+    near = [each.near for each in said if each.near is not None]
+    worst = max(contacts, key=lambda contact: (contact.delta_v_ego_m_s, contact.impact_speed_m_s), default=None)
+    return {
+        "contacts": len(contacts),
+        "bystanders": len(touched) - len(contacts) if adversarial else None,
+        "atFault": attack.verdicts["at_fault"],
+        "attributable": attack.verdicts["attributable"],
+        "kind": None if worst is None else worst.kind.replace("_", " "),
+        "speed": None if worst is None else _short(worst.impact_speed_m_s),
+        "deltaV": None if worst is None else _short(worst.delta_v_ego_m_s),
+        "fatal": None if worst is None else float(f"{worst.fatal_probability:.3g}"),
+        "ttc": _short(min((each.least_ttc_s for each in near if each.least_ttc_s is not None), default=None)),
+        "gap": _short(min((each.least_gap_m for each in near), default=None)),
+    }
+
+
+def _short(value: float | None) -> float | None:
+    return None if value is None else round(value, _DIGITS)

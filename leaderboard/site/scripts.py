@@ -8,30 +8,17 @@ from benchmark.machine.storage import canonical_json, parse_json
 
 
 def data_script(target: str, value: Any) -> bytes:
-    """A script that assigns a value.
+    """A script, in ASCII, that assigns a value to JavaScript of ours (no name from a record, unless written as JSON).
 
-    The value is parsed as JSON, not as JavaScript: faster for large values, and a name such as ``__proto__`` stays a
-    name.
-
-    Args:
-        target: What is assigned to, JavaScript of ours (never a name from a record, unless written as JSON).
-        value: Anything ``json`` can write, without NaN and infinity.
-
-    Returns:
-        The script, ASCII.
+    The value, without NaN and infinity, is parsed as JSON, not as JavaScript: faster for large values, and a name such
+    as ``__proto__`` stays a name.
     """
     text = canonical_json(value).replace("\\", "\\\\").replace("'", "\\'").replace("<", "\\x3c")
     return f"\"use strict\";\n{target} = JSON.parse('{text}');\n".encode("ascii")
 
 
 def script_data(text: str) -> Any:
-    """What a script of `data_script` assigns.
-
-    Args:
-        text: The script.
-
-    Returns:
-        The value.
+    """The value that a script of `data_script` assigns.
 
     Raises:
         InputError: If it is no such script.

@@ -6,23 +6,17 @@ from typing import Final
 
 from benchmark.published import ABLATION_SOURCE
 from benchmark.records.ablation import VARIANTS, AblationReport, AblationRow
-from benchmark.report.cells import PERCENT, RANKS_NOTHING, UNDEFINED, Origin, Shown, named_record
-from benchmark.report.table import Table, table_of
+from benchmark.report.cells import PERCENT, RANKS_NOTHING, Origin, Shown, named_record
+from benchmark.report.table import Table
 from benchmark.report.words import counted
+from leaderboard.frame.specification import Values, estimates, numbers, tabulate, texts, under
 from leaderboard.tables.published import quoted
 
 _BY_NAME: Final = {variant.name: variant for variant in VARIANTS}
 
 
 def ablation_tables(ablations: Sequence[AblationReport]) -> dict[str, tuple[Table, ...]]:
-    """One table for each study.
-
-    Args:
-        ablations: Studies, in any order; a study that is there twice counts once.
-
-    Returns:
-        Tables by name of the data set.
-    """
+    """A table for each study, by name of the data set; a study that is there twice counts once."""
     by_id = {study.content_id: study for study in ablations}
     ordered = sorted(by_id.values(), key=lambda study: (study.data.name, study.planner.name, study.content_id))
     same = Counter((study.data.name, study.planner.name) for study in ordered)
@@ -36,16 +30,23 @@ def ablation_tables(ablations: Sequence[AblationReport]) -> dict[str, tuple[Tabl
 
 def _table(study: AblationReport, suffix: str) -> Table:
     judge, version = study.protocol
-    return table_of(
+    return tabulate(
         f"ablation-{study.planner.name}{suffix}",
         f"{study.data.name}: ablation of the search with {study.planner.name} (collision rate in %), protocol {judge} "
         f"(version {version})",
-        (
-            *("search", "tried", "kept", "discarded", "collisions"),
-            *("of tried", "95 % of tried", "of kept", "95 % of kept", "mean gap, m", "paper"),
-        ),
+        [
+            *texts("search"),
+            *under("vehicles", numbers("tried", "kept", "discarded")),
+            *under(
+                f"collision rate in %, {judge}",
+                numbers("collisions"),
+                estimates("of tried", "of kept", digits=2, ends=2, beside="95 % {}"),
+            ),
+            *under("smallest gap in m", numbers("mean gap, m", digits=2)),
+            *under("paper, collision rate in %, uniad", numbers("paper")),
+        ],
         [_row(study, row) for row in study.rows],
-        notes=(
+        (
             f"{counted(len(study.scenes), 'recorded scene')}; every row tries the same vehicles. MTR: multi-round "
             "refinement, TS: scoring. Collisions: colliding samples / samples of kept attempts; of tried: the same "
             "over the samples of all tried vehicles, the paper's reading. Brackets: 95 % bootstrap interval over "
@@ -58,33 +59,24 @@ def _table(study: AblationReport, suffix: str) -> Table:
                 else []
             ),
         ),
-        groups=(
-            ("", 1),
-            ("vehicles", 3),
-            (f"collision rate in %, {judge}", 5),
-            ("smallest gap in m", 1),
-            ("paper, collision rate in %, uniad", 1),
-        ),
         sources=(ABLATION_SOURCE,),
     )
 
 
-def _row(study: AblationReport, row: AblationRow) -> tuple[str | Shown, ...]:
+def _row(study: AblationReport, row: AblationRow) -> Values:
     record = named_record(study.content_id, study.planner.name, f"ablation {row.name}")
     judged, plain = Origin(study.protocol[0], record), Origin(record=record)
     variant = _BY_NAME.get(row.name)
-    rates = [judged.percent(rate) for rate in (row.rate_attempted, row.rate_kept)]
     colliding = judged.count(row.colliding_samples, "samples", row.samples_kept)
-    published: Shown | str = UNDEFINED
-    if variant is not None:
-        published = quoted(variant.published, PERCENT, Origin("uniad", source=ABLATION_SOURCE))
-    return (
-        Shown(row.name if variant is None else variant.label, miniature=study.planner.miniature),
-        plain.count(row.attempted, "vehicles").shown(),
-        plain.count(row.kept, "vehicles", row.attempted).shown(),
-        plain.count(sum(row.discarded.values()), "vehicles", row.attempted).shown(),
-        colliding.shown(after=f"/{row.samples_kept}"),
-        *(shown for cell in rates for shown in (cell.shown(2), cell.interval(2))),
-        plain.cell(row.mean_gap_m, "m", row.kept, "vehicles").shown(2),
-        published,
-    )
+    paper = Origin("uniad", source=ABLATION_SOURCE)
+    return {
+        "search": Shown(row.name if variant is None else variant.label, miniature=study.planner.miniature),
+        "tried": plain.count(row.attempted, "vehicles"),
+        "kept": plain.count(row.kept, "vehicles", row.attempted),
+        "discarded": plain.count(sum(row.discarded.values()), "vehicles", row.attempted),
+        "collisions": colliding.shown(after=f"/{row.samples_kept}"),
+        "of tried": judged.percent(row.rate_attempted),
+        "of kept": judged.percent(row.rate_kept),
+        "mean gap, m": plain.cell(row.mean_gap_m, "m", row.kept, "vehicles"),
+        "paper": None if variant is None else quoted(variant.published, PERCENT, paper),
+    }

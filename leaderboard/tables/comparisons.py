@@ -42,14 +42,9 @@ REDRAWN_NOTE = (
 
 
 def split_table(frame: Frame, protocol: str) -> Table | None:
-    """What a planner loses from one split to another.
+    """What a planner loses from one split to another: a row for each planner and pair of splits.
 
-    Args:
-        frame: The runs.
-        protocol: Whose verdicts; ``native`` for each planner's own.
-
-    Returns:
-        One row per planner and pair of splits, or ``None`` if no planner ran on two of them.
+    ``native`` stands for each planner's own protocol. ``None`` if no planner ran on two splits.
     """
     runs = {(run.planner, run.run.split): run for run in frame.given if run.covers_split}
     pairs = [
@@ -86,16 +81,9 @@ def split_table(frame: Frame, protocol: str) -> Table | None:
 
 
 def planner_table(frame: Frame, protocol: str, split: str) -> Table | None:
-    """Which planner is better on a split.
+    """Which planner is better on a split: a row for each pair.
 
-    Args:
-        frame: The runs.
-        protocol: Whose verdicts.
-        split: The split.
-
-    Returns:
-        One row per pair of planners, or ``None`` if fewer than two ran on the whole split, and under ``native``, by
-        which no two planners compare.
+    ``None`` if fewer than two ran on the whole split, and under ``native``, by which no two planners compare.
     """
     here = [record for record in frame.runs if record.run.split == split]
     pairs = list(itertools.combinations([record for record in here if record.covers_split], 2))

@@ -30,12 +30,11 @@ from leaderboard.tables.further_columns import further_table
 from leaderboard.tables.judgements import judgement_tables
 from leaderboard.tables.longer_plans import longer_table
 from leaderboard.tables.loops import loop_tables
-from leaderboard.tables.manoeuvres import manoeuvre_tables
 from leaderboard.tables.pressure import pressure_tables
 from leaderboard.tables.runtime import runtime_tables
 from leaderboard.tables.seeds import seed_spread_table
 from leaderboard.tables.slices import DIAGNOSIS, slices_of
-from leaderboard.tables.statistics import statistics_tables
+from leaderboard.tables.statistics import manoeuvre_tables, statistics_tables
 from leaderboard.tables.transfer import transfer_tables
 
 Made = Table | None | Iterable[Table]
@@ -125,14 +124,6 @@ def _slices(frame: Frame, *asked: str) -> tuple[Table, ...]:
 def closed_loop_tables(data_name: str, drives: Sequence[DriveRecord], runs: Sequence[RunRecord]) -> tuple[Table, ...]:
     """Every table of drives through one data set, beside open loop where the planners ran there too.
 
-    Args:
-        data_name: Its name.
-        drives: Records of drives through it.
-        runs: Run records.
-
-    Returns:
-        The tables.
-
     Raises:
         InputError: If two records of drives would share a row.
     """
@@ -141,14 +132,7 @@ def closed_loop_tables(data_name: str, drives: Sequence[DriveRecord], runs: Sequ
 
 
 def generation_tables(sheets: Sheets, ablations: Sequence[AblationReport]) -> dict[str, tuple[Table, ...]]:
-    """Every table that is not made from run records: statistics, manoeuvres, search, runtime, ablation.
-
-    Args:
-        sheets: Scene sheets.
-        ablations: Ablation studies.
-
-    Returns:
-        Tables by name of the data set, in the order of the names.
+    """Statistics, manoeuvres, search, runtime, ablation: tables of no run record, by data set in the order of names.
 
     Raises:
         InputError: If a sheet is damaged.

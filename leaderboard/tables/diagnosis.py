@@ -79,15 +79,10 @@ def _samples(record: RunRecord) -> _Samples | None:
 
 
 def diagnosis_tables(frame: Frame) -> list[Table]:
-    """Why the plans of each planner collide under ``exact``.
+    """Why the plans of each planner collide under ``exact``; empty where no run was judged by it.
 
-    Args:
-        frame: The runs; those that ``exact`` did not judge are left out.
-
-    Returns:
-        Shares of the causes by planner and split; the cases behind them; the same by manoeuvre, where the data set
-        says which. Empty where no run was judged by ``exact``. Runs from before there were diagnoses get a note in
-        place of rows.
+    Shares of the causes by planner and split; the cases behind them; the same by manoeuvre, where the data set says
+    which. Runs from before there were diagnoses get a note in place of rows.
     """
     runs = frame.rows(EXACT, _samples)
     if not runs:

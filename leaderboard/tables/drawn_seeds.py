@@ -25,14 +25,10 @@ _RULE = (
 
 
 def drawn_seeds_table(frame: Frame, protocol: str) -> Table | None:
-    """Average collision rate of each planner on the splits of several seeds.
+    """Average collision rate of each planner on the splits ``adv-seed-N`` of several seeds.
 
-    Args:
-        frame: Runs on ``adv-seed-N`` count; what does not belong to the others is named below the table.
-        protocol: Whose verdicts; ``native`` is that of the planner's own repository.
-
-    Returns:
-        For each planner that ran on at least two seeds a row a seed, and one for all; ``None`` where there is none.
+    A row a seed, and one for all, for each planner that ran on at least two; ``None`` where there is none. ``native``
+    is the protocol of the planner's own repository; what does not belong to the others is named below.
     """
     rows: list[Values] = []
     notes, shown = [_RULE], []

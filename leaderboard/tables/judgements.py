@@ -96,14 +96,10 @@ _FEATURES: Final = [
 
 
 def judgement_tables(frame: Frame) -> list[Table]:
-    """Everything that records say of scenes.
+    """Everything that records say of scenes, of at most one run for each planner and split.
 
-    Args:
-        frame: At most one run for each planner and split.
-
-    Returns:
-        The ladder, a row a split; what is wrong with adversaries; their worst feature, and a table of all features a
-        split with recordings to compare with. None of what no record says.
+    The ladder, a row a split; what is wrong with adversaries; their worst feature, and a table of all features a split
+    with recordings to compare with. None of what no record says.
     """
     name, ladders, real = frame.data_name, split_ladders(frame.runs), split_realism(frame.runs)
     tables = [_ladder_table(name, [ladders[split] for split in sorted(ladders, key=split_place)])] if ladders else []

@@ -49,14 +49,7 @@ _BRIEF_SCENES = ("planner", "scene", "fails", "contact with", "at fault", "conta
 
 
 def loop_tables(drives: Sequence[DriveRecord], runs: Sequence[RunRecord]) -> list[Table]:
-    """Two tables for each thing that was measured: rates, and single scenes.
-
-    Args:
-        drives: Records of drives.
-        runs: Run records.
-
-    Returns:
-        Rates of every world in which a planner drove that ran in open loop, then scenes of those with disagreements.
+    """Rates of every world in which a planner drove that ran in open loop, then scenes of those with disagreements.
 
     Raises:
         InputError: If two records of drives would share a row.

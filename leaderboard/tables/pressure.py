@@ -75,11 +75,7 @@ class Pressure:
 def pressures(records: Sequence[DriveRecord]) -> list[tuple[str, list[Pressure]]]:
     """Drives against an adversary, by everything that was measured but its budget.
 
-    Args:
-        records: Any records of drives.
-
-    Returns:
-        A title each, and its planners and budgets, the weakest budget first; only where there are several budgets.
+    A title each, and its planners and budgets, the weakest budget first; only where there are several budgets.
     """
     kinds: dict[str, list[Pressure]] = {}
     titles: dict[str, str] = {}
@@ -105,14 +101,7 @@ def pressure_name(number: int) -> str:
 
 
 def pressure_tables(records: Sequence[DriveRecord]) -> list[Table]:
-    """A table of every adversary that was given several budgets, and transfer between drives.
-
-    Args:
-        records: Any records of drives.
-
-    Returns:
-        Tables of pressure, then of transfer.
-    """
+    """A table of every adversary that was given several budgets, then transfer between drives."""
     found = [
         tabulate(pressure_name(number), title, _COLUMNS, map(_values, rows), (_PRESSURE_NOTE,))
         for number, (title, rows) in enumerate(pressures(records))
@@ -131,11 +120,7 @@ def _values(each: Pressure) -> Values:
 def transfer_tables(records: Sequence[DriveRecord]) -> list[Table]:
     """Whether tracks that arose against one planner fail another: one table for each data set and split.
 
-    Args:
-        records: Any records of drives.
-
-    Returns:
-        Tables, where a planner drove against tracks of a record that is among these.
+    Only where a planner drove against tracks of a record that is among these.
     """
     sources = {record.content_id: record for record in records if _budget(record) is not None}
     kinds: dict[str, list[tuple[DriveRecord, DriveRecord]]] = {}

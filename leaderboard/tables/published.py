@@ -4,6 +4,7 @@ Each model's row was computed with the protocol of the model's own repository, s
 comparable, and none of them is comparable with the ``exact`` protocol.
 """
 
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 from benchmark.published import (
@@ -25,7 +26,8 @@ from benchmark.published import (
 from benchmark.records.ablation import VARIANTS
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import PERCENT, UNDEFINED, Origin, Shown
-from benchmark.report.table import Table, table_of
+from benchmark.report.table import Table
+from leaderboard.frame.specification import Columns, Value, numbers, tabulate, texts, under
 
 _RATES: Final = "collision rate in %, the protocol of the row"
 
@@ -41,83 +43,79 @@ def published_tables() -> tuple[Table, ...]:
     )
 
 
+def quoted_table(
+    name: str, title: str, columns: Columns, rows: Iterable[Sequence[Value]], sources: Sequence[str], *notes: str
+) -> Table:
+    """What others print, each row in the order of the columns."""
+    names = [column.name for column in columns]
+    values = (dict(zip(names, row, strict=True)) for row in rows)
+    return tabulate(name, f"Published {title}", columns, values, notes, sources=sources)
+
+
 def published_table() -> Table:
     """The paper's Table 1, with the protocol behind each row."""
-    return table_of(
+    return quoted_table(
         "published",
-        "Published numbers, not ours: collision rate (%)",
-        ("planner", "data set", "protocol", "col. 1s", "col. 2s", "col. 3s", "col. avg", "increase"),
+        "numbers, not ours: collision rate (%)",
         [
-            (rate.model, rate.data_set, rate.protocol, *published_rates(rate), published_increase(rate) or UNDEFINED)
-            for rate in TABLE_1
+            *texts("planner", "data set", "protocol"),
+            *under(_RATES, numbers("col. 1s", "col. 2s", "col. 3s", "col. avg", "increase")),
         ],
-        notes=(
-            "Each row quotes the protocol of the model's own repository; rows of different protocols are not "
-            "comparable with each other, nor with our tables unless the protocol is the same.",
-        ),
-        text_columns=3,
-        groups=(("", 3), (_RATES, 5)),
-        sources=(TABLE_1_SOURCE,),
+        [(row.model, row.data_set, row.protocol, *published_rates(row), published_increase(row)) for row in TABLE_1],
+        [TABLE_1_SOURCE],
+        "Each row quotes the protocol of the model's own repository; rows of different protocols are not comparable "
+        "with each other, nor with our tables unless the protocol is the same.",
     )
 
 
 def published_ablation_table() -> Table:
     """The paper's ablation study."""
     origin = Origin(protocol="uniad", source=ABLATION_SOURCE)
-    return table_of(
+    return quoted_table(
         "ablation-published",
-        "Published numbers, not ours: ablation, collision rate (%)",
-        ("search", "collision rate"),
+        "numbers, not ours: ablation, collision rate (%)",
+        [*texts("search"), *under("samples on which UniAD fails in %, uniad", numbers("collision rate"))],
         [(variant.label, quoted(variant.published, PERCENT, origin)) for variant in VARIANTS],
-        notes=("UniAD on 20 scenes of the nuScenes validation set; MTR: multi-round refinement, TS: scoring.",),
-        groups=(("", 1), ("samples on which UniAD fails in %, uniad", 1)),
-        sources=(ABLATION_SOURCE,),
+        [ABLATION_SOURCE],
+        "UniAD on 20 scenes of the nuScenes validation set; MTR: multi-round refinement, TS: scoring.",
     )
 
 
 def published_quality_table() -> Table:
     """The paper's Table 3."""
-    origin = Origin(source=QUALITY_SOURCE)
-    return table_of(
-        "quality-published",
-        "Published numbers, not ours: video quality",
-        ("data set", "SC", "IQ"),
-        [
-            (name, quoted(consistency, "SC", origin), quoted(imaging, "IQ", origin))
-            for name, (consistency, imaging) in TABLE_3.items()
-        ],
-        notes=("SC: subject consistency, IQ: imaging quality.",),
-        sources=(QUALITY_SOURCE,),
-    )
+    columns = [*texts("data set"), *numbers("SC", "IQ")]
+    rows: list[tuple[Value, ...]] = [(name, *quoted_quality(name)) for name in TABLE_3]
+    note = "SC: subject consistency, IQ: imaging quality."
+    return quoted_table("quality-published", "numbers, not ours: video quality", columns, rows, [QUALITY_SOURCE], note)
 
 
 def published_data_set_table() -> Table:
     """The paper's overview of its data set."""
-    return table_of(
-        "data-set-published",
-        "Published numbers, not ours: rows of Adv-nuSc",
-        ("rows of", "Adv-nuSc"),
-        [(name.replace("_", " "), published_rows(name)) for name in ADV_NUSC],
-        sources=(DATA_SET_SOURCE,),
-    )
+    title, columns = "numbers, not ours: rows of Adv-nuSc", [*texts("rows of"), *numbers("Adv-nuSc")]
+    rows = [(name.replace("_", " "), published_rows(name)) for name in ADV_NUSC]
+    return quoted_table("data-set-published", title, columns, rows, [DATA_SET_SOURCE])
 
 
 def published_runtime_table() -> Table:
     """The paper's runtime of one scene."""
-    total = sum(RUNTIME_S.values())
-    seconds = {**RUNTIME_S, "all": total}
-    origin = Origin(source=RUNTIME_SOURCE)
-    return table_of(
+    total, origin = sum(RUNTIME_S.values()), Origin(source=RUNTIME_SOURCE)
+    return quoted_table(
         "runtime-published",
-        "Published numbers, not ours: seconds for one scene",
-        ("stage", "seconds", "%"),
+        "numbers, not ours: seconds for one scene",
+        [*texts("stage"), *numbers("seconds"), *numbers("%", digits=1)],
         [
-            (stage, published_seconds(stage), origin.cell(value / total, PERCENT, None, scale=100.0).shown(1))
-            for stage, value in seconds.items()
+            (stage, published_seconds(stage), origin.cell(value / total, PERCENT, None, scale=100.0))
+            for stage, value in {**RUNTIME_S, "all": total}.items()
         ],
-        notes=(f"About 240 frames and six cameras on {RUNTIME_MACHINE}.",),
-        sources=(RUNTIME_SOURCE,),
+        [RUNTIME_SOURCE],
+        f"About 240 frames and six cameras on {RUNTIME_MACHINE}.",
     )
+
+
+def quoted_quality(data_set: str) -> tuple[Shown, ...]:
+    """The paper's subject consistency and imaging quality, as printed; nothing of data sets that it has not."""
+    values = zip(TABLE_3.get(data_set, ()), ("SC", "IQ"))
+    return tuple(quoted(text, unit, Origin(source=QUALITY_SOURCE)) for text, unit in values)
 
 
 def published_rows(name: str) -> Shown:
@@ -132,15 +130,7 @@ def published_seconds(stage: str) -> Shown | str:
 
 
 def published_rate(record: RunRecord, judge: str) -> PublishedRate | None:
-    """The paper's row that may stand beside a run.
-
-    Args:
-        record: The run.
-        judge: Protocol of the numbers beside which it would stand.
-
-    Returns:
-        The row of the model of that name on the split of that name, if the paper quotes the same protocol.
-    """
+    """The paper's row of a run's model, split and protocol, which is that of the numbers beside it."""
     model = _model_of(record)
     data_set = DATA_SET_OF_SPLIT.get(record.run.split)
     return next(
@@ -178,15 +168,5 @@ def published_increase(row: PublishedRate | None) -> Shown | None:
 
 
 def quoted(text: str, unit: str, origin: Origin, *, after: str = "") -> Shown:
-    """A number as printed.
-
-    Args:
-        text: As printed, possibly with commas between thousands.
-        unit: Its unit.
-        origin: Where it is from.
-        after: Text behind it.
-
-    Returns:
-        The text and the number.
-    """
+    """A number as printed, possibly with commas between thousands, with text ``after`` it."""
     return Shown(f"{text}{after}", origin.cell(float(text.replace(",", "")), unit, None))

@@ -23,13 +23,9 @@ _RULE = (
 def seed_spread_table(frame: Frame, protocol: str) -> Table | None:
     """Spread of the average collision rate over the seeds of each planner on each split.
 
-    Args:
-        frame: Runs of a part of their split, with failed samples, or judged by another version of the protocol are
-            named below the table.
-        protocol: Whose verdicts; ``native`` is that of the planner's own repository.
-
-    Returns:
-        One row for each planner and split that ran with at least two seeds, or ``None`` where there is none.
+    A row for each that ran with at least two seeds; ``None`` where there is none. ``native`` is the protocol of the
+    planner's own repository. Runs of a part of their split, with failed samples, or judged by another version of the
+    protocol are named below the table.
     """
     notes = [_RULE]
     rows, first = [], []

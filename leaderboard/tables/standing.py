@@ -7,36 +7,24 @@ from benchmark.metrics.rates import HORIZONS
 from benchmark.published import DATA_SET_OF_SPLIT, NEURONCAP, SAMPLES_OF, STANDING, StandingValue
 from benchmark.records.file_plans import file_notes
 from benchmark.records.run import RunRecord
-from benchmark.report.cells import PERCENT, UNDEFINED, Origin, Shown, origin_of
-from benchmark.report.table import Table, table_of
-from leaderboard.tables.published import quoted
+from benchmark.report.cells import PERCENT, Cell, Origin, Shown, origin_of
+from benchmark.report.table import Table
+from leaderboard.frame.specification import numbers, texts
+from leaderboard.tables.published import quoted, quoted_table
 
 _SOURCES: Final = tuple(dict.fromkeys(value.source for value in STANDING))
 _COLUMNS: Final = {"collision": ("collision", PERCENT), "l2": ("L2", "m")}
 
 
 def standing_tables(records: Sequence[RunRecord] = ()) -> tuple[Table, ...]:
-    """The standing tables of published values.
-
-    Args:
-        records: Ours, any.
-
-    Returns:
-        Open loop, then NeuroNCAP's closed loop.
-    """
+    """The standing tables of published values, beside any of ours: open loop, then NeuroNCAP's closed loop."""
     return _open_loop(records), _closed_loop()
 
 
 def same_run(value: StandingValue, records: Sequence[RunRecord]) -> RunRecord | None:
     """Our run of what a published value is of: the planner, the protocol, and the split by its number of samples.
 
-    Args:
-        value: The value.
-        records: Ours.
-
-    Returns:
-        The run, if there is one; runs with failed samples, of a part of the split, or judged by another version of the
-        protocol are none.
+    Runs with failed samples, of a part of the split, or judged by another version of the protocol are none.
     """
     for record in records:
         planner, protocol = record.run.planner, value.protocol
@@ -65,62 +53,59 @@ def _open_loop(records: Sequence[RunRecord]) -> Table:
             value.by,
             f"{_COLUMNS[value.column][0]} ({_COLUMNS[value.column][1]})",
             f"[{_SOURCES.index(value.source) + 1}]",
-            *_printed(value),
+            *_printed(value.values, _COLUMNS[value.column][1], Origin(value.protocol, source=value.source)),
             *(_ours(value, record) if used else ()),
         )
         for value, record in zip(STANDING, found, strict=True)
     ]
-    return table_of(
+    return quoted_table(
         "standing-published",
-        "Published values, not ours: planning in open loop",
-        ("planner", "data set", "protocol", "value", "from", *HORIZONS, *ours),
+        "values, not ours: planning in open loop",
+        [*texts("planner", "data set", "protocol", "value", "from"), *numbers(*HORIZONS, *ours, digits=2)],
         rows,
-        notes=(
-            "Rows of different protocols are not comparable. Several rows of one planner and protocol are several "
-            "evaluations by others, or several checkpoints.",
-            "Ours stands beside a row where planner, protocol and split are the same; the split is known by its number "
-            "of samples, which nobody prints of nuScenes-val-R.",
-            *(f"[{number}] {source}." for number, source in enumerate(_SOURCES, start=1)),
-            *dict.fromkeys(file_notes(used)),
-        ),
-        text_columns=5,
-        sources=_SOURCES,
+        _SOURCES,
+        "Rows of different protocols are not comparable. Several rows of one planner and protocol are several "
+        "evaluations by others, or several checkpoints.",
+        "Ours stands beside a row where planner, protocol and split are the same; the split is known by its number "
+        "of samples, which nobody prints of nuScenes-val-R.",
+        *(f"[{number}] {source}." for number, source in enumerate(_SOURCES, start=1)),
+        *dict.fromkeys(file_notes(used)),
     )
 
 
-def _printed(value: StandingValue) -> list[Shown]:
-    origin = Origin(protocol=value.protocol, source=value.source)
-    unit = _COLUMNS[value.column][1]
-    return [quoted(text, unit, origin) if text else Shown(UNDEFINED) for text in value.values]
+def _printed(values: Sequence[str | None], unit: str, origin: Origin) -> list[Shown | None]:
+    return [quoted(text, unit, origin) if text else None for text in values]
 
 
-def _ours(value: StandingValue, record: RunRecord | None) -> list[Shown]:
+def _ours(value: StandingValue, record: RunRecord | None) -> list[Cell | None]:
     if record is None or value.protocol is None:
-        return [Shown(UNDEFINED)] * len(HORIZONS)
+        return [None] * len(HORIZONS)
     origin, rates = origin_of(record, value.protocol), record.summary.protocols[value.protocol].columns[value.column]
     if value.column == "l2":
-        return [origin.amount(rates[horizon], "m").shown(2) for horizon in HORIZONS]
-    return [origin.percent(rates[horizon]).shown(2) for horizon in HORIZONS]
+        return [origin.amount(rates[horizon], "m") for horizon in HORIZONS]
+    return [origin.percent(rates[horizon]) for horizon in HORIZONS]
 
 
 def _closed_loop() -> Table:
     sources = tuple(dict.fromkeys(value.source for value in NEURONCAP))
-    rows: list[tuple[str | Shown, ...]] = []
-    for value in NEURONCAP:
-        origin = Origin(source=value.source)
-        scores = [quoted(text, "score", origin) if text else Shown(UNDEFINED) for text in value.scores]
-        rate = quoted(value.collision, PERCENT, origin) if value.collision else Shown(UNDEFINED)
-        rows.append((value.planner, value.renderer, f"[{sources.index(value.source) + 1}]", *scores, rate))
-    return table_of(
+    rows = [
+        (
+            *(value.planner, value.renderer, f"[{sources.index(value.source) + 1}]"),
+            *_printed(value.scores, "score", Origin(source=value.source)),
+            *_printed([value.collision], PERCENT, Origin(source=value.source)),
+        )
+        for value in NEURONCAP
+    ]
+    return quoted_table(
         "neuroncap-published",
-        "Published values, not ours: NeuroNCAP's closed loop",
-        ("planner", "renderer", "from", "score", "stationary", "frontal", "side", "collision rate (%)"),
+        "values, not ours: NeuroNCAP's closed loop",
+        [
+            *texts("planner", "renderer", "from"),
+            *numbers("score", "stationary", "frontal", "side", "collision rate (%)"),
+        ],
         rows,
-        notes=(
-            "Score: 0 to 5, higher is better. Post-processed: with trajectory post-processing. "
-            "The renderer is part of what was measured.",
-            *(f"[{number}] {source}." for number, source in enumerate(sources, start=1)),
-        ),
-        text_columns=3,
-        sources=sources,
+        sources,
+        "Score: 0 to 5, higher is better. Post-processed: with trajectory post-processing. "
+        "The renderer is part of what was measured.",
+        *(f"[{number}] {source}." for number, source in enumerate(sources, start=1)),
     )

@@ -67,12 +67,7 @@ def transfer_matrices(
 def both_matrices(records: Sequence[RunRecord], protocol: str) -> list[TransferMatrix]:
     """The paper's matrix and, under ``exact``, that of contacts with the adversary alone.
 
-    Args:
-        records: Of several planners on the same scenes.
-        protocol: Whose verdicts count.
-
-    Returns:
-        One or two matrices: the second of the planners whose records say whom contacts are with, if two do.
+    The second is of the planners whose records say whom contacts are with, if two do.
 
     Raises:
         InputError: As `benchmark.metrics.transfer.transfer`.
@@ -87,13 +82,7 @@ def both_matrices(records: Sequence[RunRecord], protocol: str) -> list[TransferM
 def frame_matrices(frame: Frame, protocol: str, split: str) -> tuple[list[TransferMatrix], list[str]]:
     """`both_matrices` of the planners that ran on the whole split, and sentences on those who are left out.
 
-    Args:
-        frame: The runs.
-        protocol: Whose verdicts count.
-        split: The split.
-
-    Returns:
-        No matrix where fewer than two planners remain.
+    No matrix where fewer than two planners remain.
     """
     kept, refused = [], []
     for record in frame.runs:

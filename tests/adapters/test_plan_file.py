@@ -1,6 +1,5 @@
 """Plan files: the same plan in three forms, and a sentence for everything that can be wrong with one."""
 
-import importlib.util
 import json
 import pickle
 from collections.abc import Callable
@@ -17,8 +16,6 @@ from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import PlanFrame
 from tests.benchmark.fake_data import FakeData, town_of_two
-
-HAS_PARQUET = importlib.util.find_spec("pyarrow") is not None
 
 
 def rows_for(data: FakeData, *, by_time: bool = False) -> list[dict[str, Any]]:
@@ -44,10 +41,7 @@ def write(path: Path, rows: list[dict[str, Any]]) -> Path:
 
 
 @pytest.mark.parametrize("by_time", [False, True])
-@pytest.mark.parametrize(
-    "ending",
-    [".csv", ".json", pytest.param(".parquet", marks=pytest.mark.skipif(not HAS_PARQUET, reason="no pyarrow"))],
-)
+@pytest.mark.parametrize("ending", [".csv", ".json", ".parquet"])
 def test_every_form_gives_the_plans_that_were_written(tmp_path: Path, ending: str, by_time: bool) -> None:
     data = town_of_two()
     path = write(tmp_path / f"mine{ending}", rows_for(data, by_time=by_time)[::-1])
@@ -216,13 +210,6 @@ def test_text_of_digits_is_no_number(tmp_path: Path) -> None:
     rows[3]["x2"] = str(rows[3]["x2"])
     with pytest.raises(InputError, match=r"row 3 has the text .* for the number x2"):
         read_plan_file(write(tmp_path / "plans.json", rows))
-
-
-@pytest.mark.skipif(HAS_PARQUET, reason="pyarrow is installed")
-def test_parquet_without_pyarrow_says_what_to_install(tmp_path: Path) -> None:
-    (tmp_path / "plans.parquet").write_bytes(b"PAR1")
-    with pytest.raises(InputError, match="needs pyarrow"):
-        read_plan_file(tmp_path / "plans.parquet")
 
 
 def test_times_are_whole_microseconds(tmp_path: Path) -> None:

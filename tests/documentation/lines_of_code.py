@@ -51,8 +51,10 @@ NOT_HERE: Final = (
     (r"^(pip|uv|echo|docker|make|for) ", "an index of packages, or a machine to change"),
     (r"^(cd|bash|\./tools|python tools)", "official code"),
     (r"--for sparsedrive", "pictures of 1600x900; tests/benchmark/extensions/infos draws some"),
-    (r"leaderboard card", "pyarrow, which the tests do not bring"),
-    (r"data (pack|unpack|card) ", "a split and records of your own; the tests of these commands make some"),
+    (
+        r"data (pack|unpack|card) |leaderboard card",
+        "a split and records of your own; the tests of these commands make some",
+    ),
     (r"challenge (check|score)", "entries of others; tests/benchmark/extensions/challenge has some"),
     (r"--shard |--model MODEL|generate --data ROOT", "several jobs; tests/benchmark/runs/test_sharded.py gives them"),
     (r"data review (?!.*--(list|verdicts))", "somebody who looks at a page"),

@@ -19,6 +19,7 @@ from benchmark.records.run import RunRecord, find_records
 from benchmark.records.run_schema import SceneFacts
 from leaderboard.build import leaderboard_files, leaderboard_tables, stale_files, write_leaderboard
 from leaderboard.figures.attacks import attack_figures
+from leaderboard.frame.results import read_results
 from leaderboard.selection import one_run_each
 from leaderboard.tables.published import published_table
 from tests.benchmark.fake_data import town_of_two
@@ -56,8 +57,8 @@ def drawn() -> None:
 def texts(records: Sequence[RunRecord]) -> dict[str, str]:
     with pytest.MonkeyPatch.context() as patch:
         for name in ("heat_maps", "lift_maps"):
-            patch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"", b"", b""))
-        files = leaderboard_files(records).items()
+            patch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"", b"", lambda: b""))
+        files = leaderboard_files(read_results(records)).items()
     return {name: content.decode() for name, content in files if not name.endswith(".png")}
 
 
@@ -75,8 +76,8 @@ def test_the_order_of_the_records_does_not_matter(runs: tuple[RunRecord, ...], o
 
 
 def test_the_same_records_give_the_same_bytes(runs: tuple[RunRecord, ...], drawn: None) -> None:
-    files = leaderboard_files(runs)
-    assert leaderboard_files(runs[::-1]) == files
+    files = leaderboard_files(read_results(runs))
+    assert leaderboard_files(read_results(runs[::-1])) == files
     assert [name for name in files if name.endswith(".png")] == [
         "figures/fake/transfer-val-exact.png",
         "figures/fake/transfer-adv-exact.png",
@@ -103,28 +104,28 @@ def test_one_row_for_each_planner_and_split_with_what_was_counted(runs: tuple[Ru
 
 
 def test_what_is_written_is_current_until_something_changes(runs: tuple[RunRecord, ...], tmp_path: Path) -> None:
-    written = write_leaderboard(runs, tmp_path)
+    written = write_leaderboard(read_results(runs), tmp_path)
     assert all(path.is_file() for path in written)
-    assert stale_files(runs, tmp_path) == []
-    assert len(stale_files(runs[:3], tmp_path)) > 0
+    assert stale_files(read_results(runs), tmp_path) == []
+    assert len(stale_files(read_results(runs[:3]), tmp_path)) > 0
     (tmp_path / "README.md").write_text("edited")
     (tmp_path / "published" / "published.csv").unlink()
-    assert sorted(sentence.rpartition("/")[2] for sentence in stale_files(runs, tmp_path)) == [
+    assert sorted(sentence.rpartition("/")[2] for sentence in stale_files(read_results(runs), tmp_path)) == [
         "README.md differs from what the run records say",
         "published.csv is missing",
     ]
-    write_leaderboard(runs, tmp_path)
-    assert stale_files(runs, tmp_path) == []
+    write_leaderboard(read_results(runs), tmp_path)
+    assert stale_files(read_results(runs), tmp_path) == []
 
 
 def test_a_table_that_is_no_longer_made_is_stale_and_goes_when_written_again(
     runs: tuple[RunRecord, ...], tmp_path: Path
 ) -> None:
-    write_leaderboard([*runs, *(named(record, data="gone") for record in runs)], tmp_path)
+    write_leaderboard(read_results([*runs, *(named(record, data="gone") for record in runs)]), tmp_path)
     (tmp_path / "tables" / "fake" / "notes.txt").write_text("mine")
-    assert any("gone" in sentence and "no longer" in sentence for sentence in stale_files(runs, tmp_path))
-    write_leaderboard(runs, tmp_path)
-    assert stale_files(runs, tmp_path) == []
+    assert any("gone" in sentence and "no longer" in sentence for sentence in stale_files(read_results(runs), tmp_path))
+    write_leaderboard(read_results(runs), tmp_path)
+    assert stale_files(read_results(runs), tmp_path) == []
     assert not list((tmp_path / "tables" / "gone").iterdir())
     assert not list((tmp_path / "figures" / "gone").iterdir())
     assert (tmp_path / "tables" / "fake" / "notes.txt").read_text() == "mine"
@@ -162,13 +163,13 @@ def test_a_planner_that_failed_on_samples_is_noted(tmp_path: Path) -> None:
 def test_two_whole_runs_of_one_planner_are_refused(runs: tuple[RunRecord, ...]) -> None:
     again = replace(runs[0], directory=runs[0].directory.with_name("again"))
     with pytest.raises(InputError, match="both hold log-replay on split adv"):
-        leaderboard_files([*runs, again])
+        leaderboard_files(read_results([*runs, again]))
 
 
 def test_records_of_different_content_under_one_name_are_refused(runs: tuple[RunRecord, ...], tmp_path: Path) -> None:
     other = evaluate(town_of_two(slow_leader=True), "val", Failing(), tmp_path)
     with pytest.raises(InputError, match=r"different content of split val of fake .*run challenger-bench eval again"):
-        leaderboard_files([*runs, other])
+        leaderboard_files(read_results([*runs, other]))
     assert leaderboard_tables([*runs, named(other, data="another")])
 
 
@@ -227,9 +228,9 @@ def test_a_name_from_a_strangers_record_stays_inside_the_folder(
     runs: tuple[RunRecord, ...], name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("heat_maps", "lift_maps"):
-        monkeypatch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"", b"", b""))
+        monkeypatch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"", b"", lambda: b""))
     folder = tmp_path / "board"
-    for path in write_leaderboard([named(record, data=name) for record in runs], folder):
+    for path in write_leaderboard(read_results([named(record, data=name) for record in runs]), folder):
         assert path.resolve().is_relative_to(folder.resolve())
     assert sorted(path.name for path in tmp_path.iterdir()) == ["board"]
     assert sorted(path.name for path in folder.iterdir()) == ["README.md", "figures", "published", "site", "tables"]
@@ -259,7 +260,7 @@ def test_a_note_is_said_once_in_the_readme_and_below_every_table_elsewhere(runs:
 
 def test_drives_have_tables_beside_open_loop(runs: tuple[RunRecord, ...], tmp_path: Path) -> None:
     driven = driven_beside(runs, tmp_path / "drives")
-    files = leaderboard_files(runs, drives=driven)
+    files = leaderboard_files(read_results(runs, drives=driven))
     read = files["README.md"].decode()
     assert "## fake: closed loop" in read and "closed loop, engine default, agents replay" in read
     assert "beside open loop" in read and "tables/fake/closed-loop.md" in read
@@ -268,23 +269,26 @@ def test_drives_have_tables_beside_open_loop(runs: tuple[RunRecord, ...], tmp_pa
     for kind in ("drives", "loops", "loops-scenes"):
         (row, *_) = csv_rows(files[f"tables/fake/{kind}-adv-default-replay.csv"].decode())
         assert row["planner"].startswith("straight")
-    assert leaderboard_files(runs[::-1], drives=driven[::-1]) == files
-    assert set(leaderboard_files(runs)) < set(files)
+    assert leaderboard_files(read_results(runs[::-1], drives=driven[::-1])) == files
+    assert set(leaderboard_files(read_results(runs))) < set(files)
 
 
 def test_drives_alone_make_a_leaderboard_and_go_stale(runs: tuple[RunRecord, ...], tmp_path: Path) -> None:
     driven = driven_beside(runs, tmp_path / "drives")
     folder = tmp_path / "board"
-    write_leaderboard((), folder, drives=driven)
-    assert stale_files((), folder, drives=driven) == []
+    write_leaderboard(read_results((), drives=driven), folder)
+    assert stale_files(read_results((), drives=driven), folder) == []
     assert b'"closed loop"' in (folder / "site/data/index.js").read_bytes()
-    fewer = stale_files(runs, folder)
+    fewer = stale_files(read_results(runs), folder)
     assert any("drives-adv-default-replay.csv" in one and "no longer give" in one for one in fewer)
     scenes = driven[0].facts.scenes
     hits = [drive_row(scene, end="contact", contact=contact()) for scene in scenes]
     facts = {"data": driven[0].facts.data.model_dump(), "scenes": scenes, "scenes_in_split": len(scenes)}
     changed = written(tmp_path / "changed", *hits, **facts)
-    assert any("drives-adv-default-replay.csv differs" in one for one in stale_files((), folder, drives=[changed]))
+    assert any(
+        "drives-adv-default-replay.csv differs" in one
+        for one in stale_files(read_results((), drives=[changed]), folder)
+    )
 
 
 def driven_beside(runs: Sequence[RunRecord], folder: Path) -> list[DriveRecord]:

@@ -38,13 +38,14 @@ def data_card_command(
 ) -> None:
     """Write a data-set card for a hub: README.md, a Parquet index of the scenes, and Croissant metadata."""
     from benchmark.cli.preflight_data_sets import require_root
+    from benchmark.cli.preflight_places import require_place
     from benchmark.extensions.cards.writing import CardSettings
     from benchmark.machine.workspace import EMBEDDED_NAMES
 
     settings = CardSettings(title, licence, url, published, creator)
     api.worker_count(workers)
     require_root(root, tables, out)
-    _require_room(to)
+    require_place(to, "--to")
     from benchmark.extensions.cards.data_card import write_data_card
 
     data = api.open_data(root, tables=tables, workers=workers, out=out)
@@ -65,7 +66,7 @@ def records_card_command(
     json_output: JsonOption = False,
 ) -> None:
     """Write a card of results for a hub: README.md, every rate as a row of a Parquet file, and Croissant metadata."""
-    from benchmark.cli.preflight_places import require_folder
+    from benchmark.cli.preflight_places import require_folder, require_place
     from benchmark.extensions.cards.records_card import write_records_card
     from benchmark.extensions.cards.writing import CardSettings
     from benchmark.records.drives import find_drives
@@ -74,23 +75,13 @@ def records_card_command(
     settings = CardSettings(title, licence, url, published, creator)
     for place in records or ():
         require_folder(place, "--records")
-    _require_room(to)
+    require_place(to, "--to")
     space = api.workspace(out)
     folders = [each for each in records or (space.run_root(), space.drive_root()) if each.is_dir()]
     if not folders:
         raise InputError(f"there are no records below {out}; run challenger-bench eval first, or name --records")
     written = write_records_card(find_records(*folders), find_drives(*folders), to, settings)
     _say(written, "rate", settings, json_output=json_output)
-
-
-def _require_room(to: Path) -> None:
-    """Refuse, before anything is read, where nothing could be written."""
-    from benchmark.cli.preflight_names import require_package
-    from benchmark.cli.preflight_places import require_place
-    from benchmark.extensions.cards.columns import NEEDED
-
-    require_place(to, "--to")
-    require_package("pyarrow", NEEDED)
 
 
 def _say(

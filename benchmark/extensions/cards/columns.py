@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from benchmark.errors import InputError
 from benchmark.machine.storage import write_bytes
 
 Kind = Literal["text", "count", "number", "truth"]
-NEEDED: Final = "a Parquet index needs pyarrow; pip install 'challenger-bench[parquet]'"
 CROISSANT_TYPE: Final[Mapping[Kind, str]] = {
     "text": "sc:Text",
     "count": "sc:Integer",
@@ -43,13 +41,11 @@ def write_index(path: Path, columns: Sequence[Column], rows: Sequence[Mapping[st
         rows: A value or ``None`` for each column.
 
     Raises:
-        InputError: If pyarrow is not installed or the file cannot be written.
+        InputError: If the file cannot be written.
     """
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ImportError as absent:
-        raise InputError(NEEDED) from absent
+    import pyarrow
+    from pyarrow import parquet
+
     types = {"text": pyarrow.string(), "count": pyarrow.int64(), "number": pyarrow.float64(), "truth": pyarrow.bool_()}
     schema = pyarrow.schema([(column.name, types[column.kind]) for column in columns])
     values = {column.name: [row[column.name] for row in rows] for column in columns}

@@ -61,8 +61,7 @@ def write_data_card(
         What was written.
 
     Raises:
-        InputError: If the data set is broken or has no scenes, the folder cannot be written or pyarrow is not
-            installed.
+        InputError: If the data set is broken or has no scenes, or the folder cannot be written.
     """
     settings = settings or CardSettings()
     rows = list(scene_rows(data))

@@ -88,7 +88,7 @@ def write_records_card(
         What was written.
 
     Raises:
-        InputError: If there are no records, the folder cannot be written or pyarrow is not installed.
+        InputError: If there are no records or the folder cannot be written.
     """
     settings = settings or CardSettings()
     rows = list(rate_rows(records, drives))

@@ -94,8 +94,7 @@ def write_card(
         What was written.
 
     Raises:
-        InputError: If the folder cannot be written, holds a ``README.md`` that is no card of ours, or pyarrow is not
-            installed.
+        InputError: If the folder cannot be written or holds a ``README.md`` that is no card of ours.
     """
     _require_own(to / CARD_FILE)
     index = to / index_name

@@ -36,13 +36,7 @@ class CameraPictures:
         return round(self._whole[0] * self._scale), round(self._whole[1] * self._scale)
 
     def at(self, frame: int) -> Picture:
-        """All cameras at a frame, or at the last one before it that has a picture.
-
-        Args:
-            frame: Frame index.
-
-        Returns:
-            (h, w, 3) RGB.
+        """(h, w, 3) RGB of all cameras at a frame, or at the last one before it that has a picture.
 
         Raises:
             InputError: If the picture cannot be read or has not the size that the sheet says.

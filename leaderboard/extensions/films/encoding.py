@@ -17,15 +17,7 @@ _WEBP_QUALITY: Final = 62
 
 
 def webm(frames: Iterable[Picture], fps: float, quality: int = FINE) -> bytes:
-    """Encode as VP9 in WebM.
-
-    Args:
-        frames: Each (h, w, 3) RGB of the same even size.
-        fps: Frames a second.
-        quality: `FINE` or `COMPACT`.
-
-    Returns:
-        The file.
+    """VP9 in WebM of frames, each (h, w, 3) RGB of the same even size; the quality is `FINE` or `COMPACT`.
 
     Raises:
         InputError: If PyAV is not installed.
@@ -56,14 +48,9 @@ def webm(frames: Iterable[Picture], fps: float, quality: int = FINE) -> bytes:
 
 
 def animated_webp(frames: Iterable[Picture], fps: float) -> bytes:
-    """Encode as an animated WebP that repeats for ever, for pages that show pictures but no films.
+    """An animated WebP of frames, each (h, w, 3) RGB of the same size, that repeats for ever.
 
-    Args:
-        frames: Each (h, w, 3) RGB of the same size.
-        fps: Frames a second.
-
-    Returns:
-        The file.
+    For pages that show pictures but no films.
     """
     pictures = [Image.fromarray(frame) for frame in frames]
     # Whole milliseconds that add up to the film's length.

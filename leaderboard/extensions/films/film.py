@@ -234,14 +234,6 @@ def _possible_layout(stored: StoredSheet, layout: FilmLayout) -> FilmLayout:
 def film_frames(scene: str, above: SceneFromAbove, settings: FilmSettings) -> tuple[int, ...]:
     """The frame that is shown at each moment of a film: the last one that has been.
 
-    Args:
-        scene: Its name.
-        above: The scene.
-        settings: How the film is made.
-
-    Returns:
-        Frame indices.
-
     Raises:
         InputError: If the scene ends before the film begins.
     """

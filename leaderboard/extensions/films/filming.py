@@ -43,16 +43,7 @@ def planner_folder(root: Path, data: str, split: str) -> Path:
 
 
 def sheet_folders(root: Path, data: str, split: str, scenes: Sequence[str] | None) -> list[Path]:
-    """Folders of the sheets of some scenes.
-
-    Args:
-        root: Folder of all sheets.
-        data: Name or root of the data set.
-        split: Its split.
-        scenes: Scene names; all that have a sheet by default.
-
-    Returns:
-        Folders, by scene.
+    """Folders of the sheets of some scenes, by scene; of all that have one by default.
 
     Raises:
         InputError: If a scene has no sheet.
@@ -196,18 +187,7 @@ def write_drive_film(
 def write_frames(
     film: Film | DriveFilm, target: Path, form: FilmFormat, fps: float, *, watch: Watch, label: str
 ) -> Path:
-    """Write the frames of a film.
-
-    Args:
-        film: The film.
-        target: Where to, without a suffix.
-        form: What is written.
-        fps: Frames a second.
-        watch: Shows how far the work is.
-        label: What is said of it.
-
-    Returns:
-        What was written.
+    """Write the frames of a film to a target, given without a suffix.
 
     Raises:
         InputError: If the film is too long for its format, or a folder of PNG files has other frames.

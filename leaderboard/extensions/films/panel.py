@@ -57,17 +57,7 @@ class Panel:
         self._gap_m: Floats = adversary_gap(sheet)
 
     def draw(self, width_px: int, height_px: int, overlays: Sequence[Overlay], frame: int) -> Picture:
-        """Legend, planners with their samples so far, the gap to the adversary where there is room.
-
-        Args:
-            width_px: Of the panel.
-            height_px: Of the panel.
-            overlays: What is drawn over the scene now.
-            frame: Frame index.
-
-        Returns:
-            (height_px, width_px, 3) RGB.
-        """
+        """Legend, planners with their samples so far, the gap to the adversary if there is room; (h, w, 3) RGB."""
         image: Picture = np.empty((height_px, width_px, 3), np.uint8)
         cv2.rectangle(image, (0, 0), (width_px, height_px), PANEL, -1)
         top = self._draw_legend(image, overlays)
@@ -143,14 +133,7 @@ class Panel:
 
 
 def adversary_gap(sheet: Sheet) -> Floats:
-    """Distance between the recorded ego and the nearest adversary at each frame.
-
-    Args:
-        sheet: The scene.
-
-    Returns:
-        (T,) metres, NaN where there is no adversary.
-    """
+    """(T,) metres between the recorded ego and the nearest adversary at each frame; NaN where there is none."""
     gaps = np.full(len(sheet.timestamps_us), np.nan)
     for agent in sheet.agents:
         for frame in range(len(gaps)) if agent.adversary else ():

@@ -32,13 +32,9 @@ class Tally:
     touches: Mapping[Whom, int]
 
     def words(self, *, adversaries: bool) -> str:
-        """In few words.
+        """For example ``3 of 14 hit it, 2 another``, a dash where the record does not say whom.
 
-        Args:
-            adversaries: Whether there are adversaries in the scene: contacts with others stand beside then.
-
-        Returns:
-            For example ``3 of 14 hit it, 2 another``, a dash where the record does not say whom.
+        ``adversaries``: whether there are some in the scene, beside whose contacts stand those with others.
         """
         if not adversaries:
             return f"{self.touches.get(Whom.ANYBODY, 0)} of {self.counted} collide"

@@ -59,16 +59,9 @@ class _Page(HTMLParser):
 
 
 def in_page(file: str, text: str, there: Mapping[str, int], *, is_whole: bool = True) -> Iterator[Found]:
-    """What does not work elsewhere in an HTML page.
+    """Requests of an HTML page that leave the folder, and what is not in it.
 
-    Args:
-        file: Its path below the folder.
-        text: The page.
-        there: Sizes of all files by path.
-        is_whole: Whether it is a page of its own, which has a security policy, and no picture in one.
-
-    Yields:
-        Requests that leave the folder, and what is not in it.
+    A page that ``is_whole`` is no page in a picture: it has a security policy.
     """
     page = _Page()
     page.feed(text)
@@ -105,14 +98,7 @@ def in_markdown(file: str, text: str, there: Mapping[str, int]) -> Iterator[Foun
 
 
 def names(there: Mapping[str, int]) -> Iterator[Found]:
-    """Names and sizes that some hosts do not serve.
-
-    Args:
-        there: Sizes of all files by path.
-
-    Yields:
-        What was found.
-    """
+    """Names and sizes of files that some hosts do not serve."""
     seen: dict[str, str] = {}
     for file, size in there.items():
         other = seen.setdefault(file.lower(), file)

@@ -84,14 +84,7 @@ class House:
         return cls(tuple(sorted({*_TOP_FOLDERS, *here})), _telling(names), _telling(users))
 
     def in_text(self, text: str) -> Iterator[tuple[int, Kind, str]]:
-        """What tells of the house in a text.
-
-        Args:
-            text: Of a file.
-
-        Yields:
-            Line, kind, and what was found.
-        """
+        """Line, kind, and what was found of what tells of the house in a text."""
         ends = [place.start() for place in re.finditer("\n", text)]
         in_words: tuple[tuple[Kind, str], ...] = (("path", _HOME), ("host", _NUMERIC_HOST), ("user", _MAIL))
         patterns = [(kind, re.compile(pattern)) for kind, pattern in in_words]
@@ -100,14 +93,7 @@ class House:
                 yield 1 + bisect_left(ends, match.start()), kind, match.group()[:_LONGEST_SHOWN]
 
     def in_binary(self, content: bytes) -> Iterator[tuple[Kind, str]]:
-        """What tells of the house in a picture or another file without lines, where random bytes make short words.
-
-        Args:
-            content: Of the file.
-
-        Yields:
-            Kind, and what was found.
-        """
+        """The same, less lines, of a picture or another file without lines, where random bytes make short words."""
         text = "\n".join(run.decode("ascii") for run in _READABLE.findall(content))
         for kind, pattern in self._anywhere(_SHORTEST_IN_BINARY):
             for match in pattern.finditer(text):

@@ -5,40 +5,29 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from benchmark.machine.storage import content_key
-from benchmark.published import DATA_SET_OF_SPLIT, QUALITY_SOURCE, TABLE_3
+from benchmark.published import DATA_SET_OF_SPLIT, QUALITY_SOURCE
 from benchmark.records.quality import QualityRecord
 from benchmark.records.review import review_words
-from benchmark.report.cells import UNDEFINED, Origin, Shown, named_record
-from benchmark.report.table import Brief, Table, table_of
+from benchmark.report.cells import Origin, named_record
+from benchmark.report.table import Table
 from leaderboard.frame.rows import CAVEAT_MARK, FEW_NOTE, FEW_SCENES, part_of_split, split_place
+from leaderboard.frame.specification import Values, estimates, numbers, tabulate, texts, under
 from leaderboard.page.sections import Section
-from leaderboard.tables.published import quoted
+from leaderboard.tables.published import quoted_quality
 
-_COLUMNS: Final = (
-    "split",
-    "subjects",
-    "SC",
-    "95 %",
-    "IQ",
-    "95 %",
-    "IQ of frames",
-    "95 %",
-    "vehicles",
-    "appearances",
-    "scenes",
-    "SC (paper)",
-    "IQ (paper)",
-)
-_COLUMN_GROUPS: Final = (
-    ("", 2),
-    ("subject consistency", 2),
-    ("imaging quality of vehicles", 2),
-    ("imaging quality of frames", 2),
-    ("counted", 3),
-    ("paper", 2),
-)
-_BRIEF_PLACES: Final = (0, 1, 2, 3, 4, 5, 8, 10)
-"""Columns that a terminal shows: both measures of vehicles with their intervals, vehicles and scenes."""
+_MEASURES: Final = {
+    "SC": "subject consistency",
+    "IQ": "imaging quality of vehicles",
+    "IQ of frames": "imaging quality of frames",
+}
+_COLUMNS: Final = [
+    *texts("split", "subjects"),
+    *(each for name, of in _MEASURES.items() for each in under(of, estimates(name, digits=4, ends=3, beside="95 %"))),
+    *under("counted", numbers("vehicles", "appearances", "scenes")),
+    *under("paper", numbers("SC (paper)", "IQ (paper)")),
+]
+_BRIEF: Final = ("split", "subjects", "SC", "95 % of SC", "IQ", "95 % of IQ", "vehicles", "scenes")
+"""Columns that a terminal shows."""
 _MEASURES_NOTE: Final = (
     "SC: subject consistency (VBench, DINO ViT-B/16), mean over the appearances of each vehicle after its first; IQ: "
     "imaging quality (VBench, MUSIQ trained on SPAQ) of vehicles' regions, and of whole frames. Brackets: 95 % "
@@ -74,54 +63,38 @@ def _table(records: Sequence[QualityRecord], *, several: bool) -> Table:
     data_name, definition = chosen[0].facts.data.name, chosen[0].facts.definition
     title = f"{data_name}: video quality, masks from {chosen[0].masks}, {_frame_rate(definition)}"
     seen = _what_was_seen(chosen)
-    return table_of(
+    paper = "Paper: frame rate, resolution and regions are not published: its values are a reference and no target."
+    return tabulate(
         name,
         title,
         _COLUMNS,
         rows,
-        notes=(
-            _MEASURES_NOTE,
-            *seen,
-            "Paper: frame rate, resolution and regions are not published: its values are a reference and no target.",
-        ),
-        brief=Brief(title, _BRIEF_PLACES, (_MEASURES_NOTE, *seen), text_columns=2),
-        text_columns=2,
-        groups=_COLUMN_GROUPS,
-        sources=(QUALITY_SOURCE,),
+        [_MEASURES_NOTE, *seen, paper],
+        brief=_BRIEF,
+        brief_notes=[_MEASURES_NOTE, *seen],
+        sources=[QUALITY_SOURCE],
     )
 
 
-def _rows(record: QualityRecord) -> list[tuple[str | Shown, ...]]:
+def _rows(record: QualityRecord) -> Iterator[Values]:
     summary, split = record.facts.summary, record.facts.split
     origin = Origin(record=named_record(record.content_id, "video quality", split))
-    rows: list[tuple[str | Shown, ...]] = []
+    frames = origin.amount(summary.frames_imaging, "IQ", "frames")
+    paper = zip(("SC (paper)", "IQ (paper)"), quoted_quality(DATA_SET_OF_SPLIT.get(split, "")))
+    of_whole: Values = {"IQ of frames": frames, **dict(paper)}
     for group in _GROUPS:
-        if group not in summary.groups:
-            continue
-        found, is_whole = summary.groups[group], group == "all"
-        rates = [(found.consistency, "SC", "appearances"), (found.imaging, "IQ", "appearances")]
-        rates += [(summary.frames_imaging, "IQ", "frames")] if is_whole else []
-        cells = [origin.amount(rate, unit, of) for rate, unit, of in rates]
-        rows.append(
-            (
-                *(f"{split} {CAVEAT_MARK}" if record.caveats else split, group),
-                *(shown for cell in cells for shown in (cell.shown(4), cell.interval(3))),
-                *(() if is_whole else (UNDEFINED, UNDEFINED)),
-                origin.count(found.subjects, "vehicles").shown(),
-                origin.count(found.appearances, "appearances").shown(),
-                origin.count(len(record.facts.scenes), "scenes", record.facts.scenes_in_split).shown(),
-                *(_paper(split) if is_whole else (UNDEFINED, UNDEFINED)),
-            )
-        )
-    return rows
-
-
-def _paper(split: str) -> tuple[str | Shown, str | Shown]:
-    row = TABLE_3.get(DATA_SET_OF_SPLIT.get(split, ""))
-    if row is None:
-        return UNDEFINED, UNDEFINED
-    origin = Origin(source=QUALITY_SOURCE)
-    return quoted(row[0], "SC", origin), quoted(row[1], "IQ", origin)
+        if group in summary.groups:
+            found = summary.groups[group]
+            yield {
+                "split": f"{split} {CAVEAT_MARK}" if record.caveats else split,
+                "subjects": group,
+                "SC": origin.amount(found.consistency, "SC", "appearances"),
+                "IQ": origin.amount(found.imaging, "IQ", "appearances"),
+                "vehicles": origin.count(found.subjects, "vehicles"),
+                "appearances": origin.count(found.appearances, "appearances"),
+                "scenes": origin.count(len(record.facts.scenes), "scenes", record.facts.scenes_in_split),
+                **(of_whole if group == "all" else {}),
+            }
 
 
 def _what_was_seen(records: Sequence[QualityRecord]) -> list[str]:

@@ -3,8 +3,8 @@
 from typing import Final
 
 from benchmark.records.reproduction import UNITS, ComparedNumber, Reproduction
-from benchmark.report.cells import UNDEFINED
-from benchmark.report.table import Table, table_of
+from benchmark.report.table import Table
+from leaderboard.frame.specification import Values, numbers, tabulate, texts
 
 _NAMES: Final = {"collision": "collision (%)", "l2": "L2 (m)", "samples": "samples"}
 
@@ -15,30 +15,26 @@ def reproduction_table(found: Reproduction) -> Table:
     rows = [_row(number, sources.index(number.source) + 1) for number in found.numbers]
     wrong = sum(not number.ok for number in found.numbers)
     verdict = "reproduced" if found.reproduced else f"not reproduced: {wrong} of {len(rows)} numbers differ"
-    return table_of(
+    return tabulate(
         f"reproduction-{found.planner.name}",
         f"{found.planner.name} on {found.data.name}, {found.split}, protocol {found.protocol} (version "
         f"{found.version}): {found.of}",
-        ("", "number", "at", "expected", "ours", "difference", "allowed", "from"),
+        [*texts("", "number", "at"), *numbers("expected", "ours", "difference", "allowed", "from")],
         rows,
-        notes=(*(f"{place}: {source}." for place, source in enumerate(sources, 1)), f"Verdict: {verdict}."),
-        text_columns=3,
+        [*(f"{place}: {source}." for place, source in enumerate(sources, 1)), f"Verdict: {verdict}."],
     )
 
 
-def _row(number: ComparedNumber, source: int) -> tuple[str, ...]:
+def _row(number: ComparedNumber, source: int) -> Values:
     digits = 0 if number.column == "samples" else 3
-    ours = UNDEFINED if number.ours is None else f"{number.ours:.{digits}f}"
-    # Adding zero makes minus zero zero.
-    apart = UNDEFINED if number.difference is None else f"{round(number.difference, digits) + 0.0:+.{digits}f}"
-    allowed = f"{number.allowed:g}" if UNITS[number.column] else "none"
-    return (
-        "ok" if number.ok else "FAIL",
-        _NAMES[number.column],
-        number.horizon,
-        f"{number.published:.{digits}f}",
-        ours,
-        apart,
-        allowed,
-        str(source),
-    )
+    return {
+        "": "ok" if number.ok else "FAIL",
+        "number": _NAMES[number.column],
+        "at": number.horizon,
+        "expected": f"{number.published:.{digits}f}",
+        "ours": None if number.ours is None else f"{number.ours:.{digits}f}",
+        # Adding zero makes minus zero zero.
+        "difference": None if number.difference is None else f"{round(number.difference, digits) + 0.0:+.{digits}f}",
+        "allowed": f"{number.allowed:g}" if UNITS[number.column] else "none",
+        "from": str(source),
+    }

@@ -1,22 +1,27 @@
 """What is kept of a record that was read before: the same record with it, without it, and whatever became of it."""
 
+import hashlib
 import json
 import pickle
+import shutil
+import subprocess
+import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import numpy as np
+import pyarrow as pa
 import pytest
 
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
+from benchmark.machine.kept_arrays import kept_place, read_batch, write_batch
 from benchmark.machine.storage import file_sha256
-from benchmark.records import kept_columns, run
-from benchmark.records.column_arrays import arrays_of
-from benchmark.records.columns import RowColumns
-from benchmark.records.kept_columns import kept_at
+from benchmark.records import rows as stored_rows
+from benchmark.records import run
+from benchmark.records.columns import LINES, RowColumns, batch_of
 from benchmark.records.rows import Rows
-from benchmark.records.run import RunRecord, load_record, scene_failures, write_record
+from benchmark.records.run import RunRecord, find_records, load_record, scene_failures, write_record
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Failing
 
@@ -32,8 +37,7 @@ def real(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
 def record(real: RunRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Folder of a record of which nothing is kept yet, small as it is."""
     monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(kept_columns, "WORTH_BYTES", 1)
-    kept_columns._forget_what_is_gone.cache_clear()
+    monkeypatch.setattr(stored_rows, "WORTH_BYTES", 1)
     folder = tmp_path / "record"
     folder.mkdir()
     for name in ("samples.jsonl", "summary.json", "run.json"):
@@ -44,7 +48,7 @@ def record(real: RunRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.fixture
 def kept(record: Path) -> Path:
     """The file in the cache."""
-    found = kept_at(record / "samples.jsonl")
+    found = kept_place("records", record / "samples.jsonl")
     assert found is not None
     return found
 
@@ -76,15 +80,18 @@ def test_the_second_reading_parses_nothing_and_says_the_same(loaded: Loaded, rec
     assert list(Rows.of(second.rows).lines()) == list(Rows.of(real.rows).lines())
     assert sorted(path.name for path in record.iterdir()) == before
     plain = RowColumns(list(real.rows))
-    assert list(second.columns.brief) == list(plain.brief) == [plain.brief[at] for at in range(len(plain))]
+    assert second.columns.brief == plain.brief == plain.brief_at(range(len(plain)))
     for name in real.run.protocols:
         assert second.columns.outcomes(name).as_rows() == plain.outcomes(name).as_rows()
         assert scene_failures(second.rows, name) == scene_failures(real.rows, name)
     assert second.rows_of(real.run.scenes[-1]) == real.rows_of(real.run.scenes[-1])
-    for column, values in arrays_of(list(real.rows)).items():
-        found = second.columns.arrays[column]
-        assert np.array_equal(found, values, equal_nan=values.dtype.kind == "f"), column
-        assert found.dtype == values.dtype and not found.flags.writeable
+    made = batch_of(list(real.rows))
+    assert made is not None
+    found = second.columns.batch.select(made.schema.names)
+    # NaN is equal to NaN here.
+    assert found.schema == made.schema and repr(found.to_pydict()) == repr(made.to_pydict())
+    for values in (second.columns.in_lidar, second.columns.planned, second.columns.outcomes("exact").l2):
+        assert not values.flags.writeable
 
 
 def test_writing_a_record_keeps_it_for_who_reads_it_next(loaded: Loaded, record: Path, real: RunRecord) -> None:
@@ -130,9 +137,73 @@ def test_a_damaged_file_is_made_again(loaded: Loaded, kept: Path, damage: Callab
     assert kept.read_bytes() == whole
 
 
+def forged(kept: Path, batch: pa.RecordBatch | bytes) -> None:
+    """A file in the cache that fits the rows and has its own hash, but was not made from them."""
+    head = json.loads(kept.read_bytes().partition(b"\n")[0])
+    # Others have the former one open.
+    kept.unlink()
+    if isinstance(batch, bytes):
+        head["sha256"] = hashlib.sha256(batch).hexdigest()
+        kept.write_bytes(json.dumps(head).encode() + b"\n" + batch)
+    else:
+        assert write_batch(kept, Path(head["source"]), head["made_of"], batch)
+
+
+def beyond(batch: pa.RecordBatch) -> pa.RecordBatch:
+    """Values that are said to lie where there are none."""
+    at = batch.schema.get_field_index("scene")
+    codes = pa.array([1 << 20] * len(batch), pa.int32())
+    column = pa.DictionaryArray.from_arrays(codes, batch.column(at).dictionary, safe=False)
+    return batch.set_column(at, "scene", column)
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda batch: b"",
+        lambda batch: b"ARROW1\0\0 and nothing else",
+        lambda batch: pickle.dumps(batch),
+        lambda batch: batch.drop_columns([LINES]),
+        lambda batch: batch.drop_columns(["scene"]),
+        lambda batch: batch.append_column("more", pa.array([{"a": 1}] * len(batch))),
+        beyond,
+    ],
+)
+def test_a_file_that_fits_but_was_not_made_from_rows_is_made_again(
+    loaded: Loaded, kept: Path, made: Callable[[pa.RecordBatch], pa.RecordBatch | bytes]
+) -> None:
+    first, _ = loaded()
+    whole = kept.read_bytes()
+    batch = read_batch(kept, json.loads(whole.partition(b"\n")[0])["made_of"])
+    assert batch is not None and LINES in batch.schema.names
+    forged(kept, made(batch))
+    second, parsed = loaded()
+    assert parsed == len(first.rows) and first == second
+    assert kept.read_bytes() == whole
+
+
+PROGRAM = """
+import sys
+from pathlib import Path
+from benchmark import evaluation
+from benchmark.records import rows, run
+assert "pyarrow" not in sys.modules
+rows.WORTH_BYTES = 1
+for _ in range(2):
+    record = run.load_record(Path(sys.argv[1]))
+    assert record.columns.brief and record.columns.outcomes("exact").facts
+assert "pyarrow" in sys.modules and "pandas" not in sys.modules
+"""
+
+
+def test_arrow_is_imported_for_columns_alone_and_does_not_bring_pandas_along(record: Path, kept: Path) -> None:
+    subprocess.run([sys.executable, "-c", PROGRAM, record], cwd=Path(__file__).parents[3], check=True)
+    assert kept.is_file()
+
+
 def test_other_code_reads_again(loaded: Loaded, monkeypatch: pytest.MonkeyPatch) -> None:
     loaded()
-    monkeypatch.setattr(kept_columns, "_checks", lambda: "those of another version")
+    monkeypatch.setattr(stored_rows, "_checks", lambda: "those of another version")
     again, parsed = loaded()
     assert parsed == len(again.rows)
 
@@ -145,8 +216,46 @@ def test_a_cache_that_cannot_be_written_to_is_done_without(loaded: Loaded, kept:
         assert parsed == len(again.rows)
 
 
+def test_two_who_keep_the_same_at_once_leave_a_whole_file(loaded: Loaded, record: Path, kept: Path) -> None:
+    first, _ = loaded()
+    whole = kept.read_bytes()
+    kept.unlink()
+    with ThreadPoolExecutor(4) as threads:
+        found = list(threads.map(load_record, [record] * 8))
+    assert all(each == first for each in found)
+    assert kept.read_bytes() == whole and list(kept.parent.iterdir()) == [kept]
+
+
+@pytest.mark.parametrize("spoilt", [False, True])
+def test_workers_keep_what_is_new_and_leave_what_is_damaged(
+    record: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, spoilt: bool
+) -> None:
+    monkeypatch.setattr(stored_rows, "WORTH_WORKERS_BYTES", 1)
+    monkeypatch.setattr(stored_rows, "default_workers", lambda: 2)
+    # Workers have modules of their own.
+    rows = record / "samples.jsonl"
+    run_head = json.loads((record / "run.json").read_text())
+    many = rows.read_bytes() * (1 + (1 << 22) // rows.stat().st_size)
+    run_head["files"]["samples.jsonl"] = hashlib.sha256(many).hexdigest()
+    folders = [tmp_path / "all" / name for name in "abc"]
+    for folder in folders:
+        shutil.copytree(record, folder)
+        (folder / "samples.jsonl").write_bytes(many)
+        (folder / "run.json").write_text(json.dumps(run_head))
+    if spoilt:
+        (folders[1] / "samples.jsonl").write_bytes(many + b"{}")
+        with pytest.raises(InputError, match="does not belong to the run"):
+            find_records(tmp_path / "all")
+        return
+    found = find_records(tmp_path / "all")
+    parsed: list[int] = []
+    monkeypatch.setattr(run, "_row", lambda *given, **more: parsed.append(1))
+    assert find_records(tmp_path / "all") == found and not parsed
+    assert len(found) == 3 and len(list((tmp_path / "cache" / "records").iterdir())) == 3
+
+
 def test_small_records_are_not_kept(loaded: Loaded, kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kept_columns, "WORTH_BYTES", 1 << 22)
+    monkeypatch.setattr(stored_rows, "WORTH_BYTES", 1 << 22)
     loaded()
     assert not kept.exists()
 
@@ -155,13 +264,12 @@ def test_what_is_kept_of_records_that_are_gone_is_removed(loaded: Loaded, record
     loaded()
     moved = record.rename(record.parent / "moved")
     assert kept.is_file()
-    kept_columns._forget_what_is_gone.cache_clear()
     load_record(moved)
-    assert not kept.exists() and kept_at(moved / "samples.jsonl").is_file()  # type: ignore[union-attr]
+    assert not kept.exists() and kept_place("records", moved / "samples.jsonl").is_file()  # type: ignore[union-attr]
 
 
 def test_a_kept_record_goes_to_another_process(loaded: Loaded, real: RunRecord) -> None:
     loaded()
     sent = pickle.loads(pickle.dumps(loaded()[0]))  # noqa: S301
     assert list(sent.rows) == list(real.rows)
-    assert list(sent.columns.brief) == list(RowColumns(list(real.rows)).brief)
+    assert sent.columns.brief == RowColumns(list(real.rows)).brief

@@ -1,6 +1,5 @@
 """Rows that are kept compressed are the rows, and their columns say what the rows say."""
 
-import gc
 import json
 from collections.abc import Callable
 from itertools import pairwise
@@ -11,11 +10,11 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
-from benchmark.machine.garbage import uncollected
 from benchmark.metrics.consistency import apart, plans_apart
 from benchmark.protocols import Outcomes
-from benchmark.records.columns import RowColumns
-from benchmark.records.row_schema import SampleRow
+from benchmark.records import columns as columns_module
+from benchmark.records.columns import RowColumns, batch_of
+from benchmark.records.row_schema import OutcomeRow, SampleRow
 from benchmark.records.rows import Rows, columns_of, line_of
 from benchmark.records.run import RunRecord, load_record, scene_failures, write_record
 from tests.benchmark.fake_data import town_of_two
@@ -66,6 +65,50 @@ def test_columns_say_what_rows_say(real: RunRecord) -> None:
         )
     with pytest.raises(KeyError):
         columns.outcomes("none")
+
+
+@pytest.mark.parametrize("at_once", [1, 7])
+def test_columns_that_are_made_piece_by_piece_are_the_same(
+    real: RunRecord, monkeypatch: pytest.MonkeyPatch, at_once: int
+) -> None:
+    plain = list(real.rows)
+    expected = RowColumns(plain)
+    monkeypatch.setattr(columns_module, "_ROWS_AT_ONCE", at_once)
+    batch = batch_of(plain)
+    assert batch is not None
+    found = RowColumns([], batch)
+    assert found.brief == expected.brief and np.array_equal(found.planned, expected.planned)
+    for name in ("in_lidar", "recorded", "moved"):
+        assert np.array_equal(getattr(found, name), getattr(expected, name), equal_nan=True)
+    for name in real.run.protocols:
+        assert found.outcomes(name).as_rows() == expected.outcomes(name).as_rows()
+        assert (found.outcomes(name).known is None) == (expected.outcomes(name).known is None)
+
+
+@pytest.mark.parametrize("at_once", [1, 7, 512])
+def test_verdicts_that_do_not_go_together_are_those_of_rows(
+    real: RunRecord, monkeypatch: pytest.MonkeyPatch, at_once: int
+) -> None:
+    monkeypatch.setattr(columns_module, "_ROWS_AT_ONCE", at_once)
+    plain = [row for row in real.rows if row.status == "ok"]
+
+    def changed(place: int, outcomes: dict[str, OutcomeRow]) -> RowColumns:
+        own = plain[place].model_copy(update={"outcomes": outcomes})
+        return RowColumns([*plain[:place], own, *plain[place + 1 :]])
+
+    whole = plain[9].outcomes
+    lacking = changed(9, {name: said for name, said in whole.items() if name != "exact"})
+    with pytest.raises(KeyError):
+        lacking.outcomes("exact")
+    assert lacking.outcomes("uniad").as_rows() == RowColumns(plain).outcomes("uniad").as_rows()
+    more = whole["exact"].model_copy(update={"steps": {**whole["exact"].steps, "more": [1] * 6}})
+    assert changed(9, whole | {"exact": more}).outcomes("exact").steps.keys() == whole["exact"].steps.keys()
+    assert changed(0, whole).outcomes("exact").steps.keys() == whole["exact"].steps.keys()
+    with pytest.raises(KeyError):
+        changed(0, whole | {"exact": more}).outcomes("exact")
+    ragged = whole["exact"].model_copy(update={"steps": {name: [1.5] * 6 for name in whole["exact"].steps}})
+    mixed = changed(9, whole | {"exact": ragged}).outcomes("exact")
+    assert {values.dtype for values in mixed.steps.values()} == {np.dtype(np.float64)}
 
 
 def test_plans_apart_are_those_one_by_one(real: RunRecord) -> None:
@@ -119,11 +162,3 @@ def test_verdicts_on_scenes_are_kept_and_nobody_can_change_them() -> None:
     assert columns_of(made.rows) is made.columns
     with pytest.raises(ValueError, match="read-only"):
         made.columns.outcomes("exact").collision[0, 0] = True
-
-
-def test_collection_is_as_it_was_afterwards() -> None:
-    assert gc.isenabled()
-    with pytest.raises(RuntimeError), uncollected():
-        assert not gc.isenabled()
-        raise RuntimeError
-    assert gc.isenabled()

@@ -98,5 +98,5 @@ def test_letters_are_eleven_pixels_high_on_a_page_and_dark_ones_are_light(count:
         sizes = [float(size) for size in re.findall(rb"scale\(([0-9.]+) -", figure.svg)]
         # Glyphs are drawn in hundredths of a point; 96 pixels of a page are 72 points.
         assert sizes and min(sizes) * 100 * 96 / 72 >= 11.0
-        assert figure.dark != figure.svg and DARK.paper.encode() in figure.dark
-        assert LIGHT.ink.encode() not in figure.dark
+        assert figure.dark() != figure.svg and DARK.paper.encode() in figure.dark()
+        assert LIGHT.ink.encode() not in figure.dark()

@@ -57,7 +57,8 @@ def test_the_same_matrix_gives_the_same_bytes_whatever_the_users_settings(suffix
 def test_pictures_made_together_are_those_one_by_one() -> None:
     matrix = matrix_of("a", "b", "c")
     for draw, together in ((heat_map, heat_maps), (lift_map, lift_maps)):
-        assert together(matrix) == (draw(matrix, ".png"), draw(matrix, ".svg"), draw(matrix, ".svg", DARK))
+        png, svg, dark = together(matrix)
+        assert (png, svg, dark()) == (draw(matrix, ".png"), draw(matrix, ".svg"), draw(matrix, ".svg", DARK))
 
 
 def attacked_by(*verdicts: str) -> TransferMatrix:

@@ -8,6 +8,7 @@ import pytest
 from benchmark.report.plots import LIGHT
 from leaderboard.build import leaderboard_files
 from leaderboard.figures.pressure import PANELS, pressure_figure, pressure_figures
+from leaderboard.frame.results import read_results
 from leaderboard.tables.pressure import pressure_tables, pressures
 from tests.benchmark.records.test_drives import written
 from tests.leaderboard.tables.test_pressure import HURT, SURVIVED, drives, measured, records
@@ -45,6 +46,6 @@ def test_same_bytes_and_its_place_in_the_leaderboard(tmp_path: Path) -> None:
     (figure,) = pressure_figures(made)
     assert (figure,) == pressure_figures(made)
     assert not pressure_figures(made[:1])
-    files = leaderboard_files([], drives=made)
+    files = leaderboard_files(read_results([], drives=made))
     (name,) = [name for name in files if name.endswith("drives-pressure.png")]
     assert files[name] == figure.png and f"({name})" in files["README.md"].decode()

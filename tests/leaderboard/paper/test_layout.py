@@ -10,6 +10,7 @@ import pytest
 from benchmark.published import ADV_NUSC, HYPER_PARAMETERS, RUNTIME_S
 from benchmark.report.table import LatexForm, escape_latex, table_of
 from leaderboard.build import leaderboard_files
+from leaderboard.frame.results import read_results
 from leaderboard.frame.sheets import by_data_set
 from leaderboard.paper.appendix import hyper_parameter_tables, paper_data_set_tables, paper_runtime_tables
 from leaderboard.paper.document import PREAMBLE
@@ -101,13 +102,13 @@ def test_the_chart_shows_shares_that_are_a_whole() -> None:
     # Five attempts took 10 s of sampling, two scenes 8 s of rendering.
     assert shares["sampling"] / shares["rendering"] == pytest.approx((10 / 5) / (8 / 2))
     (chart,) = runtime_charts("d", sheets)
-    assert chart.name == "runtime-adv" and chart.png.startswith(b"\x89PNG") and chart.svg != chart.dark
+    assert chart.name == "runtime-adv" and chart.png.startswith(b"\x89PNG") and chart.svg != chart.dark()
     assert runtime_charts("d", sheets_of(split_sheet("val"))) == ()
     assert runtime_charts("d", sheets)[0] == chart
 
 
 def test_a_leaderboard_has_them_all_and_one_document() -> None:
-    files = leaderboard_files(paper_runs(), sheets=paper_sheets())
+    files = leaderboard_files(read_results(paper_runs(), sheets=paper_sheets()))
     wanted = ("paper-table-1", "paper-hyper-parameters", "paper-runtime-adv", "paper-data-set")
     for name in wanted:
         for suffix in (".tex", ".csv", ".json"):
@@ -151,7 +152,7 @@ def compiled(folder: Path, name: str) -> str:
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("leaderboard")
-    for name, data in leaderboard_files(paper_runs(), sheets=paper_sheets(), ablations=[study()]).items():
+    for name, data in leaderboard_files(read_results(paper_runs(), sheets=paper_sheets(), ablations=[study()])).items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)

@@ -11,6 +11,7 @@ from selenium.common.exceptions import WebDriverException
 from benchmark.records.run import RunRecord, find_records
 from benchmark.records.scenes import Sheets, find_sheets
 from leaderboard.build import write_leaderboard
+from leaderboard.frame.results import read_results
 from tests.leaderboard.site.big_workspace import BigWorkspace, make_workspace
 from tests.leaderboard.site.browser import HEIGHT_PX, WIDTH_PX, Browser, find_chromium, started
 
@@ -50,7 +51,7 @@ def site(chromium: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) 
     folder = tmp_path_factory.mktemp("site")
     made = make_workspace(folder, SCENES, MODELS, samples=SAMPLES)
     records, sheets = find_records(folder / "runs"), find_sheets(folder / "sheets")
-    write_leaderboard(records, folder / "leaderboard", sheets=sheets)
+    write_leaderboard(read_results(records, sheets=sheets), folder / "leaderboard")
     return Site(made, tuple(records), sheets, folder / "leaderboard" / "site" / "index.html")
 
 

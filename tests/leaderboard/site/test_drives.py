@@ -11,6 +11,7 @@ from benchmark.records.considered import ConsideredFrame, write_considered
 from benchmark.records.drives import DriveRecord
 from benchmark.records.scenes import Sheet, Sheets
 from leaderboard.build import write_leaderboard
+from leaderboard.frame.results import read_results
 from leaderboard.site.drive_data import drive_files, drive_index, driven_poses
 from leaderboard.site.scene_data import agent_data
 from leaderboard.site.scene_index import scene_key
@@ -116,7 +117,7 @@ def test_the_page_plays_a_drive(site: Site, browser: Browser, tmp_path: Path) ->
     sheet = first_sheet(site)
     driven = [drive_of(tmp_path / name, sheet, name) for name in ("replay", "idm")]
     folder = tmp_path / "board"
-    write_leaderboard(site.records, folder, sheets=site.sheets, drives=driven)
+    write_leaderboard(read_results(site.records, sheets=site.sheets, drives=driven), folder)
     index = (folder / "site" / "index.html").as_uri()
     keys = {one["everybody"]: one["key"] for one in drive_index(driven, site.sheets)}
     text = opened(browser, index, f"#/drive/{keys[True]}?t=2")
@@ -179,7 +180,7 @@ def test_the_player_shows_what_was_considered_until_it_is_switched_off(
 ) -> None:
     sheet = first_sheet(site)
     driven, folder = [pursued(tmp_path / "a", sheet), drive_of(tmp_path / "b", sheet)], tmp_path / "board"
-    write_leaderboard(site.records, folder, sheets=site.sheets, drives=driven)
+    write_leaderboard(read_results(site.records, sheets=site.sheets, drives=driven), folder)
     index = (folder / "site" / "index.html").as_uri()
     keys = {one["adversary"]: one["key"] for one in drive_index(driven, site.sheets)}
     text = opened(browser, index, f"#/drive/{keys[True]}?t=2.1")

@@ -24,11 +24,10 @@ from benchmark.records.scenes import NO_SHEETS, Sheets, StoredSheet, find_sheets
 from benchmark.report.palette import ADVERSARY, PLANNERS_ON_DARK, PLANNERS_ON_LIGHT, hexadecimal
 from benchmark.report.table import Table
 from leaderboard.build import stale_files, write_leaderboard
-from leaderboard.frame.results import Results
+from leaderboard.frame.results import Results, read_results
 from leaderboard.frame.runs import Frame
 from leaderboard.page.sections import NamedFigure
-from leaderboard.site.index_data import PlacedTable, index_data
-from leaderboard.site.key_table import key_table
+from leaderboard.site.index_data import PlacedTable, index_data, key_table
 from leaderboard.site.model_index import model_index
 from leaderboard.site.scene_index import label_words, scene_index
 from leaderboard.site.scripts import data_script
@@ -37,7 +36,7 @@ from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 from tests.leaderboard.site.big_workspace import DATA_NAME, IMAGE_TAG, BigWorkspace, make_workspace
 
 ASSETS = Path(__file__).resolve().parents[3] / "leaderboard" / "site" / "assets"
-FIGURE = NamedFigure("rates-exact", "Rates", b"png", b"<svg/>", b"<svg id='dark'/>")
+FIGURE = NamedFigure("rates-exact", "Rates", b"png", b"<svg/>", lambda: b"<svg id='dark'/>")
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures have tests of their own and take most of the time."""
     monkeypatch.setattr("leaderboard.figures.contents.OF_RUNS", (lambda frame: (FIGURE,),))
     for name in ("heat_maps", "lift_maps"):
-        monkeypatch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"png", b"png", b"png"))
+        monkeypatch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"png", b"png", lambda: b"png"))
 
 
 @pytest.fixture(scope="module")
@@ -70,9 +69,9 @@ def folder(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pat
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("leaderboard.figures.contents.OF_RUNS", (lambda frame: (FIGURE,),))
         for name in ("heat_maps", "lift_maps"):
-            patch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"png", b"png", b"png"))
+            patch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"png", b"png", lambda: b"png"))
         found = tmp_path_factory.mktemp("board")
-        write_leaderboard(made.records, found, sheets=made.sheets)
+        write_leaderboard(read_results(made.records, sheets=made.sheets), found)
         yield found
 
 
@@ -232,7 +231,7 @@ def test_what_pages_link_and_show_is_in_the_folder(folder: Path) -> None:
     for path in [*paths, *(figure["path"] for figure in index["figures"])]:
         assert (site / unquote(path)).read_bytes() == (folder / unquote(path)).read_bytes()
     (rates,) = [figure for figure in index["figures"] if figure["title"] == "Rates"]
-    assert (site / unquote(rates["dark"])).read_bytes() == FIGURE.dark
+    assert (site / unquote(rates["dark"])).read_bytes() == FIGURE.dark()
     assert not (folder / unquote(rates["dark"])).exists()
     page = (site / "index.html").read_text()
     scripts = set(re.findall(r'(?:src|href)="([a-z_/]+\.(?:js|css))"', page))
@@ -249,7 +248,7 @@ def test_pages_ask_nobody_and_make_no_code_of_texts(path: Path) -> None:
 
 
 def test_the_order_of_records_changes_no_byte(made: Made, folder: Path, tmp_path: Path) -> None:
-    write_leaderboard(made.records[::-1], tmp_path, sheets=made.sheets)
+    write_leaderboard(read_results(made.records[::-1], sheets=made.sheets), tmp_path)
     for path in sorted((folder / "site").rglob("*")):
         assert path.is_dir() or (tmp_path / path.relative_to(folder)).read_bytes() == path.read_bytes()
 
@@ -257,40 +256,39 @@ def test_the_order_of_records_changes_no_byte(made: Made, folder: Path, tmp_path
 def test_a_changed_missing_or_foreign_file_makes_the_site_stale_until_written_again(
     made: Made, folder: Path, tmp_path: Path
 ) -> None:
-    write_leaderboard(made.records, tmp_path, sheets=made.sheets)
-    assert stale_files(made.records, tmp_path, sheets=made.sheets) == []
+    write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path)
+    assert stale_files(read_results(made.records, sheets=made.sheets), tmp_path) == []
     site = tmp_path / "site"
     pictures = sorted(site.glob("media/*/cameras/*.webp"))
     pictures[0].write_bytes(b"other")
     (site / "app.js").unlink()
     write_bytes(site / "media" / "gone" / "thumb.webp", b"old")
-    assert sorted(sentence.removeprefix(f"{site}/") for sentence in stale_files(
-        made.records, tmp_path, sheets=made.sheets
-    )) == sorted([
+    stale = stale_files(read_results(made.records, sheets=made.sheets), tmp_path)
+    assert sorted(sentence.removeprefix(f"{site}/") for sentence in stale) == sorted([
         "app.js is missing",
         f"{pictures[0].relative_to(site)} differs from what the run records say",
         "media/gone/thumb.webp is a file that the run records no longer give",
     ])  # fmt: skip
-    write_leaderboard(made.records, tmp_path, sheets=made.sheets)
-    assert stale_files(made.records, tmp_path, sheets=made.sheets) == []
+    write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path)
+    assert stale_files(read_results(made.records, sheets=made.sheets), tmp_path) == []
 
 
 def test_a_folder_that_is_no_site_of_ours_is_left_alone(made: Made, tmp_path: Path) -> None:
     write_bytes(tmp_path / "site" / "index.html", b"mine")
     with pytest.raises(InputError, match="--no-site"):
-        write_leaderboard(made.records, tmp_path, sheets=made.sheets)
+        write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path)
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["index.html"]
-    write_leaderboard(made.records, tmp_path, sheets=made.sheets, site=False)
+    write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path, site=False)
     assert (tmp_path / "site" / "index.html").read_bytes() == b"mine"
     assert "site/index.html" not in (tmp_path / "README.md").read_text()
-    assert stale_files(made.records, tmp_path, sheets=made.sheets, site=False) == []
+    assert stale_files(read_results(made.records, sheets=made.sheets), tmp_path, site=False) == []
 
 
 def test_a_first_site_that_was_killed_before_its_first_file_is_begun_again(made: Made, tmp_path: Path) -> None:
     (tmp_path / "site" / "data").mkdir(parents=True)
     (tmp_path / "site" / "data" / ".index.js.42.part").write_bytes(b"half")
-    write_leaderboard(made.records, tmp_path, sheets=made.sheets)
-    assert stale_files(made.records, tmp_path, sheets=made.sheets) == []
+    write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path)
+    assert stale_files(read_results(made.records, sheets=made.sheets), tmp_path) == []
     assert not list(tmp_path.rglob(".*"))
 
 

@@ -21,10 +21,9 @@ from benchmark.records.row_schema import DiagnosisRow, ForecastRow, OutcomeRow, 
 from benchmark.records.run import RunRecord, find_records
 from benchmark.records.scenes import NO_SHEETS, SheetMap, Sheets, find_sheets, picture_name
 from leaderboard.site.packing import CENTIMETRE, packed, packed_path
-from leaderboard.site.scene_data import scene_files
+from leaderboard.site.scene_data import THUMBNAIL_PX, closest_frame, scene_files, thumbnail
 from leaderboard.site.scene_index import scene_key
 from leaderboard.site.scene_plans import COUNTED, FORECASTS_SHOWN, MODES_SHOWN, sample_entry
-from leaderboard.site.thumbnails import THUMBNAIL_PX, closest_frame, thumbnail
 from tests.leaderboard.site.big_workspace import DATA_NAME, BigWorkspace, make_workspace
 
 AHEAD_M = 0.94

@@ -11,6 +11,7 @@ from benchmark.records.judgement import JudgementSummary
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord
 from leaderboard.build import write_leaderboard
+from leaderboard.frame.results import read_results
 from tests.leaderboard.site.big_workspace import EMOJI, HOSTILE_REASON, IMAGE_TAG, RIGHT_TO_LEFT, SCRIPT_TAG
 from tests.leaderboard.site.browser import Browser
 from tests.leaderboard.site.conftest import Site
@@ -77,7 +78,7 @@ def test_who_hits_another_than_the_adversary_does_not_fail_and_has_a_mark_of_its
 ) -> None:
     planner = site.made.planners[1]
     records = [into_others(record) if record.planner == planner else record for record in site.records]
-    write_leaderboard(records, tmp_path, sheets=site.sheets)
+    write_leaderboard(read_results(records, sheets=site.sheets), tmp_path)
     browser.open(f"#/scenes?split=adv&fails={planner}", start=(tmp_path / "site" / "index.html").as_uri())
     assert not shown_scenes(browser)
     browser.choose("filter-fails", "")

@@ -12,6 +12,7 @@ from benchmark.machine.storage import content_key
 from benchmark.records.row_schema import PlanRow, SampleRow
 from benchmark.records.run import RunRecord
 from leaderboard.build import write_leaderboard
+from leaderboard.frame.results import read_results
 from leaderboard.site.scene_plans import sample_entry
 from tests.leaderboard.site.big_workspace import DATA_NAME
 from tests.leaderboard.site.browser import Browser
@@ -56,7 +57,9 @@ def without_sheets(site: Site, tmp_path_factory: pytest.TempPathFactory) -> Path
     """``index.html`` of a site of the same records, one planner of them changed, without any sheet."""
     folder = tmp_path_factory.mktemp("without-sheets")
     plain = site.made.planners[1]
-    write_leaderboard([changed(record) if record.planner == plain else record for record in site.records], folder)
+    write_leaderboard(
+        read_results([changed(record) if record.planner == plain else record for record in site.records]), folder
+    )
     return folder / "site" / "index.html"
 
 

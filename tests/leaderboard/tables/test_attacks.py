@@ -7,6 +7,7 @@ from benchmark.metrics.attacks import attack_rates
 from benchmark.records.run import RunRecord, load_record
 from benchmark.report.table import Table
 from leaderboard.build import leaderboard_files
+from leaderboard.frame.results import read_results
 from leaderboard.frame.runs import Frame
 from leaderboard.tables.attacks import attack_tables, success_table
 from leaderboard.tables.collision import run_tables
@@ -140,10 +141,10 @@ def test_old_records_are_named_and_in_no_table() -> None:
 
 
 def test_a_leaderboard_has_the_tables_and_the_figure() -> None:
-    files = leaderboard_files([with_realism(run, None) for run in records()])
+    files = leaderboard_files(read_results([with_realism(run, None) for run in records()]))
     for name in ("attack-success", "severity-contacts", "severity-near", "ladder", "validity"):
         assert f"tables/d/{name}.csv" in files and f"tables/d/{name}.tex" in files
     assert "figures/d/attack-realism.png" in files and "attack success" in files["README.md"].decode()
-    unjudged = leaderboard_files([attacked("p", SCENES, dict.fromkeys(SCENES))])
+    unjudged = leaderboard_files(read_results([attacked("p", SCENES, dict.fromkeys(SCENES))]))
     assert "figures/d/attack-realism.png" not in unjudged
     assert "No figure of attack success against realism: nobody said" in unjudged["README.md"].decode()

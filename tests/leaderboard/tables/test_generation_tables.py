@@ -13,13 +13,13 @@ from benchmark.records.scenes import NO_SHEETS, SPLIT_FILE, find_sheets, split_f
 from benchmark.report.cells import UNDEFINED
 from benchmark.report.table import Table
 from leaderboard.build import leaderboard_files, stale_files, write_leaderboard
+from leaderboard.frame.results import read_results
 from leaderboard.frame.sheets import by_data_set
 from leaderboard.tables.ablation import ablation_tables
 from leaderboard.tables.contents import generation_tables
-from leaderboard.tables.manoeuvres import manoeuvre_tables
 from leaderboard.tables.published import published_data_set_table, published_runtime_table, published_tables
 from leaderboard.tables.runtime import runtime_tables
-from leaderboard.tables.statistics import statistics_tables
+from leaderboard.tables.statistics import manoeuvre_tables, statistics_tables
 from tests.leaderboard.csv_rows import csv_rows
 from tests.leaderboard.made_up import (
     ATTEMPTS,
@@ -209,17 +209,19 @@ def test_a_study_is_known_by_its_content(tmp_path: Path) -> None:
 
 def test_the_leaderboard_has_them_in_every_form_with_and_without_runs(tmp_path: Path) -> None:
     sheets = workspace_sheets("../mine")
-    files = leaderboard_files([], (), sheets, [study()])
+    files = leaderboard_files(read_results([], (), sheets, [study()]))
     for name in ("tables/%2E.%2Fmine/runtime-adv", "tables/d/ablation-p", "published/published"):
         assert {f"{name}{suffix}" for suffix in (".tex", ".csv", ".json")} <= set(files)
     text = files["README.md"].decode()
     assert "ablation of the search with p" in text and "what adversaries do, and where" in text
     assert csv_rows(files["tables/d/ablation-p.csv"].decode())[0]["paper"] == "6.17"
-    write_leaderboard([], tmp_path, (), sheets, [study()])
-    assert stale_files([], tmp_path, (), sheets, [study()]) == []
+    write_leaderboard(read_results([], (), sheets, [study()]), tmp_path)
+    assert stale_files(read_results([], (), sheets, [study()]), tmp_path) == []
     again = split_sheet("adv", data="../mine", statistics=STATISTICS, runtime={**RUNTIME, "attempts": 6})
     changed = sheets_of(again)
-    assert any("runtime-adv.json" in sentence for sentence in stale_files([], tmp_path, (), changed, [study()]))
+    assert any(
+        "runtime-adv.json" in sentence for sentence in stale_files(read_results([], (), changed, [study()]), tmp_path)
+    )
 
 
 def test_published_values_are_those_of_the_paper() -> None:

@@ -11,6 +11,7 @@ from benchmark.protocols import PROTOCOLS
 from benchmark.records.run import RunRecord, load_record
 from benchmark.records.run_schema import SceneFacts
 from leaderboard.build import leaderboard_files
+from leaderboard.frame.results import read_results
 from leaderboard.frame.runs import Frame
 from leaderboard.tables.contents import data_set_tables, missing_notes
 from leaderboard.tables.slices import run_slices, slice_tables
@@ -142,7 +143,7 @@ def test_an_old_record_is_said_to_lack_it_and_nothing_is_guessed() -> None:
 
 def test_a_leaderboard_has_a_page_of_them_and_files_of_each() -> None:
     record = made()
-    files = leaderboard_files([record])
+    files = leaderboard_files(read_results([record]))
     assert b"slices](tables/d/slices.md)" in files["README.md"]
     page = files["tables/d/slices.md"].decode()
     for kind in KINDS:

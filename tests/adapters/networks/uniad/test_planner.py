@@ -34,6 +34,7 @@ from benchmark.planning import Observation, PlanFrame, SceneInfo
 from benchmark.weights import fetch
 from benchmark.weights.catalogue import PublishedFile, PublishedWeights, checkpoint_of
 from leaderboard.build import leaderboard_files
+from leaderboard.frame.results import read_results
 from tests.adapters.networks.uniad.small_uniad import SMALL, anchors, class_layer, small_network
 from tests.adapters.networks.vad.small_vad import small_network as small_vad
 from tests.adapters.real_sample import FRAME, SCENE, boxes_in_lidar, info, real_root
@@ -372,7 +373,7 @@ def test_variants_share_weights_and_stand_side_by_side(cache: Path, tmp_path: Pa
         data, "val", planner_factory("uniad", checkpoint=checkpoint, device="cpu"), tmp_path / "again", settings
     )
     assert again.rows == first.rows
-    pages = "\n".join(map(str, leaderboard_files(records).values()))
+    pages = "\n".join(map(str, leaderboard_files(read_results(records)).values()))
     assert "uniad-unoptimised" in pages
 
 

@@ -1,6 +1,5 @@
 """Cards of data sets and of results: what stands in them is what the data say, and nothing of the machine."""
 
-import importlib.util
 import json
 import shutil
 from collections.abc import Mapping, Sequence
@@ -28,8 +27,6 @@ from tests.benchmark.fake_data import FakeData, town_of_two
 
 GOLDEN = Path(__file__).resolve().parents[3] / "golden" / "records"
 DRIVES = Path(__file__).resolve().parents[3] / "promise" / "kept" / "formats" / "drives-1"
-HAS_PARQUET = importlib.util.find_spec("pyarrow") is not None
-needs_parquet = pytest.mark.skipif(not HAS_PARQUET, reason="no pyarrow")
 KINDS = {"text": str, "count": int, "number": int | float, "truth": bool}
 WHOLE = CardSettings("Two <roads>", "cc-by-nc-sa-4.0", "https://example.org/x", "2026-01-31", "A lab")
 
@@ -61,7 +58,7 @@ def drives() -> list[DriveRecord]:
 
 @pytest.fixture
 def without_parquet(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The index as JSON, where there is no pyarrow."""
+    """The index as JSON, whose bytes are those of every pyarrow."""
 
     def write(path: Path, columns: Sequence[Column], rows: Sequence[Mapping[str, Any]]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -200,14 +197,6 @@ def test_heads_leave_out_what_is_not_there_and_sizes_have_the_hubs_names() -> No
     assert [size_category(count) for count in (0, 999, 1000, 10**6)] == ["n<1K", "n<1K", "1K<n<10K", "n>1M"]
 
 
-@pytest.mark.skipif(HAS_PARQUET, reason="pyarrow is installed")
-def test_without_pyarrow_a_sentence_says_what_to_install(tmp_path: Path) -> None:
-    for arguments in (("data", "card", "mini"), ("leaderboard", "card", "--records", GOLDEN)):
-        done = run_here(*arguments, "--to", tmp_path / "card")
-        assert done.code == 2 and "needs pyarrow" in done.err and not (tmp_path / "card").exists()
-
-
-@needs_parquet
 def test_the_index_reads_back(tmp_path: Path) -> None:
     from pyarrow import parquet
 
@@ -221,7 +210,6 @@ def test_the_index_reads_back(tmp_path: Path) -> None:
     assert (tmp_path / "scenes.parquet").read_bytes() == before
 
 
-@needs_parquet
 def test_the_commands_write_cards(tmp_path: Path) -> None:
     done = run_here("leaderboard", "card", "--records", GOLDEN / "schema-3-adv", "--to", tmp_path / "card", "--json")
     assert done.code == 0 and "its licence is not decided" in done.err
@@ -230,7 +218,6 @@ def test_the_commands_write_cards(tmp_path: Path) -> None:
     assert refused.code == 2
 
 
-@needs_parquet
 @pytest.mark.filterwarnings("ignore")
 def test_mlcroissant_accepts_the_metadata_and_reads_the_rows(tmp_path: Path) -> None:
     mlcroissant = pytest.importorskip("mlcroissant")

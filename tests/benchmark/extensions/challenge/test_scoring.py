@@ -27,6 +27,7 @@ from benchmark.records.challenge_scores import (
 from benchmark.records.run import find_records
 from leaderboard.build import leaderboard_files
 from leaderboard.extensions.challenge.tables import challenge_tables
+from leaderboard.frame.results import read_results
 from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.extensions.challenge.small_entries import LEADER, RECORDINGS, Forged, cut_in, recording, write
 from tests.benchmark.metrics.test_effect import ran
@@ -107,7 +108,7 @@ def test_scores_are_the_same_again(scores: ChallengeScores, entry: Path, base: D
 
 
 def test_the_leaderboard_shows_them(scores: ChallengeScores) -> None:
-    files = leaderboard_files([], challenges=[scores])
+    files = leaderboard_files(read_results([], challenges=[scores]))
     page = files["README.md"].decode()
     assert "base: challenge challenge" in page and "| 1" in page and "cut-in" in page
     assert {name.rpartition("/")[2] for name in files if "challenge" in name} >= {"challenge-challenge.csv"}

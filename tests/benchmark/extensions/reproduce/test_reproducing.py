@@ -28,6 +28,7 @@ from benchmark.records.reproduction import (
 )
 from leaderboard.build import leaderboard_files
 from leaderboard.extensions.reproduction.tables import reproduction_table
+from leaderboard.frame.results import read_results
 from leaderboard.tables.collision import run_tables
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import AHEAD, Failing, Straight
@@ -79,7 +80,7 @@ def test_the_right_planner_gives_its_numbers_and_marks_runs_of_its_version(
     assert "drives ✓" in table.plain(wide=True)
     assert "✓ drives: reproduced: the same weights, code and options gave" in table.plain(wide=True)
     assert "✓" not in run_tables("elsewhere", [known[2]])[0].plain(wide=True)
-    files = leaderboard_files(known[:2])
+    files = leaderboard_files(read_results(known[:2]))
     assert any("✓" in content.decode(errors="ignore") for path, content in files.items() if path.endswith(".md"))
 
 

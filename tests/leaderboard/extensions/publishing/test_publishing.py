@@ -18,6 +18,7 @@ from leaderboard.build import write_leaderboard
 from leaderboard.extensions.publishing.checking import check_publishable
 from leaderboard.extensions.publishing.findings import Found
 from leaderboard.extensions.publishing.house import House
+from leaderboard.frame.results import read_results
 from leaderboard.site.scripts import data_script, script_data
 from tests.benchmark.cli.in_process import run_here
 from tests.leaderboard.site.big_workspace import make_workspace
@@ -42,7 +43,9 @@ def write(folder: Path, drawn_by: str) -> None:
         name: replace(stored, sheet=stored.sheet.model_copy(update={"drawn_by": drawn_by}))
         for name, stored in sheets.scenes.items()
     }
-    write_leaderboard(find_records(folder / "runs"), folder / "leaderboard", sheets=Sheets(sheets.splits, drawn))
+    write_leaderboard(
+        read_results(find_records(folder / "runs"), sheets=Sheets(sheets.splits, drawn)), folder / "leaderboard"
+    )
 
 
 def found_in(folder: Path, **files: str | bytes) -> list[Found]:

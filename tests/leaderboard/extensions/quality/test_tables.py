@@ -10,6 +10,7 @@ from benchmark.records.quality_schema import SceneRows, SubjectRow, Sum, VideoRo
 from benchmark.records.run_schema import SceneFacts
 from leaderboard.build import leaderboard_files, stale_files, write_leaderboard
 from leaderboard.extensions.quality.tables import quality_tables
+from leaderboard.frame.results import read_results
 
 
 def rows(scene: str, *, adversary: bool, level: float, size: tuple[int, int]) -> SceneRows:
@@ -115,9 +116,9 @@ def test_parts_and_other_frames_are_said(tmp_path: Path) -> None:
 
 def test_the_leaderboard_has_the_table_with_and_without_runs(tmp_path: Path) -> None:
     found = [made(tmp_path / "records", "val")]
-    files = leaderboard_files([], found)
+    files = leaderboard_files(read_results([], found))
     assert "tables/mini/quality-boxes.tex" in files and "tables/mini/quality-boxes.csv" in files
     assert b"## Video quality" in files["README.md"] and "published/quality-published.tex" in files
-    write_leaderboard([], tmp_path / "board", found)
-    assert stale_files([], tmp_path / "board", found) == []
-    assert stale_files([], tmp_path / "board", [made(tmp_path / "records", "val", size=(1, 1))])
+    write_leaderboard(read_results([], found), tmp_path / "board")
+    assert stale_files(read_results([], found), tmp_path / "board") == []
+    assert stale_files(read_results([], [made(tmp_path / "records", "val", size=(1, 1))]), tmp_path / "board")
