@@ -1,93 +1,109 @@
 """Commands that write cards: ``data card`` and ``leaderboard card``."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from benchmark import api
-from benchmark.cli.options import JsonOption, OutOption, RecordsOption, TablesOption, WorkersOption, print_json
+from benchmark.cli import options as shared
+from benchmark.cli.output import print_json
+from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
 from benchmark.report.words import counted
 
 if TYPE_CHECKING:
     from benchmark.extensions.cards.writing import CardSettings, WrittenCard
 
-ToOption = Annotated[Path, typer.Option(help="Folder for the card, its index and its metadata.")]
-TitleOption = Annotated[str | None, typer.Option(help="What it is called in public, if not by its name here.")]
-LicenceOption = Annotated[
-    str | None, typer.Option(help="Identifier of its licence, such as cc-by-nc-sa-4.0; unknown if not given.")
+ToOption = Annotated[Path, Option("--to", "Folder for the card, its index and its metadata.", "Output")]
+TitleOption = Annotated[
+    str | None, Option("--title", "What it is called in public, if not by its name here.", "Output")
 ]
-UrlOption = Annotated[str | None, typer.Option(help="Where it will be published.")]
-PublishedOption = Annotated[str | None, typer.Option(help="Day of that, YYYY-MM-DD.")]
-CreatorOption = Annotated[str | None, typer.Option(help="Who publishes it.")]
+LicenceOption = Annotated[
+    str | None,
+    Option("--licence", "Identifier of its licence, such as cc-by-nc-sa-4.0; unknown if not given.", "Output"),
+]
+UrlOption = Annotated[str | None, Option("--url", "Where it will be published.", "Output")]
+PublishedOption = Annotated[str | None, Option("--published", "Day of that, YYYY-MM-DD.", "Output")]
+CreatorOption = Annotated[str | None, Option("--creator", "Who publishes it.", "Output")]
 
 
-def data_card_command(
-    root: Annotated[str, typer.Argument(help="mini, demo or the root of a data set, generated ones included.")],
-    to: ToOption,
-    title: TitleOption = None,
-    licence: LicenceOption = None,
-    url: UrlOption = None,
-    published: PublishedOption = None,
-    creator: CreatorOption = None,
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    workers: WorkersOption = 0,
-    json_output: JsonOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataCardOptions:
+    """Options of ``data card``."""
+
+    root: Annotated[str, Option("", "mini, demo or the root of a data set, generated ones included.", "Input")]
+    to: ToOption
+    title: TitleOption = None
+    licence: LicenceOption = None
+    url: UrlOption = None
+    published: PublishedOption = None
+    creator: CreatorOption = None
+    out: shared.Out = api.OUT
+    tables: shared.Tables = None
+    workers: shared.Workers = 0
+    json_output: shared.Json = False
+
+
+@command(DataCardOptions)
+def data_card_command(options: DataCardOptions) -> None:
     """Write a data-set card for a hub: README.md, a Parquet index of the scenes, and Croissant metadata."""
-    from benchmark.cli.preflight_data_sets import require_root
     from benchmark.extensions.cards.writing import CardSettings
-    from benchmark.machine.workspace import EMBEDDED_NAMES
 
-    settings = CardSettings(title, licence, url, published, creator)
-    api.worker_count(workers)
-    require_root(root, tables, out)
-    _require_room(to)
+    settings = CardSettings(options.title, options.licence, options.url, options.published, options.creator)
+    data = api.DataSource.of(options)
+    data.require()
+    _require_room(options.to)
     from benchmark.extensions.cards.data_card import write_data_card
 
-    data = api.open_data(root, tables=tables, workers=workers, out=out)
-    embedded = root in EMBEDDED_NAMES
-    written = write_data_card(data, to, settings, embedded=embedded)
-    _say(written, "scene", settings, json_output=json_output, named=embedded)
+    written = write_data_card(data.open(), options.to, settings, embedded=data.is_embedded)
+    _say(written, "scene", settings, json_output=options.json_output, named=data.is_embedded)
 
 
-def records_card_command(
-    to: ToOption,
-    title: TitleOption = None,
-    licence: LicenceOption = None,
-    url: UrlOption = None,
-    published: PublishedOption = None,
-    creator: CreatorOption = None,
-    out: OutOption = api.OUT,
-    records: RecordsOption = None,
-    json_output: JsonOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordsCardOptions:
+    """Options of ``records card``."""
+
+    to: ToOption
+    title: TitleOption = None
+    licence: LicenceOption = None
+    url: UrlOption = None
+    published: PublishedOption = None
+    creator: CreatorOption = None
+    out: shared.Out = api.OUT
+    records: shared.Records = None
+    json_output: shared.Json = False
+
+
+@command(RecordsCardOptions)
+def records_card_command(options: RecordsCardOptions) -> None:
     """Write a card of results for a hub: README.md, every rate as a row of a Parquet file, and Croissant metadata."""
-    from benchmark.cli.preflight_places import require_folder
     from benchmark.extensions.cards.records_card import write_records_card
     from benchmark.extensions.cards.writing import CardSettings
+    from benchmark.machine.places import require_folder
     from benchmark.records.drives import find_drives
     from benchmark.records.run import find_records
 
-    settings = CardSettings(title, licence, url, published, creator)
-    for place in records or ():
+    settings = CardSettings(options.title, options.licence, options.url, options.published, options.creator)
+    for place in options.records or ():
         require_folder(place, "--records")
-    _require_room(to)
-    space = api.workspace(out)
-    folders = [each for each in records or (space.run_root(), space.drive_root()) if each.is_dir()]
+    _require_room(options.to)
+    space = api.workspace(options.out)
+    folders = [each for each in options.records or (space.run_root(), space.drive_root()) if each.is_dir()]
     if not folders:
-        raise InputError(f"there are no records below {out}; run challenger-bench eval first, or name --records")
-    written = write_records_card(find_records(*folders), find_drives(*folders), to, settings)
-    _say(written, "rate", settings, json_output=json_output)
+        raise InputError(
+            f"there are no records below {options.out}; run challenger-bench eval first, or name --records"
+        )
+    written = write_records_card(find_records(*folders), find_drives(*folders), options.to, settings)
+    _say(written, "rate", settings, json_output=options.json_output)
 
 
 def _require_room(to: Path) -> None:
     """Refuse, before anything is read, where nothing could be written."""
-    from benchmark.cli.preflight_names import require_package
-    from benchmark.cli.preflight_places import require_place
     from benchmark.extensions.cards.columns import NEEDED
+    from benchmark.machine.extension import require_package
+    from benchmark.machine.places import require_place
 
     require_place(to, "--to")
     require_package("pyarrow", NEEDED)
