@@ -23,20 +23,18 @@ from benchmark.cli.settings import Option, command
 class AblateOptions:
     """Options of ``ablate``."""
 
-    model: Annotated[str, Option("--model", "Planner that has to drive.", "Planner")] = "constant-velocity"
-    checkpoint: Annotated[Path | None, Option("--checkpoint", "Weights of the model.", "Planner")] = None
+    model: Annotated[str, Option("Planner that has to drive.", "Planner")] = "constant-velocity"
+    checkpoint: Annotated[Path | None, Option("Weights of the model.", "Planner")] = None
     sample_limit: shared.SampleLimit = None
     memory_limit: shared.MemoryLimit = None
     data: shared.Data = "mini"
     out: shared.Out = api.OUT
     tables: shared.Tables = None
-    source_split: Annotated[str, Option("--source-split", "Split of the data set to start from.", "Input")] = "val"
+    source_split: Annotated[str, Option("Split of the data set to start from.", "Input")] = "val"
     scenes: shared.Scenes = None
     limit: shared.Limit = None
-    vehicles: Annotated[int | None, Option("--vehicles", "Vehicles to try per scene, at most.", "Search", min=1)] = None
-    candidates: Annotated[
-        int | None, Option("--candidates", "Candidates per planning step.", "Search", min=4, max=65536)
-    ] = None
+    vehicles: Annotated[int | None, Option("Vehicles to try per scene, at most.", "Search", min=1)] = None
+    candidates: Annotated[int | None, Option("Candidates per planning step.", "Search", min=4, max=65536)] = None
     preset: shared.Preset = "default"
     changes: shared.Set = None
     denoiser: shared.Denoiser = None

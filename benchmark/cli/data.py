@@ -28,7 +28,7 @@ app.add_typer(export_app, name="export")
 class DataInfoOptions:
     """Options of ``data info``."""
 
-    root: Annotated[str, Option("", "mini, demo or the root of a data set.", "Input")] = "mini"
+    root: Annotated[str, Option("mini, demo or the root of a data set.", "Input", names="")] = "mini"
     out: shared.Out = api.OUT
     tables: shared.Tables = None
     workers: shared.Workers = 0
@@ -64,17 +64,19 @@ def _open_to_look(data: api.DataSource) -> "DataSet":
 class DataStatsOptions:
     """Options of ``data stats``."""
 
-    root: Annotated[str, Option("", "mini, demo or the root of a data set, generated ones included.", "Input")] = "mini"
-    split: Annotated[
-        str | None, Option("--split", "Only this split; every row of the tables if not given.", "Input")
-    ] = None
+    root: Annotated[
+        str, Option("mini, demo or the root of a data set, generated ones included.", "Input", names="")
+    ] = "mini"
+    split: Annotated[str | None, Option("Only this split; every row of the tables if not given.", "Input")] = None
     recordings: Annotated[
-        str | None, Option("--recordings", "What the scenes were made from: adversaries are compared with it.", "Input")
+        str | None, Option("What the scenes were made from: adversaries are compared with it.", "Input")
     ] = None
     judge: Annotated[
         bool | None,
         Option(
-            "--judge/--no-judge", "Judge recordings, too, or nothing; by default scenes with adversaries.", "Output"
+            "Judge recordings, too, or nothing; by default scenes with adversaries.",
+            "Output",
+            names="--judge/--no-judge",
         ),
     ] = None
     out: shared.Out = api.OUT
@@ -130,9 +132,9 @@ def _judged(root: Path, options: DataStatsOptions, recordings: api.DataSource | 
 class DataShowOptions:
     """Options of ``data show``."""
 
-    root: Annotated[str, Option("", "mini, demo or the root of a data set, generated ones included.", "Input")]
-    to: Annotated[Path, Option("--to", "Folder for the pictures.", "Output")]
-    conditions: Annotated[bool, Option("--conditions", "Draw what MagicDriveDiT would be told.", "Output")] = False
+    root: Annotated[str, Option("mini, demo or the root of a data set, generated ones included.", "Input", names="")]
+    to: Annotated[Path, Option("Folder for the pictures.", "Output")]
+    conditions: Annotated[bool, Option("Draw what MagicDriveDiT would be told.", "Output")] = False
     out: shared.Out = api.OUT
     tables: shared.Tables = None
     scenes: shared.Scenes = None
@@ -163,7 +165,7 @@ def data_show_command(options: DataShowOptions) -> None:
 class DataCheckOptions:
     """Options of ``data check``."""
 
-    root: Annotated[Path, Option("", "Root of a data set.", "Input")]
+    root: Annotated[Path, Option("Root of a data set.", "Input", names="")]
     tables: shared.Tables = None
     categories: shared.Categories = None
     json_output: shared.Json = False
@@ -192,16 +194,15 @@ def data_check_command(options: DataCheckOptions) -> None:
 class DataImportOptions:
     """Options of ``data import``."""
 
-    form: Annotated[str, Option("", "Form of the recordings: scenarionet.", "Input")]
-    source: Annotated[Path, Option("", "A file or a folder of recordings.", "Input")]
-    out: Annotated[Path, Option("--out", "Root of the data set to write.", "Output")]
+    form: Annotated[str, Option("Form of the recordings: scenarionet.", "Input", names="")]
+    source: Annotated[Path, Option("A file or a folder of recordings.", "Input", names="")]
+    out: Annotated[Path, Option("Root of the data set to write.", "Output")]
     renderer: Annotated[
-        Literal["schematic", "none"],
-        Option("--renderer", "Who draws the images (these recordings have none).", "Output"),
+        Literal["schematic", "none"], Option("Who draws the images (these recordings have none).", "Output")
     ] = "schematic"
     size: shared.Size = "448x256"
     frames: shared.Frames = "all"
-    split: Annotated[str, Option("--split", "Name of the split; adv for adversarial scenes.", "Input")] = "val"
+    split: Annotated[str, Option("Name of the split; adv for adversarial scenes.", "Input")] = "val"
     workers: shared.Workers = 0
     json_output: shared.Json = False
 
@@ -229,33 +230,20 @@ def data_import_command(options: DataImportOptions) -> None:
 class DataBuildOptions:
     """Options of ``data build``."""
 
-    root: Annotated[Path | None, Option("--root", "Where to; the user's cache if not given.", "Input")] = None
-    town_scenes: Annotated[int, Option("--town-scenes", "Evaluation scenes.", "Advanced")] = 10
-    train_scenes: Annotated[int, Option("--train-scenes", "Training scenes.", "Advanced")] = 0
-    off_path: Annotated[
-        bool, Option("--off-path", "The ego of training scenes gets off its path and comes back.", "Advanced")
-    ] = False
+    root: Annotated[Path | None, Option("Where to; the user's cache if not given.", "Input")] = None
+    town_scenes: Annotated[int, Option("Evaluation scenes.")] = 10
+    train_scenes: Annotated[int, Option("Training scenes.")] = 0
+    off_path: Annotated[bool, Option("The ego of training scenes gets off its path and comes back.")] = False
     driven: Annotated[
         Path | None,
-        Option(
-            "--driven",
-            "Folder with a record of drives through training scenes: their ego goes where it was driven.",
-            "Advanced",
-        ),
+        Option("Folder with a record of drives through training scenes: their ego goes where it was driven."),
     ] = None
     crossing: Annotated[
-        int,
-        Option(
-            "--crossing",
-            "Most pedestrians more who cross the ego's way in each training scene when it comes.",
-            "Advanced",
-        ),
+        int, Option("Most pedestrians more who cross the ego's way in each training scene when it comes.")
     ] = 0
     size: shared.Size = "448x256"
     frames: shared.Frames = "all"
-    renderer: Annotated[Literal["schematic", "none"], Option("--renderer", "Who draws the images.", "Output")] = (
-        "schematic"
-    )
+    renderer: Annotated[Literal["schematic", "none"], Option("Who draws the images.", "Output")] = "schematic"
     seed: shared.Seed = 0
     workers: shared.Workers = 0
 

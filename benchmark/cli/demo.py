@@ -20,12 +20,12 @@ class DemoOptions:
     """Options of ``demo``."""
 
     out: shared.Out = api.OUT
-    town_scenes: Annotated[int, Option("--town-scenes", "Scenes of the embedded town.", "Advanced", min=1)] = 4
-    full: Annotated[
-        bool, Option("--full", "All splits of mini, all built-in planners, the ablation; write --to.", "Output")
-    ] = False
-    check: Annotated[bool, Option("--check", "With --full: only say whether --to is current.", "Output")] = False
-    to: Annotated[Path, Option("--to", "With --full: folder of the page and its numbers.", "Output")] = RESULTS
+    town_scenes: Annotated[int, Option("Scenes of the embedded town.", min=1)] = 4
+    full: Annotated[bool, Option("All splits of mini, all built-in planners, the ablation; write --to.", "Output")] = (
+        False
+    )
+    check: Annotated[bool, Option("With --full: only say whether --to is current.", "Output")] = False
+    to: Annotated[Path, Option("With --full: folder of the page and its numbers.", "Output")] = RESULTS
     workers: shared.Workers = 0
     wide: shared.Wide = False
     json_output: shared.Json = False

@@ -49,44 +49,31 @@ class DriveOptions:
     dry_run: shared.DryRun = False
     wide: shared.Wide = False
     sensor: Annotated[
-        str,
-        Option(
-            "--sensor",
-            "What cameras see: none, schematic or http://HOST:PORT; blind planners have none.",
-            "Planner",
-        ),
+        str, Option("What cameras see: none, schematic or http://HOST:PORT; blind planners have none.", "Planner")
     ] = "none"
     checkpoint: shared.Checkpoint = None
     device: shared.NetworkDevices = None
     baselines: Annotated[
-        bool, Option("--baselines/--no-baselines", "Also the five that every table has.", "Planner")
+        bool, Option("Also the five that every table has.", "Planner", names="--baselines/--no-baselines")
     ] = True
     engine: Annotated[
         Literal["default", "neuroncap@code", "neuroncap@paper"],
-        Option("--engine", "Who drives the plans (docs/closed-loop.md).", "Search"),
+        Option("Who drives the plans (docs/closed-loop.md).", "Search"),
     ] = "default"
     agents: Annotated[
         Literal["replay", "idm", "adversary"],
-        Option("--agents", "The others: their tracks, keeping distance, or one of them challenges the ego.", "Search"),
+        Option("The others: their tracks, keeping distance, or one of them challenges the ego.", "Search"),
     ] = "replay"
     adversary_knows: Annotated[
         Literal["plan", "motion", "nothing"],
-        Option(
-            "--adversary-knows",
-            "adversary: expects that the ego drives its plan, keeps its motion, or stays.",
-            "Search",
-        ),
+        Option("adversary: expects that the ego drives its plan, keeps its motion, or stays.", "Search"),
     ] = "motion"
-    latency: Annotated[int, Option("--latency", "Milliseconds after which a plan takes effect.", "Search", min=0)] = 0
+    latency: Annotated[int, Option("Milliseconds after which a plan takes effect.", "Search", min=0)] = 0
     until: Annotated[
         Literal["contact", "fault"],
-        Option(
-            "--until",
-            "What ends a drive: any contact, or one that is the ego's fault (others who touch it go).",
-            "Search",
-        ),
+        Option("What ends a drive: any contact, or one that is the ego's fault (others who touch it go).", "Search"),
     ] = "contact"
-    runs: Annotated[int, Option("--runs", "Runs of each scene; one where nothing is drawn.", "Search", min=1)] = 1
+    runs: Annotated[int, Option("Runs of each scene; one where nothing is drawn.", "Search", min=1)] = 1
     workers: shared.Workers = 0
     seed: shared.Seed = 0
     executor: shared.Executor = "local"
@@ -94,45 +81,33 @@ class DriveOptions:
     shard: shared.Shard = None
     tables: shared.Tables = None
     categories: shared.Categories = None
-    adversary_every: Annotated[
-        float, Option("--adversary-every", "adversary: seconds between its plans, at most 3.", "Search")
-    ] = 1.0
+    adversary_every: Annotated[float, Option("adversary: seconds between its plans, at most 3.", "Search")] = 1.0
     adversary_others: Annotated[
-        Literal["replay", "idm"],
-        Option("--adversary-others", "adversary: how everybody else behaves.", "Search"),
+        Literal["replay", "idm"], Option("adversary: how everybody else behaves.", "Search")
     ] = "replay"
     adversary_rounds: Annotated[
-        int | None,
-        Option("--adversary-rounds", "adversary: refinement rounds of its search; 5 if not given.", "Search", min=0),
+        int | None, Option("adversary: refinement rounds of its search; 5 if not given.", "Search", min=0)
     ] = None
     adversary_candidates: Annotated[
-        int | None,
-        Option("--adversary-candidates", "adversary: candidates of each round; 256 if not given.", "Search", min=1),
+        int | None, Option("adversary: candidates of each round; 256 if not given.", "Search", min=1)
     ] = None
     adversary_tracks: Annotated[
         Path | None,
-        Option(
-            "--adversary-tracks",
-            "adversary: drives the tracks of this record of drives once more, and plans nothing.",
-            "Search",
-        ),
+        Option("adversary: drives the tracks of this record of drives once more, and plans nothing.", "Search"),
     ] = None
-    keep_considered: Annotated[
-        bool, Option("--keep-considered", "adversary: keep what it considers, for films and the site.", "Output")
-    ] = False
+    keep_considered: Annotated[bool, Option("adversary: keep what it considers, for films and the site.", "Output")] = (
+        False
+    )
     scenarios: Annotated[
         Literal["recorded", "own", "official"],
-        Option("--scenarios", "neuroncap: scenes as they are, or scenarios put into them.", "Search"),
+        Option("neuroncap: scenes as they are, or scenarios put into them.", "Search"),
     ] = "recorded"
     image_format: shared.ImageFormat = None
     frame: shared.PlanFrame = None
     accept_torch_tensors: Annotated[
-        bool,
-        Option("--accept-torch-tensors", "A renderer's pictures may be saved tensors (pickles).", "Planner"),
+        bool, Option("A renderer's pictures may be saved tensors (pickles).", "Planner")
     ] = False
-    timeout: Annotated[
-        float, Option("--timeout", "Seconds that a plan may take.", "Planner", min=0.001, max=86_400.0)
-    ] = 120.0
+    timeout: Annotated[float, Option("Seconds that a plan may take.", "Planner", min=0.001, max=86_400.0)] = 120.0
     memory_limit: shared.MemoryLimit = None
     precision: shared.Precision = None
 

@@ -35,25 +35,15 @@ class EvalOptions:
 
     model: shared.Models = ()
     split: Annotated[
-        tuple[str, ...],
-        Option(
-            "--split", "val, val-r, adv, or a split of the data set's own; may be repeated.", "Input", metavar="<str>"
-        ),
+        tuple[str, ...], Option("val, val-r, adv, or a split of the data set's own; may be repeated.", "Input")
     ] = ("val",)
     data: shared.Data = "mini"
     scenes: shared.Scenes = None
     limit: shared.Limit = None
-    plans: Annotated[Path | None, Option("--plans", "Plan file (CSV, Parquet, JSON) instead of a model.", "Input")] = (
-        None
-    )
+    plans: Annotated[Path | None, Option("Plan file (CSV, Parquet, JSON) instead of a model.", "Input")] = None
     results: Annotated[
         tuple[Path, ...] | None,
-        Option(
-            "--results",
-            "Result file that a planner's own repository wrote, or a folder of them; may be repeated.",
-            "Input",
-            metavar="<path>",
-        ),
+        Option("Result file that a planner's own repository wrote, or a folder of them; may be repeated.", "Input"),
     ] = None
     out: shared.Out = api.OUT
     json_output: shared.Json = False
@@ -61,19 +51,14 @@ class EvalOptions:
     protocol: Annotated[
         tuple[str, ...] | None,
         Option(
-            "--protocol",
             "Tables to print: a protocol, native, pdm or all; may be repeated. Judges that are not standard join.",
             "Output",
-            metavar="<str>",
         ),
     ] = None
     by: shared.By = None
     wide: shared.Wide = False
     allow_partial: Annotated[
-        bool,
-        Option(
-            "--allow-partial", "Print rates even where the planner failed on samples; --plans may lack rows.", "Output"
-        ),
+        bool, Option("Print rates even where the planner failed on samples; --plans may lack rows.", "Output")
     ] = False
     checkpoint: shared.Checkpoint = None
     device: shared.NetworkDevices = None
@@ -84,34 +69,25 @@ class EvalOptions:
     tables: shared.Tables = None
     categories: shared.Categories = None
     results_format: Annotated[
-        str, Option("--format", "With --results: auto tells it by content (docs/your-results.md).", "Input")
+        str, Option("With --results: auto tells it by content (docs/your-results.md).", "Input", names="--format")
     ] = "auto"
-    name: Annotated[str | None, Option("--name", "With --results: name of the planner in tables.", "Input")] = None
+    name: Annotated[str | None, Option("With --results: name of the planner in tables.", "Input")] = None
     native: Annotated[
         str | None,
-        Option(
-            "--native",
-            "With --plans or --results: the protocol of the repository that the planner comes from.",
-            "Input",
-        ),
+        Option("With --plans or --results: the protocol of the repository that the planner comes from.", "Input"),
     ] = None
     frame: shared.PlanFrame = None
     as_is: Annotated[
         bool,
         Option(
-            "--as-is",
             "With --plans or --results: judge plans as they stand, even if they fit far better otherwise; marked.",
             "Input",
         ),
     ] = False
-    dump_results: Annotated[
-        str | None,
-        Option("--dump-results", "Also write the plans as a repository's result file.", "Output", metavar="<str>"),
-    ] = None
+    dump_results: Annotated[str | None, Option("Also write the plans as a repository's result file.", "Output")] = None
     unchanged: Annotated[
         str | None,
         Option(
-            "--unchanged",
             "Data set whose recordings the scenes of --split were made from, where --data lacks them: Adv-nuSc.",
             "Input",
             metavar="<root>",
@@ -122,8 +98,7 @@ class EvalOptions:
     sample_limit: shared.SampleLimit = None
     memory_limit: shared.MemoryLimit = None
     explain_protocols: Annotated[
-        bool,
-        Option("--explain-protocols", "Where each protocol differs from exact, why, and pictures of it.", "Output"),
+        bool, Option("Where each protocol differs from exact, why, and pictures of it.", "Output")
     ] = False
 
     @staticmethod

@@ -47,9 +47,9 @@ class GenerateOptions:
     from_file: Annotated[
         str | None,
         Option(
-            "--from",
             "Rebuild a frozen split, a file or mini-adv-3, or build edited ScenarioNet files; no search.",
             "Input",
+            names="--from",
         ),
     ] = None
     data: shared.Data = "mini"
@@ -57,39 +57,28 @@ class GenerateOptions:
     limit: shared.Limit = None
     out: shared.Out = api.OUT
     freeze: Annotated[
-        Path | None,
-        Option("--freeze", "Also write the result as a frozen split, a few kB a scene, to this file.", "Output"),
+        Path | None, Option("Also write the result as a frozen split, a few kB a scene, to this file.", "Output")
     ] = None
-    renderer: Annotated[
-        Literal["schematic", "magicdrive", "none"], Option("--renderer", "Who draws the images.", "Output")
-    ] = "schematic"
+    renderer: Annotated[Literal["schematic", "magicdrive", "none"], Option("Who draws the images.", "Output")] = (
+        "schematic"
+    )
     frames: shared.Frames = "all"
     json_output: shared.Json = False
     dry_run: shared.DryRun = False
-    adversaries: Annotated[int, Option("--adversaries", "Adversaries in each scene.", "Search", min=1)] = 1
+    adversaries: Annotated[int, Option("Adversaries in each scene.", "Search", min=1)] = 1
     manoeuvres: Annotated[
         tuple[str, ...] | None,
-        Option("--manoeuvre", "Steer the search to this kind, e.g. cut-in-left; may be repeated.", "Search"),
+        Option("Steer the search to this kind, e.g. cut-in-left; may be repeated.", "Search", names="--manoeuvre"),
     ] = None
     preset: shared.Preset = "default"
     changes: shared.Set = None
-    candidates: Annotated[
-        int | None, Option("--candidates", "Candidates per planning step.", "Search", min=4, max=65536)
-    ] = None
-    vehicles: Annotated[int | None, Option("--vehicles", "Vehicles to try per scene, at most.", "Search", min=1)] = None
-    per_scene: Annotated[
-        int | None, Option("--per-scene", "Keep at most so many variants of a scene.", "Search", min=1)
-    ] = None
-    surrogate: Annotated[
-        str | None, Option("--surrogate", "Keep only scenes in which this planner collides.", "Search")
-    ] = None
+    candidates: Annotated[int | None, Option("Candidates per planning step.", "Search", min=4, max=65536)] = None
+    vehicles: Annotated[int | None, Option("Vehicles to try per scene, at most.", "Search", min=1)] = None
+    per_scene: Annotated[int | None, Option("Keep at most so many variants of a scene.", "Search", min=1)] = None
+    surrogate: Annotated[str | None, Option("Keep only scenes in which this planner collides.", "Search")] = None
     keep_unsolvable: Annotated[
         bool,
-        Option(
-            "--keep-unsolvable",
-            "Keep scenes that nobody could have avoided: they test luck, not driving (docs/severity.md).",
-            "Search",
-        ),
+        Option("Keep scenes that nobody could have avoided: they test luck, not driving (docs/severity.md).", "Search"),
     ] = False
     device: shared.Devices = "cpu"
     workers: shared.Workers = 0
@@ -99,29 +88,25 @@ class GenerateOptions:
     address: shared.Address = None
     tables: shared.Tables = None
     categories: shared.Categories = None
-    source_split: Annotated[str, Option("--source-split", "Split of the data set to start from.", "Input")] = "val"
-    surrogate_checkpoint: Annotated[
-        Path | None, Option("--surrogate-checkpoint", "Weights of the surrogate.", "Search")
-    ] = None
+    source_split: Annotated[str, Option("Split of the data set to start from.", "Input")] = "val"
+    surrogate_checkpoint: Annotated[Path | None, Option("Weights of the surrogate.", "Search")] = None
     sample_limit: shared.SampleLimit = None
     memory_limit: shared.MemoryLimit = None
     variants: Annotated[
-        int | None,
-        Option("--variants", "Keep at most so many variants of a scene, those that differ most.", "Search", min=1),
+        int | None, Option("Keep at most so many variants of a scene, those that differ most.", "Search", min=1)
     ] = None
-    top: Annotated[int | None, Option("--top", "Keep only the so many most challenging scenes.", "Search", min=1)] = (
-        None
+    top: Annotated[int | None, Option("Keep only the so many most challenging scenes.", "Search", min=1)] = None
+    rounds: Annotated[int | None, Option("Refinement rounds per planning step.", "Search", min=0)] = None
+    parked: Annotated[bool, Option("Also try vehicles that never move.", "Search", names="--parked/--no-parked")] = (
+        False
     )
-    rounds: Annotated[int | None, Option("--rounds", "Refinement rounds per planning step.", "Search", min=0)] = None
-    parked: Annotated[bool, Option("--parked/--no-parked", "Also try vehicles that never move.", "Search")] = False
     denoiser: shared.Denoiser = None
     calls: shared.Calls = None
     dropout: shared.Dropout = False
     samples: shared.Samples = None
     together: shared.Together = 1
     layout: Annotated[
-        Literal["suffixed", "per-variant"],
-        Option("--layout", "One root with suffixed names, or one root per variant.", "Output"),
+        Literal["suffixed", "per-variant"], Option("One root with suffixed names, or one root per variant.", "Output")
     ] = "suffixed"
     size: shared.Size = "448x256"
     render_size: shared.DrawnSize = "224x400"
@@ -132,13 +117,13 @@ class GenerateOptions:
     render_device: shared.RenderDevice = "auto"
     tflops: shared.Speed = None
     seeds: Annotated[
-        str | None, Option("--seeds", "Build one split for each seed, adv-seed-0, adv-seed-1, ...: 0,1,2.", "Execution")
+        str | None, Option("Build one split for each seed, adv-seed-0, adv-seed-1, ...: 0,1,2.", "Execution")
     ] = None
-    keep_rounds: Annotated[
-        bool, Option("--keep-rounds", "Keep what sheets --rounds shows, less than a megabyte a scene.", "Output")
-    ] = False
+    keep_rounds: Annotated[bool, Option("Keep what sheets --rounds shows, less than a megabyte a scene.", "Output")] = (
+        False
+    )
     profile: Annotated[
-        bool, Option("--profile/--no-profile", "Say where the time went, beside the paper's table.", "Output")
+        bool, Option("Say where the time went, beside the paper's table.", "Output", names="--profile/--no-profile")
     ] = False
 
     @staticmethod

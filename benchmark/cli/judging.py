@@ -76,21 +76,18 @@ class TransferOptions:
     split: shared.Split = "adv"
     out: shared.Out = api.OUT
     records: shared.Records = None
-    protocol: Annotated[str, Option("--protocol", "Whose verdicts count; native: of each planner's own.", "Output")] = (
-        "exact"
-    )
-    data: Annotated[str | None, Option("--data", "Only records of the data set of this name.", "Input")] = None
-    figure: Annotated[Path | None, Option("--figure", "Write a heat map to this .png or .svg file.", "Output")] = None
+    protocol: Annotated[str, Option("Whose verdicts count; native: of each planner's own.", "Output")] = "exact"
+    data: Annotated[str | None, Option("Only records of the data set of this name.", "Input")] = None
+    figure: Annotated[Path | None, Option("Write a heat map to this .png or .svg file.", "Output")] = None
     figure_of: Annotated[
         MapName,
         Option(
-            "--figure-of",
             "Of what: transfer of any failure, of contacts with the adversary, or lift and φ of the latter (of any "
             "failure where records do not say whom contacts are with).",
             "Output",
         ),
     ] = "transfer"
-    pairs: Annotated[bool, Option("--pairs", "Also a row for every two planners.", "Output")] = False
+    pairs: Annotated[bool, Option("Also a row for every two planners.", "Output")] = False
     wide: shared.Wide = False
     json_output: shared.Json = False
 

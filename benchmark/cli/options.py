@@ -13,186 +13,136 @@ if TYPE_CHECKING:
 
 
 Models = Annotated[
-    tuple[str, ...],
-    Option(
-        "--model",
-        "Planner name, package.module:Class or http://HOST:PORT; may be repeated.",
-        "Planner",
-        metavar="<str>",
-    ),
+    tuple[str, ...], Option("Planner name, package.module:Class or http://HOST:PORT; may be repeated.", "Planner")
 ]
-Checkpoint = Annotated[Path | None, Option("--checkpoint", "Weights of the model.", "Planner")]
+Checkpoint = Annotated[Path | None, Option("Weights of the model.", "Planner")]
 NetworkDevices = Annotated[
     str | None,
     Option(
-        "--device",
         "Where a network runs: cpu, cuda, cuda:1, or cuda:0,cuda:1 for a process on each; else the first GPU.",
         "Planner",
         separated=True,
     ),
 ]
 NetworkDevice = Annotated[
-    str | None,
-    Option("--device", "Where a network runs: cpu, cuda, cuda:1; the first GPU if there is one.", "Planner"),
+    str | None, Option("Where a network runs: cpu, cuda, cuda:1; the first GPU if there is one.", "Planner")
 ]
-Precision = Annotated[str | None, Option("--precision", "Of a network: float32 or bfloat16.", "Planner")]
-Root = Annotated[str, Option("", "mini, demo or the root of a data set, generated ones included.", "Input")]
+Precision = Annotated[str | None, Option("Of a network: float32 or bfloat16.", "Planner")]
+Root = Annotated[str, Option("mini, demo or the root of a data set, generated ones included.", "Input", names="")]
 Data = Annotated[
-    str, Option("--data", "mini (embedded), demo (what demo made) or the root of a nuScenes-format data set.", "Input")
+    str, Option("mini (embedded), demo (what demo made) or the root of a nuScenes-format data set.", "Input")
 ]
-Tables = Annotated[str | None, Option("--tables", "Version folder below the root, if there are several.", "Input")]
+Tables = Annotated[str | None, Option("Version folder below the root, if there are several.", "Input")]
 Categories = Annotated[
     str | None,
     Option(
-        "--categories",
         "What categories that are not nuScenes' mean: short, lyft, t4, argoverse2 or a JSON file (docs/data.md).",
         "Input",
-        metavar="<str>",
     ),
 ]
-Out = Annotated[Path, Option("--out", "Folder for everything that commands make.", "Output")]
-Split = Annotated[str, Option("--split", "val, val-r, adv, or a split of the data set's own.", "Input")]
-Scenes = Annotated[str | None, Option("--scenes", "Only these scenes, separated by commas.", "Input", separated=True)]
+Out = Annotated[Path, Option("Folder for everything that commands make.", "Output")]
+Split = Annotated[str, Option("val, val-r, adv, or a split of the data set's own.", "Input")]
+Scenes = Annotated[str | None, Option("Only these scenes, separated by commas.", "Input", separated=True)]
 Normalisation = Annotated[
-    str | None, Option("--normalisation", "Pixel values that the weights want, if the file is wrong on it.", "Planner")
+    str | None, Option("Pixel values that the weights want, if the file is wrong on it.", "Planner")
 ]
 Records = Annotated[
     tuple[Path, ...] | None,
-    Option(
-        "--records",
-        "Folder of run records, if not <out>/runs; may be repeated, and name single runs.",
-        "Input",
-        metavar="<path>",
-    ),
+    Option("Folder of run records, if not <out>/runs; may be repeated, and name single runs.", "Input"),
 ]
 Shard = Annotated[
-    str | None, Option("--shard", "Do every n-th scene alone: 3/40 is the third of 40.", "Execution", metavar="<k/n>")
+    str | None, Option("Do every n-th scene alone: 3/40 is the third of 40.", "Execution", metavar="<k/n>")
 ]
-Limit = Annotated[int | None, Option("--limit", "Only the first so many scenes.", "Input", min=1)]
+Limit = Annotated[int | None, Option("Only the first so many scenes.", "Input", min=1)]
 Seed = Annotated[
-    int,
-    Option(
-        "--seed", "Seed; on this kind of processor, the same bytes each time.", "Execution", min=0, max=LARGEST_SEED
-    ),
+    int, Option("Seed; on this kind of processor, the same bytes each time.", "Execution", min=0, max=LARGEST_SEED)
 ]
-Workers = Annotated[int, Option("--workers", "Processes; 0 takes all processors.", "Execution")]
-Json = Annotated[bool, Option("--json", "Machine-readable output on stdout, nothing else there.", "Output")]
-Wide = Annotated[bool, Option("--wide", "Print every column of the tables, however wide the terminal is.", "Output")]
+Workers = Annotated[int, Option("Processes; 0 takes all processors.", "Execution")]
+Json = Annotated[bool, Option("Machine-readable output on stdout, nothing else there.", "Output", names="--json")]
+Wide = Annotated[bool, Option("Print every column of the tables, however wide the terminal is.", "Output")]
 By = Annotated[
     tuple[Literal["place", "light", "manoeuvre", "speed", "command"], ...] | None,
-    Option("--by", "Also the same numbers by place, light, manoeuvre, speed or command; may be repeated.", "Output"),
+    Option("Also the same numbers by place, light, manoeuvre, speed or command; may be repeated.", "Output"),
 ]
-DryRun = Annotated[bool, Option("--dry-run", "Say what would be done, and do nothing.", "Output")]
+DryRun = Annotated[bool, Option("Say what would be done, and do nothing.", "Output")]
 AsPublished = Annotated[
     tuple[Literal["memory", "can-once", "can-after", "all"], ...] | None,
     Option(
-        "--as-published",
-        "What networks do as in the published runs of their repositories (docs/models.md); may be repeated.",
-        "Planner",
+        "What networks do as in the published runs of their repositories (docs/models.md); may be repeated.", "Planner"
     ),
 ]
 Preset = Annotated[
     Literal["default", "near", "paper", "reference"],
-    Option(
-        "--preset", "default, near (no threats), paper (text), reference (code); --dry-run lists departures.", "Search"
-    ),
+    Option("default, near (no threats), paper (text), reference (code); --dry-run lists departures.", "Search"),
 ]
 Set = Annotated[
     tuple[str, ...] | None,
-    Option(
-        "--set",
-        "Change a hyper-parameter, NAME=VALUE; may be repeated (docs/generation.md).",
-        "Search",
-        metavar="<str>",
-    ),
+    Option("Change a hyper-parameter, NAME=VALUE; may be repeated (docs/generation.md).", "Search", names="--set"),
 ]
-Denoiser = Annotated[
-    Path | None, Option("--denoiser", "Weights of another trajectory model, such as ig360_adv.ckpt.", "Search")
-]
-Device = Annotated[str, Option("--device", "Where the trajectory model runs: cpu, cuda, cuda:1.", "Planner")]
+Denoiser = Annotated[Path | None, Option("Weights of another trajectory model, such as ig360_adv.ckpt.", "Search")]
+Device = Annotated[str, Option("Where the trajectory model runs: cpu, cuda, cuda:1.", "Planner")]
 Devices = Annotated[
-    str,
-    Option(
-        "--device", "Where the trajectory model runs: cpu, cuda, cuda:1, or several for a process each.", "Execution"
-    ),
+    str, Option("Where the trajectory model runs: cpu, cuda, cuda:1, or several for a process each.", "Execution")
 ]
-Together = Annotated[
-    int, Option("--together", "Attempts planned side by side in a process; pays on a GPU.", "Execution", min=1)
-]
+Together = Annotated[int, Option("Attempts planned side by side in a process; pays on a GPU.", "Execution", min=1)]
 Samples = Annotated[
     Literal["fresh", "reference", "stored"] | None,
     Option(
-        "--samples",
-        "First candidates: fresh from noise in a few calls, by the reference's 100 steps, or stored ones.",
-        "Search",
+        "First candidates: fresh from noise in a few calls, by the reference's 100 steps, or stored ones.", "Search"
     ),
 ]
-Dropout = Annotated[
-    bool, Option("--dropout", "Sample with dropout on, as the reference code does by an omission.", "Search")
-]
+Dropout = Annotated[bool, Option("Sample with dropout on, as the reference code does by an omission.", "Search")]
 Calls = Annotated[
-    int | None,
-    Option("--calls", "Network calls of a mutation at most; the reference has one a noise level.", "Search", min=1),
+    int | None, Option("Network calls of a mutation at most; the reference has one a noise level.", "Search", min=1)
 ]
 Executor = Annotated[
-    Literal["local", "ray"], Option("--executor", "This machine's processes, or an existing Ray cluster.", "Execution")
+    Literal["local", "ray"], Option("This machine's processes, or an existing Ray cluster.", "Execution")
 ]
-Address = Annotated[str | None, Option("--address", "HOST:PORT of the Ray cluster, or auto.", "Execution")]
+Address = Annotated[str | None, Option("HOST:PORT of the Ray cluster, or auto.", "Execution")]
 ImageFormat = Annotated[
     Literal["torch", "png"] | None,
-    Option("--image-format", "How a model at http:// is sent pictures: torch (NeuroNCAP's) or png.", "Planner"),
+    Option("How a model at http:// is sent pictures: torch (NeuroNCAP's) or png.", "Planner"),
 ]
 PlanFrame = Annotated[
     Literal["lidar", "ego"] | None,
     Option(
-        "--frame",
         "Frame of the plans of a file or of a model at http://: lidar (x right, y forward) or ego (x forward, y left), "
         "whatever the file or the protocol says.",
         "Planner",
     ),
 ]
 SampleLimit = Annotated[
-    float | None,
-    Option(
-        "--sample-limit", "Seconds that a planner of another package may take for a plan; 120 unless told.", "Planner"
-    ),
+    float | None, Option("Seconds that a planner of another package may take for a plan; 120 unless told.", "Planner")
 ]
 MemoryLimit = Annotated[
-    float | None,
-    Option("--memory-limit", "GiB that a planner of another package may hold; no limit unless told.", "Planner"),
+    float | None, Option("GiB that a planner of another package may hold; no limit unless told.", "Planner")
 ]
-WeightsFolder = Annotated[
-    Path | None, Option("--weights-folder", "Folder that holds published weights, if not the cache.", "Output")
-]
-Size = Annotated[str, Option("--size", "Image size, WIDTHxHEIGHT.", "Output")]
+WeightsFolder = Annotated[Path | None, Option("Folder that holds published weights, if not the cache.", "Output")]
+Size = Annotated[str, Option("Image size, WIDTHxHEIGHT.", "Output")]
 DrawnSize = Annotated[
-    Literal["224x400", "424x800"],
-    Option("--render-size", "magicdrive: what the network draws, HEIGHTxWIDTH.", "Output"),
+    Literal["224x400", "424x800"], Option("magicdrive: what the network draws, HEIGHTxWIDTH.", "Output")
 ]
 WrittenSize = Annotated[
     Literal["model", "1600x900"],
-    Option("--image-size", "magicdrive: what is written, the network's size or the camera's.", "Output"),
+    Option("magicdrive: what is written, the network's size or the camera's.", "Output", names="--image-size"),
 ]
 AskedLook = Annotated[
     Literal["recorded", "daytime", "rainy", "night"],
-    Option("--prompt-look", "magicdrive: light and weather, if not those of the recording.", "Output"),
+    Option("magicdrive: light and weather, if not those of the recording.", "Output"),
 ]
-RenderDevice = Annotated[
-    str, Option("--render-device", "magicdrive: auto, cpu, cuda (all GPUs, a worker on each), cuda:1.", "Output")
-]
+RenderDevice = Annotated[str, Option("magicdrive: auto, cpu, cuda (all GPUs, a worker on each), cuda:1.", "Output")]
 Speed = Annotated[
-    float | None,
-    Option("--tflops", "magicdrive: the device's speed for estimates, if not to be measured.", "Output", min=1e-3),
+    float | None, Option("magicdrive: the device's speed for estimates, if not to be measured.", "Output", min=1e-3)
 ]
-FilmLayout = Annotated[Literal["both", "cameras", "birdseye"], Option("--layout", "What a frame shows.", "Output")]
+FilmLayout = Annotated[
+    Literal["both", "cameras", "birdseye"], Option("What a frame shows.", "Output", names="--layout")
+]
 FilmFormat = Annotated[
     Literal["webm", "png", "webp"],
-    Option("--format", "A film, numbered frames, or an animated picture for pages.", "Output"),
+    Option("A film, numbered frames, or an animated picture for pages.", "Output", names="--format"),
 ]
-Lossless = Annotated[bool, Option("--lossless", "Keep a PNG file beside each JPEG file.", "Output")]
-Frames = Annotated[
-    Literal["all", "keyframes"], Option("--frames", "Images at all 12 Hz frames or at 2 Hz keyframes.", "Output")
-]
+Lossless = Annotated[bool, Option("Keep a PNG file beside each JPEG file.", "Output")]
+Frames = Annotated[Literal["all", "keyframes"], Option("Images at all 12 Hz frames or at 2 Hz keyframes.", "Output")]
 
 
 def image_size(text: str) -> tuple[int, int]:

@@ -19,17 +19,17 @@ from benchmark.report.words import counted
 class DataPackOptions:
     """Options of ``data pack``."""
 
-    splits: Annotated[tuple[str, ...], Option("", "Frozen splits: files, or names such as mini-adv-3.", "Input")]
-    to: Annotated[Path, Option("--to", "The package to write, a .zip file.", "Output")]
+    splits: Annotated[tuple[str, ...], Option("Frozen splits: files, or names such as mini-adv-3.", "Input", names="")]
+    to: Annotated[Path, Option("The package to write, a .zip file.", "Output")]
     root: Annotated[
         str | None,
-        Option("--root", "Data set that was built from them (or mini): its verdicts and statistics go along.", "Input"),
+        Option("Data set that was built from them (or mini): its verdicts and statistics go along.", "Input"),
     ] = None
     drives: Annotated[
         tuple[Path, ...] | None,
-        Option("--drives", "Folder of records of drives, whose settings go along; may be repeated.", "Input"),
+        Option("Folder of records of drives, whose settings go along; may be repeated.", "Input"),
     ] = None
-    rules: Annotated[Path | None, Option("--rules", "File of rules (TOML) that goes along.", "Input")] = None
+    rules: Annotated[Path | None, Option("File of rules (TOML) that goes along.", "Input")] = None
     out: shared.Out = api.OUT
     tables: shared.Tables = None
     workers: shared.Workers = 0
@@ -77,21 +77,15 @@ def data_pack_command(options: DataPackOptions) -> None:
 class DataUnpackOptions:
     """Options of ``data unpack``."""
 
-    package: Annotated[Path, Option("", "A package that data pack wrote.", "Input")]
-    to: Annotated[Path, Option("--to", "Folder for its files.", "Output")]
-    data: Annotated[
-        str | None, Option("--data", "The recordings: mini or a root; the split is built from them.", "Input")
-    ] = None
-    split: Annotated[str | None, Option("--split", "Which frozen split is built, if there are several.", "Input")] = (
-        None
-    )
+    package: Annotated[Path, Option("A package that data pack wrote.", "Input", names="")]
+    to: Annotated[Path, Option("Folder for its files.", "Output")]
+    data: Annotated[str | None, Option("The recordings: mini or a root; the split is built from them.", "Input")] = None
+    split: Annotated[str | None, Option("Which frozen split is built, if there are several.", "Input")] = None
     out: shared.Out = api.OUT
     tables: shared.Tables = None
     scenes: shared.Scenes = None
     limit: shared.Limit = None
-    renderer: Annotated[Literal["schematic", "none"], Option("--renderer", "Who draws the images.", "Output")] = (
-        "schematic"
-    )
+    renderer: Annotated[Literal["schematic", "none"], Option("Who draws the images.", "Output")] = "schematic"
     size: shared.Size = "448x256"
     frames: shared.Frames = "all"
     workers: shared.Workers = 0

@@ -34,30 +34,35 @@ class Option:
     """What the command line says of a field.
 
     Attributes:
-        names: ``--limit`` or ``--site/--no-site``; empty for an argument.
         help: One sentence or two.
         panel: Group in the help.
+        names: ``--format`` or ``--site/--no-site``; the field's name by default, empty for an argument.
         separated: Whether several values are one text, separated by commas; a file may give a list.
         min: Least value of a number.
         max: Largest value.
         metavar: Shown for the value, if not its type.
     """
 
-    names: str
     help: str
     panel: Panel = "Advanced"
+    names: str | None = None
     separated: bool = False
     min: float | None = None
     max: float | None = None
     metavar: str | None = None
 
-    def for_typer(self, callback: Callable[..., Any] | None = None, *, hidden: bool = False) -> Any:
-        """The option as typer takes it."""
+    def for_typer(self, kind: Any, callback: Callable[..., Any] | None = None, *, hidden: bool = False) -> Any:
+        """The field as typer takes it."""
         shared: dict[str, Any] = {"help": self.help, "min": self.min, "max": self.max, "metavar": self.metavar}
         shared |= {"rich_help_panel": self.panel, "hidden": hidden}
         if not self.names:
-            return typer.Argument(**shared)
-        return typer.Option(self.names, callback=callback, is_eager=callback is not None, **shared)
+            return Annotated[kind, typer.Argument(**shared)]
+        if self.metavar is None and typing.get_origin(kind) is not Literal:
+            # Of repeated values it would say that they are a list.
+            names = {types.GenericAlias(list, each): f"<{each.__name__.lower()}>" for each in (str, Path)}
+            shared["metavar"] = next((names[each] for each in (kind, *typing.get_args(kind)) if each in names), None)
+        option = typer.Option(self.names, callback=callback, is_eager=callback is not None, **shared)
+        return Annotated[kind, option]
 
 
 def fields_of(settings: type) -> Iterator[tuple[str, Any, Option, Any]]:
@@ -65,6 +70,8 @@ def fields_of(settings: type) -> Iterator[tuple[str, Any, Option, Any]]:
     hints = typing.get_type_hints(settings, include_extras=True)
     for field in dataclasses.fields(settings):
         kind, option = typing.get_args(hints[field.name])
+        names = f"--{field.name.replace('_', '-')}" if option.names is None else option.names
+        option = dataclasses.replace(option, names=names)
         yield field.name, kind, option, ... if field.default is dataclasses.MISSING else field.default
 
 
@@ -101,15 +108,16 @@ def command_function(settings: type[S], run: Callable[[S], None]) -> Callable[..
     names, rare = {name for name, *_ in fields_of(settings)}, rare_settings(settings)
     parameters = [_parameter("context", typer.Context)]
     for name, kind, option, default in fields_of(settings):
-        callback = _taking_settings(settings) if option.names == _SET and "NAME=VALUE" in option.help else None
-        annotation: Any = Annotated[_for_typer(kind), option.for_typer(callback, hidden=name in rare)]
+        callback = _taking_settings(settings) if option.names == _SET and hasattr(settings, "reserved") else None
+        annotation = option.for_typer(_for_typer(kind), callback, hidden=name in rare)
         parameters.append(_parameter(name, annotation, list(default) if isinstance(default, tuple) else default))
-    config = Option("--config", "Settings from a YAML or JSON file, or from a record; flags win.", "Advanced")
-    parameters.append(_parameter("config_file", Annotated[Path | None, config.for_typer(_taking_file(settings))], None))
+    config = Option("Settings from a YAML or JSON file, or from a record; flags win.", names="--config")
+    taking_file = config.for_typer(Path | None, _taking_file(settings))
+    parameters.append(_parameter("config_file", taking_file, None))
     if rare and "changes" not in names:
-        change = Option(_SET, f"A setting that help does not list, NAME=VALUE ({SETTINGS_PAGE}).", metavar="<str>")
-        kind = Annotated[list[str] | None, change.for_typer(_taking_settings(settings))]
-        parameters.append(_parameter("changed_settings", kind, None))
+        text = f"A setting that help does not list, NAME=VALUE ({SETTINGS_PAGE})."
+        changed = Option(text, names=_SET).for_typer(list[str] | None, _taking_settings(settings))
+        parameters.append(_parameter("changed_settings", changed, None))
     vars(command).update(__signature__=inspect.Signature(parameters), settings=settings)
     command.__annotations__ = {each.name: each.annotation for each in parameters}
     command.__doc__ = run.__doc__
@@ -267,7 +275,7 @@ def _parameters(context: typer.Context, settings: type) -> dict[str, Any]:
     for parameter in context.command.params:
         option = fields.get(parameter.name)
         if option is not None:
-            known[_key(option.names.partition("/")[0])] = parameter
+            known[_key((option.names or "").partition("/")[0])] = parameter
     return {key: each for key, each in known.items() if key} | {each.name: each for each in known.values()}
 
 
@@ -313,5 +321,5 @@ def _checked(context: typer.Context, parameter: Any, value: Any, where: str, nam
     try:
         return parameter.process_value(context, value)
     except typer.BadParameter as error:
-        said = " ".join(error.message.split())
+        said = " ".join(error.message.removeprefix("Value error, ").split())
         raise InputError(f"{where} gives {name} as {value!r}, and that does not fit: {said}") from error

@@ -38,14 +38,10 @@ class SheetsOptions:
     limit: shared.Limit = None
     pictures: Annotated[
         Literal["keyframes", "all", "none"],
-        Option("--pictures", "Pictures of all cameras at 2 Hz keyframes, at all 12 Hz frames, or none.", "Output"),
+        Option("Pictures of all cameras at 2 Hz keyframes, at all 12 Hz frames, or none.", "Output"),
     ] = "keyframes"
-    cell_width: Annotated[
-        int, Option("--cell-width", "Width of one camera in them, pixels; never enlarged.", "Output")
-    ] = 480
-    rounds: Annotated[
-        bool, Option("--rounds", "Also the rounds of refinement that generate --keep-rounds kept.", "Search")
-    ] = False
+    cell_width: Annotated[int, Option("Width of one camera in them, pixels; never enlarged.", "Output")] = 480
+    rounds: Annotated[bool, Option("Also the rounds of refinement that generate --keep-rounds kept.", "Search")] = False
     workers: shared.Workers = 0
     json_output: shared.Json = False
     dry_run: shared.DryRun = False
@@ -103,25 +99,19 @@ class LeaderboardOptions:
 
     out: shared.Out = api.OUT
     records: shared.Records = None
-    to: Annotated[Path | None, Option("--to", "Folder of the tables, if not <out>/leaderboard.", "Output")] = None
-    site: Annotated[bool, Option("--site/--no-site", "Whether to write the site too.", "Output")] = True
-    check: Annotated[bool, Option("--check", "Only say whether the written tables are current.", "Output")] = False
+    to: Annotated[Path | None, Option("Folder of the tables, if not <out>/leaderboard.", "Output")] = None
+    site: Annotated[bool, Option("Whether to write the site too.", "Output", names="--site/--no-site")] = True
+    check: Annotated[bool, Option("Only say whether the written tables are current.", "Output")] = False
     publish_check: Annotated[
         Path | None,
         Option(
-            "--publish-check",
             "Only say what of a site, a leaderboard or an --out should not leave the house, or needs a server.",
             "Output",
         ),
     ] = None
     may_show: Annotated[
         tuple[str, ...] | None,
-        Option(
-            "--may-show",
-            "Data set whose licence allows to show its pictures, for --publish-check; may be repeated.",
-            "Output",
-            metavar="<str>",
-        ),
+        Option("Data set whose licence allows to show its pictures, for --publish-check; may be repeated.", "Output"),
     ] = None
     json_output: shared.Json = False
 
@@ -193,17 +183,12 @@ class SlicesOptions:
     by: shared.By = None
     protocol: Annotated[
         tuple[str, ...] | None,
-        Option(
-            "--protocol",
-            "Whose numbers: a protocol, native, pdm or diagnosis; may be repeated.",
-            "Output",
-            metavar="<str>",
-        ),
+        Option("Whose numbers: a protocol, native, pdm or diagnosis; may be repeated.", "Output"),
     ] = None
     out: shared.Out = api.OUT
     records: shared.Records = None
-    split: Annotated[str | None, Option("--split", "Only records of this split.", "Input")] = None
-    data: Annotated[str | None, Option("--data", "Only records of the data set of this name.", "Input")] = None
+    split: Annotated[str | None, Option("Only records of this split.", "Input")] = None
+    data: Annotated[str | None, Option("Only records of the data set of this name.", "Input")] = None
     wide: shared.Wide = False
     json_output: shared.Json = False
 

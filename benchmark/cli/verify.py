@@ -31,15 +31,11 @@ class VerifyOptions:
             "realism",
             "model",
         ],
-        Option("", "What to compare.", "Advanced"),
+        Option("What to compare.", names=""),
     ]
-    golden: Annotated[
-        Path | None, Option("--golden", "Directory of golden numbers, if not the built-in set.", "Advanced")
-    ] = None
-    model: Annotated[str | None, Option("--model", "With model: which one, for example vad-tiny.", "Planner")] = None
-    noise: Annotated[
-        bool, Option("--noise", "With model: run ours twice more, to tell its own rounding from an error.", "Advanced")
-    ] = False
+    golden: Annotated[Path | None, Option("Directory of golden numbers, if not the built-in set.")] = None
+    model: Annotated[str | None, Option("With model: which one, for example vad-tiny.", "Planner")] = None
+    noise: Annotated[bool, Option("With model: run ours twice more, to tell its own rounding from an error.")] = False
     json_output: shared.Json = False
 
 

@@ -46,12 +46,11 @@ def weights_list_command(options: WeightsListOptions) -> None:
 class WeightsImportOptions:
     """Options of ``weights import``."""
 
-    path: Annotated[Path, Option("", "An official .pth file, or a folder of published weights.", "Advanced")]
-    model: Annotated[str | None, Option("--model", "What it must be for; found out if not given.", "Planner")] = None
+    path: Annotated[Path, Option("An official .pth file, or a folder of published weights.", names="")]
+    model: Annotated[str | None, Option("What it must be for; found out if not given.", "Planner")] = None
     normalisation: shared.Normalisation = None
     anchors: Annotated[
-        Path | None,
-        Option("--anchors", "Of weights anchors, or UniAD's .pkl, for weights that come without.", "Planner"),
+        Path | None, Option("Of weights anchors, or UniAD's .pkl, for weights that come without.", "Planner")
     ] = None
     json_output: shared.Json = False
 
@@ -77,7 +76,7 @@ def weights_import_command(options: WeightsImportOptions) -> None:
 class WeightsFetchOptions:
     """Options of ``weights fetch``."""
 
-    name: Annotated[str, Option("", "Model or file name, as weights list has them.", "Planner")]
+    name: Annotated[str, Option("Model or file name, as weights list has them.", "Planner", names="")]
     normalisation: shared.Normalisation = None
     json_output: shared.Json = False
 
@@ -95,9 +94,9 @@ def weights_fetch_command(options: WeightsFetchOptions) -> None:
 class WeightsAnchorsOptions:
     """Options of ``weights anchors``."""
 
-    model: Annotated[str, Option("--model", "sparsedrive or diffusiondrive.", "Planner")]
+    model: Annotated[str, Option("sparsedrive or diffusiondrive.", "Planner")]
     data: shared.Data
-    out: Annotated[Path, Option("--out", "File of anchors to write (.safetensors).", "Output")]
+    out: Annotated[Path, Option("File of anchors to write (.safetensors).", "Output")]
     split: shared.Split = "train"
     tables: shared.Tables = None
     workers: shared.Workers = 0

@@ -20,17 +20,13 @@ app = typer.Typer(cls=WholeSummaries, help="Train the small models that this pac
 class TrainDenoiserOptions:
     """Options of ``train denoiser``."""
 
-    tracks: Annotated[
-        Path, Option("--tracks", "Folder of track files (.npz), nuPlan databases (.db) or nuScenes roots.", "Input")
-    ]
-    out: Annotated[Path, Option("--out", "Weights file to write; log and progress lie beside it.", "Output")]
-    steps: Annotated[int | None, Option("--steps", "Optimisation steps.", "Execution", min=1)] = None
-    held_out: Annotated[
-        str | None, Option("--held-out", "Sources that only check, separated by commas.", "Advanced")
-    ] = None
+    tracks: Annotated[Path, Option("Folder of track files (.npz), nuPlan databases (.db) or nuScenes roots.", "Input")]
+    out: Annotated[Path, Option("Weights file to write; log and progress lie beside it.", "Output")]
+    steps: Annotated[int | None, Option("Optimisation steps.", "Execution", min=1)] = None
+    held_out: Annotated[str | None, Option("Sources that only check, separated by commas.")] = None
     architecture: Annotated[
         Literal["packaged", "published"],
-        Option("--architecture", "The package's small network, or the published one, which wants a GPU.", "Advanced"),
+        Option("The package's small network, or the published one, which wants a GPU."),
     ] = "packaged"
     seed: shared.Seed = 0
     device: shared.Device = "cpu"
@@ -61,50 +57,29 @@ def train_denoiser_command(options: TrainDenoiserOptions) -> None:
 class TrainPlannerOptions:
     """Options of ``train planner``."""
 
-    model: Annotated[str, Option("--model", "A miniature (uniad-mini, ...) or image-encoder.", "Planner")]
-    data: Annotated[Path, Option("--data", "Root of a data set in nuScenes format.", "Input")]
-    out: Annotated[Path, Option("--out", "Weights file to write; log, progress and card lie beside it.", "Output")]
+    model: Annotated[str, Option("A miniature (uniad-mini, ...) or image-encoder.", "Planner")]
+    data: Annotated[Path, Option("Root of a data set in nuScenes format.", "Input")]
+    out: Annotated[Path, Option("Weights file to write; log, progress and card lie beside it.", "Output")]
     split: shared.Split = "train"
-    steps: Annotated[
-        int | None, Option("--steps", "Steps of all parts together, instead of the usual.", "Execution")
-    ] = None
-    learning_rate: Annotated[float | None, Option("--learning-rate", "Instead of the usual.", "Advanced")] = None
-    image_encoder: Annotated[
-        Path | None, Option("--image-encoder", "Weights of train planner --model image-encoder.", "Advanced")
-    ] = None
+    steps: Annotated[int | None, Option("Steps of all parts together, instead of the usual.", "Execution")] = None
+    learning_rate: Annotated[float | None, Option("Instead of the usual.")] = None
+    image_encoder: Annotated[Path | None, Option("Weights of train planner --model image-encoder.")] = None
     start_from: Annotated[
         tuple[Path, ...] | None,
-        Option(
-            "--start-from",
-            "Weights to start from, where names and shapes agree; of several files the last counts.",
-            "Input",
-        ),
+        Option("Weights to start from, where names and shapes agree; of several files the last counts.", "Input"),
     ] = None
-    judged_on: Annotated[Path | None, Option("--judged-on", "Data set whose split val gives the scores.", "Input")] = (
-        None
-    )
+    judged_on: Annotated[Path | None, Option("Data set whose split val gives the scores.", "Input")] = None
     adversarial: Annotated[
         tuple[Path, ...] | None,
-        Option(
-            "--adversarial",
-            "Root of adversarial scenes made from the split, learned from as well; repeatable.",
-            "Input",
-        ),
+        Option("Root of adversarial scenes made from the split, learned from as well; repeatable.", "Input"),
     ] = None
     also: Annotated[
         tuple[Path, ...] | None,
-        Option("--also", "Root of another data set with that split, learned from as well; repeatable.", "Input"),
+        Option("Root of another data set with that split, learned from as well; repeatable.", "Input"),
     ] = None
-    only: Annotated[
-        tuple[str, ...] | None, Option("--only", "A part of the training, instead of all; repeatable.", "Advanced")
-    ] = None
+    only: Annotated[tuple[str, ...] | None, Option("A part of the training, instead of all; repeatable.")] = None
     kept_of_start: Annotated[
-        float,
-        Option(
-            "--kept-of-start",
-            "Share of the weights of --start-from in what is written, a weighted mean of both.",
-            "Advanced",
-        ),
+        float, Option("Share of the weights of --start-from in what is written, a weighted mean of both.")
     ] = 0.0
     seed: shared.Seed = 0
     device: shared.Device = "auto"
@@ -159,8 +134,8 @@ def train_planner_command(options: TrainPlannerOptions) -> None:
 class TrainJudgeOptions:
     """Options of ``train judge``."""
 
-    weights: Annotated[Path, Option("", "Weights file of train planner, with its .json beside it.", "Advanced")]
-    data: Annotated[Path, Option("--data", "Data set whose split val gives the scores.", "Input")]
+    weights: Annotated[Path, Option("Weights file of train planner, with its .json beside it.", names="")]
+    data: Annotated[Path, Option("Data set whose split val gives the scores.", "Input")]
 
 
 @command(TrainJudgeOptions, app, "judge")
@@ -180,8 +155,8 @@ def train_judge_command(options: TrainJudgeOptions) -> None:
 class TrainEgoStatusOptions:
     """Options of ``train ego status``."""
 
-    tracks: Annotated[Path, Option("--tracks", "Folder of track files (npz).", "Input")]
-    out: Annotated[Path, Option("--out", "Weights file to write (safetensors).", "Output")]
+    tracks: Annotated[Path, Option("Folder of track files (npz).", "Input")]
+    out: Annotated[Path, Option("Weights file to write (safetensors).", "Output")]
     seed: shared.Seed = 0
 
 

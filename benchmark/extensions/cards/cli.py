@@ -16,24 +16,21 @@ from benchmark.report.words import counted
 if TYPE_CHECKING:
     from benchmark.extensions.cards.writing import CardSettings, WrittenCard
 
-ToOption = Annotated[Path, Option("--to", "Folder for the card, its index and its metadata.", "Output")]
-TitleOption = Annotated[
-    str | None, Option("--title", "What it is called in public, if not by its name here.", "Output")
-]
+ToOption = Annotated[Path, Option("Folder for the card, its index and its metadata.", "Output")]
+TitleOption = Annotated[str | None, Option("What it is called in public, if not by its name here.", "Output")]
 LicenceOption = Annotated[
-    str | None,
-    Option("--licence", "Identifier of its licence, such as cc-by-nc-sa-4.0; unknown if not given.", "Output"),
+    str | None, Option("Identifier of its licence, such as cc-by-nc-sa-4.0; unknown if not given.", "Output")
 ]
-UrlOption = Annotated[str | None, Option("--url", "Where it will be published.", "Output")]
-PublishedOption = Annotated[str | None, Option("--published", "Day of that, YYYY-MM-DD.", "Output")]
-CreatorOption = Annotated[str | None, Option("--creator", "Who publishes it.", "Output")]
+UrlOption = Annotated[str | None, Option("Where it will be published.", "Output")]
+PublishedOption = Annotated[str | None, Option("Day of that, YYYY-MM-DD.", "Output")]
+CreatorOption = Annotated[str | None, Option("Who publishes it.", "Output")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DataCardOptions:
     """Options of ``data card``."""
 
-    root: Annotated[str, Option("", "mini, demo or the root of a data set, generated ones included.", "Input")]
+    root: Annotated[str, Option("mini, demo or the root of a data set, generated ones included.", "Input", names="")]
     to: ToOption
     title: TitleOption = None
     licence: LicenceOption = None

@@ -35,31 +35,27 @@ Horizon = Literal["1s", "2s", "3s", "avg"]
 """Horizons of collision rates (`benchmark.metrics.rates.HORIZONS`)."""
 
 
-BaseOption = Annotated[str, Option("--base", "mini, demo or the root of the recordings it was made from.", "Input")]
-BaseTablesOption = Annotated[
-    str | None, Option("--base-tables", "Version folder of the recordings, if there are several.", "Input")
-]
+BaseOption = Annotated[str, Option("mini, demo or the root of the recordings it was made from.", "Input")]
+BaseTablesOption = Annotated[str | None, Option("Version folder of the recordings, if there are several.", "Input")]
 EntryTablesOption = Annotated[
-    str | None, Option("--tables", "Version folder of the entry, if there are several.", "Input")
+    str | None, Option("Version folder of the entry, if there are several.", "Input", names="--tables")
 ]
-RulesOption = Annotated[Path | None, Option("--rules", "rules.toml; what it leaves out has its default.", "Input")]
+RulesOption = Annotated[Path | None, Option("rules.toml; what it leaves out has its default.", "Input")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChallengeCheckOptions:
     """Options of ``challenge check``."""
 
-    root: Annotated[Path, Option("", "Root of the entry.", "Input")]
+    root: Annotated[Path, Option("Root of the entry.", "Input", names="")]
     base: BaseOption
     rules: RulesOption = None
     out: shared.Out = api.OUT
-    to: Annotated[
-        Path | None, Option("--to", "Folder of verdict and page, if not <out>/challenge/<entry>.", "Output")
-    ] = None
+    to: Annotated[Path | None, Option("Folder of verdict and page, if not <out>/challenge/<entry>.", "Output")] = None
     tables: EntryTablesOption = None
     base_tables: BaseTablesOption = None
     scenes: shared.Scenes = None
-    page: Annotated[bool, Option("--page/--no-page", "Whether to write the page too.", "Output")] = True
+    page: Annotated[bool, Option("Whether to write the page too.", "Output", names="--page/--no-page")] = True
     workers: shared.Workers = 0
     json_output: shared.Json = False
 
@@ -141,26 +137,20 @@ def _say(verdict: "EntryVerdict") -> None:
 class ChallengeScoreOptions:
     """Options of ``challenge score``."""
 
-    roots: Annotated[tuple[Path, ...], Option("", "Roots of entries; names that are alike get their folders.", "Input")]
-    base: BaseOption
-    model: Annotated[
-        tuple[str, ...],
-        Option("--model", "Planner by name or module:Class; may be repeated.", "Planner", metavar="<str>"),
+    roots: Annotated[
+        tuple[Path, ...], Option("Roots of entries; names that are alike get their folders.", "Input", names="")
     ]
+    base: BaseOption
+    model: Annotated[tuple[str, ...], Option("Planner by name or module:Class; may be repeated.", "Planner")]
     rules: RulesOption = None
-    protocol: Annotated[str, Option("--protocol", "Who judges the plans; native: each planner's own.", "Output")] = (
-        "exact"
-    )
-    horizon: Annotated[
-        Horizon, Option("--horizon", "Whose collision rate ranks; avg is the mean of the three.", "Output")
-    ] = "avg"
+    protocol: Annotated[str, Option("Who judges the plans; native: each planner's own.", "Output")] = "exact"
+    horizon: Annotated[Horizon, Option("Whose collision rate ranks; avg is the mean of the three.", "Output")] = "avg"
     out: shared.Out = api.OUT
     base_tables: BaseTablesOption = None
     device: Annotated[
-        str | None,
-        Option("--device", "Where a network runs: cpu, cuda, cuda:1; the first GPU if there is one.", "Planner"),
+        str | None, Option("Where a network runs: cpu, cuda, cuda:1; the first GPU if there is one.", "Planner")
     ] = None
-    precision: Annotated[str | None, Option("--precision", "Of a network: float32 or bfloat16.", "Planner")] = None
+    precision: Annotated[str | None, Option("Of a network: float32 or bfloat16.", "Planner")] = None
     seed: shared.Seed = 0
     workers: shared.Workers = 0
     wide: shared.Wide = False
@@ -213,10 +203,9 @@ def challenge_score_command(options: ChallengeScoreOptions) -> None:
 class ChallengeRulesOptions:
     """Options of ``challenge rules``."""
 
-    rules: Annotated[Path | None, Option("", "rules.toml to read and complete.", "Input")] = None
+    rules: Annotated[Path | None, Option("rules.toml to read and complete.", "Input", names="")] = None
     start: Annotated[
-        RuleSet,
-        Option("--set", "Without a file: the defaults, a stricter set, or one without limits of motion.", "Advanced"),
+        RuleSet, Option("Without a file: the defaults, a stricter set, or one without limits of motion.", names="--set")
     ] = "default"
     json_output: shared.Json = False
 

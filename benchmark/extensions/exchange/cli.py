@@ -25,8 +25,8 @@ class ExportOptions:
     """Options of ``data export scenarionet`` and ``data export openscenario``."""
 
     root: shared.Root
-    to: Annotated[Path, Option("--to", "Folder for the files, one a scene.", "Output")]
-    split: Annotated[str | None, Option("--split", "Only this split; all scenes if not given.", "Input")] = None
+    to: Annotated[Path, Option("Folder for the files, one a scene.", "Output")]
+    split: Annotated[str | None, Option("Only this split; all scenes if not given.", "Input")] = None
     scenes: shared.Scenes = None
     limit: shared.Limit = None
     out: shared.Out = api.OUT

@@ -19,22 +19,19 @@ if TYPE_CHECKING:
 class ServeOptions:
     """Options of ``serve``."""
 
-    model: Annotated[str, Option("--model", "Planner name or package.module:Class.", "Planner", metavar="<str>")]
-    port: Annotated[int, Option("--port", "Port to listen on; 0 takes a free one.", "Execution", min=0, max=65535)] = (
-        9000
-    )
+    model: Annotated[str, Option("Planner name or package.module:Class.", "Planner")]
+    port: Annotated[int, Option("Port to listen on; 0 takes a free one.", "Execution", min=0, max=65535)] = 9000
     host: Annotated[
-        str, Option("--host", "Address to listen on; anything but 127.0.0.1 opens it to other machines.", "Execution")
+        str, Option("Address to listen on; anything but 127.0.0.1 opens it to other machines.", "Execution")
     ] = "127.0.0.1"
     accept_torch_tensors: Annotated[
-        bool, Option("--accept-torch-tensors", "Pictures may be saved tensors, as NeuroNCAP's (pickles).", "Planner")
+        bool, Option("Pictures may be saved tensors, as NeuroNCAP's (pickles).", "Planner")
     ] = False
     device: Annotated[
-        str | None,
-        Option("--device", "Where a network runs: cpu, cuda, cuda:1; the first GPU if there is one.", "Planner"),
+        str | None, Option("Where a network runs: cpu, cuda, cuda:1; the first GPU if there is one.", "Planner")
     ] = None
-    precision: Annotated[str | None, Option("--precision", "Of a network: float32 or bfloat16.", "Planner")] = None
-    checkpoint: Annotated[Path | None, Option("--checkpoint", "Weights of the model.", "Planner")] = None
+    precision: Annotated[str | None, Option("Of a network: float32 or bfloat16.", "Planner")] = None
+    checkpoint: Annotated[Path | None, Option("Weights of the model.", "Planner")] = None
     sample_limit: shared.SampleLimit = None
     memory_limit: shared.MemoryLimit = None
     seed: shared.Seed = 0

@@ -24,18 +24,18 @@ InfoReader = Literal["uniad", "vad", "sparsedrive"]
 class ExportInfosOptions:
     """Options of ``export infos``."""
 
-    root: Annotated[str, Option("", "mini, demo or the root of a data set, generated ones included.", "Input")]
-    reader: Annotated[InfoReader, Option("--for", "Whose code reads them; DiffusionDrive: sparsedrive.", "Output")]
-    to: Annotated[Path, Option("--to", "Folder for the info files and what official code needs beside.", "Output")]
+    root: Annotated[str, Option("mini, demo or the root of a data set, generated ones included.", "Input", names="")]
+    reader: Annotated[
+        InfoReader, Option("Whose code reads them; DiffusionDrive: sparsedrive.", "Output", names="--for")
+    ]
+    to: Annotated[Path, Option("Folder for the info files and what official code needs beside.", "Output")]
     split: Annotated[
-        str | None, Option("--split", "Only this split; val, or the only one of the data set, if not given.", "Input")
+        str | None, Option("Only this split; val, or the only one of the data set, if not given.", "Input")
     ] = None
-    as_converted: Annotated[bool, Option("--as-converted", "Exactly what the official converter writes.", "Output")] = (
-        False
+    as_converted: Annotated[bool, Option("Exactly what the official converter writes.", "Output")] = False
+    root_as: Annotated[str | None, Option("Where the root will be for the code that reads, if not here.", "Output")] = (
+        None
     )
-    root_as: Annotated[
-        str | None, Option("--root-as", "Where the root will be for the code that reads, if not here.", "Output")
-    ] = None
     out: shared.Out = api.OUT
     tables: shared.Tables = None
     workers: shared.Workers = 0

@@ -24,22 +24,16 @@ class QualityOptions:
     data: shared.Data = "mini"
     out: shared.Out = api.OUT
     tables: shared.Tables = None
-    masks: Annotated[
-        str,
-        Option("--masks", "Source of masks: grounded-sam2 (the paper's), sam2-boxes, boxes (no network).", "Advanced"),
-    ] = "grounded-sam2"
+    masks: Annotated[str, Option("Source of masks: grounded-sam2 (the paper's), sam2-boxes, boxes (no network).")] = (
+        "grounded-sam2"
+    )
     frames: shared.Frames = "keyframes"
-    lossless: Annotated[bool, Option("--lossless", "Score the PNG frames beside the split's own.", "Output")] = False
+    lossless: Annotated[bool, Option("Score the PNG frames beside the split's own.", "Output")] = False
     weights_folder: shared.WeightsFolder = None
     device: Annotated[
-        str,
-        Option(
-            "--device",
-            "Where networks run: cpu, cuda, cuda:1, or several for a process on each; GPUs if any.",
-            "Planner",
-        ),
+        str, Option("Where networks run: cpu, cuda, cuda:1, or several for a process on each; GPUs if any.", "Planner")
     ] = "auto"
-    batch: Annotated[int, Option("--batch", "Pictures that go through a network together.", "Execution", min=1)] = 16
+    batch: Annotated[int, Option("Pictures that go through a network together.", "Execution", min=1)] = 16
     scenes: shared.Scenes = None
     limit: shared.Limit = None
     shard: shared.Shard = None

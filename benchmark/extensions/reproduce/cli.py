@@ -22,23 +22,19 @@ _SPLIT: Final = "val"
 class ReproduceOptions:
     """Options of ``reproduce``."""
 
-    model: Annotated[str, Option("--model", "Model whose published numbers are wanted, such as uniad.", "Planner")]
+    model: Annotated[str, Option("Model whose published numbers are wanted, such as uniad.", "Planner")]
     data: shared.Data = "mini"
-    split: Annotated[str, Option("--split", "Split of the numbers.", "Input")] = _SPLIT
+    split: Annotated[str, Option("Split of the numbers.", "Input")] = _SPLIT
     out: shared.Out = api.OUT
     tables: shared.Tables = None
-    checkpoint: Annotated[Path | None, Option("--checkpoint", "Weights of the model.", "Planner")] = None
-    expected: Annotated[
-        Path | None, Option("--expected", "File of numbers to compare with, if not the published ones.", "Advanced")
-    ] = None
+    checkpoint: Annotated[Path | None, Option("Weights of the model.", "Planner")] = None
+    expected: Annotated[Path | None, Option("File of numbers to compare with, if not the published ones.")] = None
     store: Annotated[
-        Path | None, Option("--store", "Write what came out to this file, for --expected of a later run.", "Output")
+        Path | None, Option("Write what came out to this file, for --expected of a later run.", "Output")
     ] = None
-    plain: Annotated[
-        bool, Option("--plain", "Run as eval does by default, without --as-published all.", "Advanced")
-    ] = False
-    device: Annotated[str | None, Option("--device", "Where the network runs: cpu, cuda, cuda:1.", "Planner")] = None
-    precision: Annotated[str | None, Option("--precision", "Of the network: float32 or bfloat16.", "Planner")] = None
+    plain: Annotated[bool, Option("Run as eval does by default, without --as-published all.")] = False
+    device: Annotated[str | None, Option("Where the network runs: cpu, cuda, cuda:1.", "Planner")] = None
+    precision: Annotated[str | None, Option("Of the network: float32 or bfloat16.", "Planner")] = None
     seed: shared.Seed = 0
     workers: shared.Workers = 0
     wide: shared.Wide = False

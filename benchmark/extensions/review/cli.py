@@ -23,28 +23,27 @@ if TYPE_CHECKING:
 class DataReviewOptions:
     """Options of ``data review``."""
 
-    root: Annotated[str, Option("", "mini, demo or the root of a data set, generated ones included.", "Input")] = "mini"
+    root: Annotated[
+        str, Option("mini, demo or the root of a data set, generated ones included.", "Input", names="")
+    ] = "mini"
     split: Annotated[
-        str | None,
-        Option("--split", "Only this split; also adv or val-r that was generated from the data set.", "Input"),
+        str | None, Option("Only this split; also adv or val-r that was generated from the data set.", "Input")
     ] = None
     verdicts: Annotated[
-        Path | None, Option("--verdicts", "Record the verdicts of this .csv or .json file, without a page.", "Input")
+        Path | None, Option("Record the verdicts of this .csv or .json file, without a page.", "Input")
     ] = None
-    show: Annotated[bool, Option("--list", "Only say which verdicts stand.", "Output")] = False
+    show: Annotated[bool, Option("Only say which verdicts stand.", "Output", names="--list")] = False
     out: shared.Out = api.OUT
     tables: shared.Tables = None
     scenes: shared.Scenes = None
     limit: shared.Limit = None
-    sample: Annotated[int | None, Option("--sample", "Look at so many scenes, drawn by --seed.", "Input", min=1)] = None
+    sample: Annotated[int | None, Option("Look at so many scenes, drawn by --seed.", "Input", min=1)] = None
     seed: shared.Seed = 0
-    inspector: Annotated[
-        str, Option("--inspector", "Who looks, if that shall stand beside the verdicts.", "Advanced")
-    ] = ""
+    inspector: Annotated[str, Option("Who looks, if that shall stand beside the verdicts.")] = ""
     port: Annotated[
-        int, Option("--port", "Port of the page on 127.0.0.1; 0 takes a free one.", "Execution", min=0, max=65535)
+        int, Option("Port of the page on 127.0.0.1; 0 takes a free one.", "Execution", min=0, max=65535)
     ] = 0
-    browser: Annotated[bool, Option("--open", "Also open the page in the browser.", "Advanced")] = False
+    browser: Annotated[bool, Option("Also open the page in the browser.", names="--open")] = False
     workers: shared.Workers = 0
     json_output: shared.Json = False
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class SubmitCheckOptions:
     """Options of ``submit check``."""
 
-    folder: Annotated[Path, Option("", "Folder of submitted records, of runs and of drives.", "Advanced")]
+    folder: Annotated[Path, Option("Folder of submitted records, of runs and of drives.", names="")]
     data: shared.Data = "mini"
     out: shared.Out = api.OUT
     tables: shared.Tables = None

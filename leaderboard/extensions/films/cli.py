@@ -28,35 +28,31 @@ if TYPE_CHECKING:
 class FilmOptions:
     """Options of ``film``."""
 
-    to: Annotated[Path, Option("--to", "Folder to write to.", "Output")]
+    to: Annotated[Path, Option("Folder to write to.", "Output")]
     scenes: shared.Scenes = None
     limit: shared.Limit = None
-    model: Annotated[
-        tuple[str, ...] | None, Option("--model", "Planner to show; may be repeated.", "Planner", metavar="<str>")
-    ] = None
+    model: Annotated[tuple[str, ...] | None, Option("Planner to show; may be repeated.", "Planner")] = None
     data: shared.Data = "mini"
     split: shared.Split = "adv"
     out: shared.Out = api.OUT
     records: shared.Records = None
     layout: shared.FilmLayout = "both"
     form: shared.FilmFormat = "webm"
-    begin_s: Annotated[float, Option("--from", "First moment, seconds.", "Advanced")] = 0.0
-    end_s: Annotated[float | None, Option("--until", "Last moment, seconds.", "Advanced")] = None
+    begin_s: Annotated[float, Option("First moment, seconds.", names="--from")] = 0.0
+    end_s: Annotated[float | None, Option("Last moment, seconds.", names="--until")] = None
     fps: Annotated[
         float | None,
-        Option("--fps", "Frames a second, 12 of scenes and 10 of drives; the film is as fast as the scene.", "Output"),
+        Option("Frames a second, 12 of scenes and 10 of drives; the film is as fast as the scene.", "Output"),
     ] = None
-    width: Annotated[int, Option("--width", "Width of the frames in pixels, which are 16:9.", "Output")] = 1280
-    extent: Annotated[float, Option("--extent", "Half the width of what is seen from above, metres.", "Output")] = 24.0
-    north_up: Annotated[bool, Option("--north-up", "North points up, not the ego's heading.", "Output")] = False
+    width: Annotated[int, Option("Width of the frames in pixels, which are 16:9.", "Output")] = 1280
+    extent: Annotated[float, Option("Half the width of what is seen from above, metres.", "Output")] = 24.0
+    north_up: Annotated[bool, Option("North points up, not the ego's heading.", "Output")] = False
     candidates: Annotated[
-        bool, Option("--candidates/--no-candidates", "Whether to draw what the search chose from.", "Search")
+        bool, Option("Whether to draw what the search chose from.", "Search", names="--candidates/--no-candidates")
     ] = True
-    protocol: Annotated[
-        str, Option("--protocol", "Whose verdicts are shown; native: of each planner's own.", "Output")
-    ] = "exact"
+    protocol: Annotated[str, Option("Whose verdicts are shown; native: of each planner's own.", "Output")] = "exact"
     drives: Annotated[
-        bool, Option("--drives", "Film drives in closed loop, of all planners unless --model names some.", "Input")
+        bool, Option("Film drives in closed loop, of all planners unless --model names some.", "Input")
     ] = False
     tables: shared.Tables = None
     json_output: shared.Json = False
