@@ -20,6 +20,7 @@ from benchmark.api.opening import (
     worker_count as worker_count,
     workspace as workspace,
 )
+from benchmark.api.options import named_alike as named_alike
 from benchmark.api.planners import (
     NEEDS_SERVE as NEEDS_SERVE,
     PlannerSource as PlannerSource,

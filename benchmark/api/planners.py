@@ -1,12 +1,13 @@
 """Planners by name, whichever package or machine they are of."""
 
 import re
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from benchmark.api.driving import looks_at_images, require_sensor
 from benchmark.api.opening import worker_count
+from benchmark.api.options import named_alike
 from benchmark.api.saying import say_once
 from benchmark.errors import InputError
 
@@ -168,9 +169,8 @@ class PlannerSource:
         Returns:
             The planners, not checked yet.
         """
-        said = {each.name: getattr(options, each.name) for each in fields(cls) if hasattr(options, each.name)}
         named = getattr(options, "model", ())
-        said |= {"names": (named,) if isinstance(named, str) else named}
+        said = {**named_alike(cls, options), "names": (named,) if isinstance(named, str) else named}
         return cls(**{**said, "as_published": said.get("as_published") or (), **others})
 
     def require(self) -> "PlannerSource":

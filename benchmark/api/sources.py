@@ -1,11 +1,12 @@
 """Data sets by name: what is known of one before it is opened or built, and the data set itself when it is needed."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from benchmark.api.opening import DEFAULT_IMAGE_SIZE, OUT, open_data, open_split, worker_count, workspace
+from benchmark.api.options import named_alike
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.places import gigabytes, require_place, require_room
 from benchmark.report.words import counted
@@ -75,9 +76,8 @@ class DataSource:
             options: Those of them that are called as the attributes here count.
             others: Attributes that the options say otherwise.
         """
-        said = {each.name: getattr(options, each.name) for each in fields(cls) if hasattr(options, each.name)}
-        said.setdefault("data", getattr(options, "root", None))
-        return cls(**{**said, **others})
+        root = {"data": options.root} if hasattr(options, "root") else {}
+        return cls(**{**root, **named_alike(cls, options), **others})
 
     def open(self, *, sweeps: bool = False, rates: "FaultList | None" = None) -> "DataSet":
         """Open it; arguments and errors as in `benchmark.api.open_data`."""

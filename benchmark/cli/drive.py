@@ -193,28 +193,19 @@ def drive_command(options: DriveOptions) -> None:
 
 def _settings(options: DriveOptions, scenes: tuple[str, ...] | None, place: "Executor") -> "DriveSettings":
     """How planners are driven."""
+    same = (
+        *("engine", "agents", "adversary_knows", "adversary_others", "adversary_rounds", "adversary_candidates"),
+        *("adversary_tracks", "keep_considered", "sensor", "accept_torch_tensors", "scenarios", "until", "runs"),
+        *("limit", "seed"),
+    )
     return api.drive_settings(
         options.split,
-        engine=options.engine,
-        agents=options.agents,
-        adversary_knows=options.adversary_knows,
         adversary_every_s=options.adversary_every,
-        adversary_others=options.adversary_others,
-        adversary_rounds=options.adversary_rounds,
-        adversary_candidates=options.adversary_candidates,
-        adversary_tracks=options.adversary_tracks,
-        keep_considered=options.keep_considered,
-        sensor=options.sensor,
-        accept_torch_tensors=options.accept_torch_tensors,
         latency_ms=options.latency,
-        scenarios=options.scenarios,
-        until=options.until,
-        runs=options.runs,
-        scenes=scenes,
-        limit=options.limit,
-        executor=place,
         timeout_s=options.timeout,
-        seed=options.seed,
+        scenes=scenes,
+        executor=place,
+        **{name: getattr(options, name) for name in same},
     )
 
 

@@ -208,32 +208,20 @@ def generate_command(options: GenerateOptions) -> None:
     # Last: the embedded data set takes minutes to build the first time, and a mistyped option should not.
     source = data.open()
     root = space.split_root(source.name, wanted[0].split)
-    settings = BuildSettings(
-        out=root,
-        timings=space.timings_of(root),
-        hyper=hyper,
-        prior=trajectory_model(options),
-        source_split=options.source_split,
-        scenes=named,
-        limit=options.limit,
-        adversaries=options.adversaries,
-        surrogate=under_test,
-        per_scene=options.per_scene,
-        variants=options.variants,
-        asked=asked,
-        total=options.top,
-        layout=options.layout,
-        renderer=drawing,
-        frames=options.frames,
-        lossless=options.lossless,
-        seed=wanted[0].seed,
-        executor=place,
-        rendering=rendering,
-        together=options.together,
-        keep_rounds=options.keep_rounds,
-        freeze=wanted[0].freeze,
-        dry_run=options.dry_run,
-    )
+    others: dict[str, Any] = {
+        "out": root,
+        "timings": space.timings_of(root),
+        "hyper": hyper,
+        "prior": trajectory_model(options),
+        "scenes": named,
+        "surrogate": under_test,
+        "asked": asked,
+        "total": options.top,
+        "renderer": drawing,
+        "executor": place,
+        "rendering": rendering,
+    }
+    settings = BuildSettings(**{**api.named_alike(BuildSettings, options), **others})
     if photorealistic is not None:
         typer.echo(network.estimate(source.scene(source_scenes(source, settings)[0])).plain(), err=True)
     own = []

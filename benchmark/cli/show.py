@@ -178,7 +178,7 @@ def _say_publishable(folder: Path, may_show: "Sequence[str]", *, json_output: bo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlicesOptions:
-    """Options of ``slices``."""
+    """Options of ``leaderboard slices``."""
 
     by: shared.By = None
     protocol: Annotated[

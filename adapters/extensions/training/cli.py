@@ -109,25 +109,9 @@ def train_planner_command(options: TrainPlannerOptions) -> None:
         listed_scenes(root, options.split)
     from adapters.extensions.training.planners import PlannerTraining, train_planner
 
-    training = PlannerTraining(
-        options.model,
-        options.data,
-        options.split,
-        options.out,
-        options.steps,
-        options.seed,
-        options.learning_rate,
-        options.image_encoder,
-        tuple(options.start_from or ()),
-        options.judged_on,
-        options.device,
-        api.worker_count(options.workers),
-        tuple(options.adversarial or ()),
-        tuple(options.also or ()),
-        tuple(options.only or ()),
-        options.kept_of_start,
-    )
-    print_json(train_planner(training))
+    repeated = {name: getattr(options, name) or () for name in ("start_from", "adversarial", "also", "only")}
+    others = {"data_root": options.data, "workers": api.worker_count(options.workers), **repeated}
+    print_json(train_planner(PlannerTraining(**{**api.named_alike(PlannerTraining, options), **others})))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,7 +137,7 @@ def train_judge_command(options: TrainJudgeOptions) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainEgoStatusOptions:
-    """Options of ``train ego status``."""
+    """Options of ``train ego-status``."""
 
     tracks: Annotated[Path, Option("Folder of track files (npz).", "Input")]
     out: Annotated[Path, Option("Weights file to write (safetensors).", "Output")]

@@ -48,7 +48,7 @@ def data_card_command(options: DataCardOptions) -> None:
     """Write a data-set card for a hub: README.md, a Parquet index of the scenes, and Croissant metadata."""
     from benchmark.extensions.cards.writing import CardSettings
 
-    settings = CardSettings(options.title, options.licence, options.url, options.published, options.creator)
+    settings = CardSettings(**api.named_alike(CardSettings, options))
     data = api.DataSource.of(options)
     data.require()
     _require_room(options.to)
@@ -60,7 +60,7 @@ def data_card_command(options: DataCardOptions) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordsCardOptions:
-    """Options of ``records card``."""
+    """Options of ``leaderboard card``."""
 
     to: ToOption
     title: TitleOption = None
@@ -82,7 +82,7 @@ def records_card_command(options: RecordsCardOptions) -> None:
     from benchmark.records.drives import find_drives
     from benchmark.records.run import find_records
 
-    settings = CardSettings(options.title, options.licence, options.url, options.published, options.creator)
+    settings = CardSettings(**api.named_alike(CardSettings, options))
     for place in options.records or ():
         require_folder(place, "--records")
     _require_room(options.to)

@@ -42,17 +42,9 @@ def serve_command(options: ServeOptions) -> None:
     """Answer a simulator's requests with a planner's plans, over HTTP, until interrupted."""
     supervision = api.PlannerSource.of(options, data="").require().supervision
     _require_server(options.host, options.port)
-    server = serve_planner(
-        options.model,
-        options.checkpoint,
-        host=options.host,
-        port=options.port,
-        accept_torch_tensors=options.accept_torch_tensors,
-        device=options.device,
-        precision=options.precision,
-        seed=options.seed,
-        supervision=supervision,
-    )
+    same = ("checkpoint", "host", "port", "accept_torch_tensors", "device", "precision", "seed")
+    named = {name: getattr(options, name) for name in same}
+    server = serve_planner(options.model, **named, supervision=supervision)
     if server.is_open:
         api.tell(
             f"warning: {server.host} is open to other machines: whoever reaches port {server.port} can use this "

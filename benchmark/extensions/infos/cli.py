@@ -22,7 +22,7 @@ InfoReader = Literal["uniad", "vad", "sparsedrive"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportInfosOptions:
-    """Options of ``export infos``."""
+    """Options of ``data export infos``."""
 
     root: Annotated[str, Option("mini, demo or the root of a data set, generated ones included.", "Input", names="")]
     reader: Annotated[

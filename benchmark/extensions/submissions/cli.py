@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SubmitCheckOptions:
-    """Options of ``submit check``."""
+    """Options of ``leaderboard submit-check``."""
 
     folder: Annotated[Path, Option("Folder of submitted records, of runs and of drives.", names="")]
     data: shared.Data = "mini"
