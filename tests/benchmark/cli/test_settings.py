@@ -213,3 +213,8 @@ def test_the_search_of_a_split_can_be_fed_back(desk: Path, monkeypatch: pytest.M
     assert other.read_bytes() == record.read_bytes()
     tables = {path.name: path.read_bytes() for path in Path("first/data/town/adv").glob("v1.0-*/*.json")}
     assert tables == {path.name: path.read_bytes() for path in Path("second/data/town/adv").glob("v1.0-*/*.json")}
+
+
+def test_a_damaged_record_is_refused(tmp_path: Path) -> None:
+    file = written(tmp_path, json.dumps({"schema": 6, "planner": {"name": "idm"}, "protocols": {}}), "run.json")
+    assert f"{file} is a damaged record" in refusal("eval", "--config", file)
