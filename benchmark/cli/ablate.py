@@ -4,8 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from benchmark import api
 from benchmark.cli import options as shared
 from benchmark.cli.built_splits import (
@@ -15,7 +13,7 @@ from benchmark.cli.built_splits import (
     trajectory_model,
 )
 from benchmark.cli.options import executor_of, image_size, name_list
-from benchmark.cli.output import print_json, same_out, say_next, say_plan
+from benchmark.cli.output import print_result, same_out, say_next, say_plan
 from benchmark.cli.settings import Option, command
 
 
@@ -107,10 +105,8 @@ def ablate_command(options: AblateOptions) -> None:
         say_plan([estimate, *told(options.preset, hyper)], json_output=options.json_output)
         return
     report = ablate(source, planner, settings)
-    if options.json_output:
-        print_json(report.model_dump(mode="json", by_alias=True))
-    else:
-        typer.echo(report.table().plain(wide=options.wide), nl=False)
+    said = report.model_dump(mode="json", by_alias=True)
+    print_result(said, report.table().plain(wide=options.wide), json_output=options.json_output)
     say_next(
         f"study: {settings.out}",
         (f"leaderboard{same_out(options.out)}", "all records in tables beside the paper's"),

@@ -10,7 +10,7 @@ from benchmark import api
 from benchmark.cli import options as shared
 from benchmark.cli.help import WholeSummaries
 from benchmark.cli.options import image_size, name_list
-from benchmark.cli.output import print_json
+from benchmark.cli.output import print_json, print_result
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
 from benchmark.report.words import counted
@@ -43,10 +43,7 @@ def data_info_command(options: DataInfoOptions) -> None:
     data = api.DataSource.of(options)
     data.require()
     found = contents(_open_to_look(data))
-    if options.json_output:
-        print_json(found)
-    else:
-        typer.echo(contents_text(found), nl=False)
+    print_result(found, contents_text(found), json_output=options.json_output)
 
 
 def _open_to_look(data: api.DataSource) -> "DataSet":
@@ -220,10 +217,8 @@ def data_import_command(options: DataImportOptions) -> None:
     images = options.renderer != "none"
     settings = ImportSettings(width, height, options.frames, images=images, split=options.split)
     names = import_scenarionet(options.source, options.out, settings, workers=api.worker_count(options.workers))
-    if options.json_output:
-        print_json({"root": str(options.out), "scenes": names})
-    else:
-        typer.echo(f"{counted(len(names), 'scene')} in {options.out}: {', '.join(names)}")
+    text = f"{counted(len(names), 'scene')} in {options.out}: {', '.join(names)}"
+    print_result({"root": str(options.out), "scenes": names}, text, json_output=options.json_output)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

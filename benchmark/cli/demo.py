@@ -10,7 +10,7 @@ import typer
 from benchmark import api
 from benchmark.cli import options as shared
 from benchmark.cli.demonstration import RESULTS, demo, full_demo, stale_demo
-from benchmark.cli.output import print_json, same_out, say_next
+from benchmark.cli.output import print_json, print_result, same_out, say_next
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
 
@@ -41,14 +41,14 @@ def demo_command(options: DemoOptions) -> None:
     if options.check:
         stale = stale_demo(options.to)
         said = "\n".join(stale) or f"{options.to} is current"
-        print_json({"stale": stale}) if options.json_output else typer.echo(said)
+        print_result({"stale": stale}, said, json_output=options.json_output)
         raise typer.Exit(1 if stale else 0)
     api.worker_count(options.workers)
     require_place(options.out, "--out")
     require_room(options.out, api.town_bytes(2 * options.town_scenes, frames="keyframes"), "the demo", "--out")
     if options.full:
         files = [str(path) for path in full_demo(options.out, options.to, workers=options.workers)]
-        print_json({"files": files}) if options.json_output else typer.echo("\n".join(files))
+        print_result({"files": files}, "\n".join(files), json_output=options.json_output)
         return
     from leaderboard.frame.runs import Frame
     from leaderboard.tables.collision import run_tables

@@ -2,10 +2,8 @@
 
 from dataclasses import dataclass
 
-import typer
-
 from benchmark.cli import options as shared
-from benchmark.cli.output import print_json
+from benchmark.cli.output import print_result
 from benchmark.cli.settings import command
 
 
@@ -22,7 +20,5 @@ def models_command(options: ModelsOptions) -> None:
     from adapters.known_planners import known_planners, planners_text
 
     planners = known_planners()
-    if options.json_output:
-        print_json([planner.as_json() for planner in planners])
-    else:
-        typer.echo(planners_text(planners), nl=False)
+    said = [planner.as_json() for planner in planners]
+    print_result(said, planners_text(planners), json_output=options.json_output)

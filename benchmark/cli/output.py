@@ -36,12 +36,17 @@ def print_json(value: Any) -> None:
     typer.echo(json.dumps(value, indent=1, sort_keys=True, allow_nan=False))
 
 
+def print_result(value: Any, text: str, *, json_output: bool) -> None:
+    """What a command found, as JSON for a program or as text for people."""
+    if json_output:
+        print_json(value)
+    else:
+        typer.echo(text.removesuffix("\n"))
+
+
 def say_plan(sentences: Sequence[str], *, json_output: bool) -> None:
     """What ``--dry-run`` prints."""
-    if json_output:
-        print_json({"would": list(sentences)})
-    else:
-        typer.echo("\n".join(sentences))
+    print_result({"would": list(sentences)}, "\n".join(sentences), json_output=json_output)
 
 
 def say_next(where: str, *steps: tuple[str, str], json_output: bool) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -11,13 +11,10 @@ from benchmark import api
 from benchmark.cli import options as shared
 from benchmark.cli.help import WholeSummaries
 from benchmark.cli.options import name_list
-from benchmark.cli.output import print_json, same_out, same_place, say_next, say_plan
+from benchmark.cli.output import print_json, print_result, same_out, same_place, say_next, say_plan
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
 from benchmark.report.words import counted
-
-if TYPE_CHECKING:
-    pass
 
 leaderboard_app = typer.Typer(
     cls=WholeSummaries,
@@ -77,10 +74,7 @@ def sheets_command(options: SheetsOptions) -> None:
         say_plan([plan_of(dataset, options.split, root, settings)], json_output=options.json_output)
         return
     written = api.write_sheets(dataset, options.split, root, settings)
-    if options.json_output:
-        print_json(written.as_json())
-    else:
-        typer.echo(written.sentence())
+    print_result(written.as_json(), written.sentence(), json_output=options.json_output)
     again = same_place(options)
     say_next(
         f"sheets: {written.directory}",
@@ -135,20 +129,13 @@ def leaderboard_command(options: LeaderboardOptions) -> None:
         require_folder(place, "--records")
     if options.check:
         stale = api.stale_leaderboard(options.out, folder, options.records, site=options.site)
-        if options.json_output:
-            print_json({"stale": stale})
-        else:
-            typer.echo("\n".join(stale) or f"{folder} is current")
+        print_result({"stale": stale}, "\n".join(stale) or f"{folder} is current", json_output=options.json_output)
         raise typer.Exit(1 if stale else 0)
     require_place(folder, "--to" if options.to else "--out")
     written = api.write_leaderboard(options.out, folder, options.records, site=options.site)
-    if options.json_output:
-        print_json({"files": [str(path) for path in written]})
-    else:
-        typer.echo(
-            f"{counted(len(written), 'file')} in {folder}; start with "
-            f"{folder / ('site/index.html' if options.site else 'README.md')}"
-        )
+    first = folder / ("site/index.html" if options.site else "README.md")
+    text = f"{counted(len(written), 'file')} in {folder}; start with {first}"
+    print_result({"files": [str(path) for path in written]}, text, json_output=options.json_output)
     page = f", {folder / 'site/index.html'} in any browser" if options.site else ""
     say_next(
         f"to read: {folder / 'README.md'}{page}",

@@ -8,7 +8,7 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.output import print_json
+from benchmark.cli.output import print_json, print_result
 from benchmark.cli.settings import Option, command
 
 
@@ -70,9 +70,7 @@ def doctor_command(options: DoctorOptions) -> None:
     from benchmark.machine.environment import checks
 
     found = checks(options.out)
-    if options.json_output:
-        print_json([{"check": check.name, "ok": check.ok, "says": check.sentence} for check in found])
-    else:
-        for check in found:
-            typer.echo(f"{'ok  ' if check.ok else 'FAIL'}  {check.name}: {check.sentence}")
+    said = [{"check": check.name, "ok": check.ok, "says": check.sentence} for check in found]
+    lines = [f"{'ok  ' if check.ok else 'FAIL'}  {check.name}: {check.sentence}" for check in found]
+    print_result(said, "\n".join(lines), json_output=options.json_output)
     raise typer.Exit(0 if all(check.ok for check in found) else 1)

@@ -2,20 +2,16 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
 from benchmark.cli.help import WholeSummaries
-from benchmark.cli.output import print_json
+from benchmark.cli.output import print_json, print_result
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError, did_you_mean
-
-if TYPE_CHECKING:
-    from adapters.checkpoints.arrival import KeptWeights
-    from adapters.checkpoints.importing import ImportedWeights
 
 app = typer.Typer(
     cls=WholeSummaries, help="List, import and fetch official weights of the native models.", no_args_is_help=True
@@ -66,10 +62,8 @@ def weights_import_command(options: WeightsImportOptions) -> None:
     require_file(options.anchors, "--anchors")
     from adapters.checkpoints.arrival import import_weights
 
-    _tell(
-        import_weights(options.path, options.model, normalisation=options.normalisation, anchors=options.anchors),
-        json_output=options.json_output,
-    )
+    found = import_weights(options.path, options.model, normalisation=options.normalisation, anchors=options.anchors)
+    print_result(found.as_json(), found.sentence(), json_output=options.json_output)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +81,8 @@ def weights_fetch_command(options: WeightsFetchOptions) -> None:
     _require_weights(options.name, options.normalisation, files=True)
     from adapters.checkpoints.arrival import fetch_weights
 
-    _tell(fetch_weights(options.name, normalisation=options.normalisation), json_output=options.json_output)
+    found = fetch_weights(options.name, normalisation=options.normalisation)
+    print_result(found.as_json(), found.sentence(), json_output=options.json_output)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,11 +114,8 @@ def weights_anchors_command(options: WeightsAnchorsOptions) -> None:
     from adapters.checkpoints.anchor_files import write_anchors
 
     made = write_anchors(options.model, data.open(), options.split, options.out).as_json()
-    if options.json_output:
-        print_json(made)
-        return
     counts = ", ".join(f"{count} {what}" for what, count in made["sightings"].items())
-    typer.echo(f"{made['path']}: anchors of {options.model} from {counts}")
+    print_result(made, f"{made['path']}: anchors of {options.model} from {counts}", json_output=options.json_output)
 
 
 def _require_weights(name: str | None, normalisation: str | None, *, files: bool = False) -> None:
@@ -136,10 +128,3 @@ def _require_weights(name: str | None, normalisation: str | None, *, files: bool
         checkpoint_of(name) if files else published_model(name)
     if normalisation is not None:
         normalisation_of(normalisation)
-
-
-def _tell(found: "ImportedWeights | KeptWeights", *, json_output: bool) -> None:
-    if json_output:
-        print_json(found.as_json())
-    else:
-        typer.echo(found.sentence())

@@ -4,11 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.output import print_json
+from benchmark.cli.output import print_result
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
 from benchmark.report.words import counted
@@ -114,7 +112,5 @@ def _say(
             "warning: the card says that its licence is not decided; --licence names one (what was made from "
             "recordings stays under their terms)"
         )
-    if json_output:
-        print_json(written.as_json())
-    else:
-        typer.echo(f"{counted(written.rows, rows)} in {written.files[1]}, beside {written.files[0].name} for a hub")
+    text = f"{counted(written.rows, rows)} in {written.files[1]}, beside {written.files[0].name} for a hub"
+    print_result(written.as_json(), text, json_output=json_output)

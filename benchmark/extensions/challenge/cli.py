@@ -12,7 +12,7 @@ from benchmark import api
 from benchmark.cli import options as shared
 from benchmark.cli.help import WholeSummaries
 from benchmark.cli.options import name_list
-from benchmark.cli.output import print_json, same_out, say_next
+from benchmark.cli.output import print_json, print_result, same_out, say_next
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
 from benchmark.report.words import counted
@@ -218,7 +218,5 @@ def challenge_rules_command(options: ChallengeRulesOptions) -> None:
 
     require_file(options.rules, "rules", (".toml",))
     said = RULE_SETS[options.start] if options.rules is None else read_rules(options.rules)
-    if options.json_output:
-        print_json({"fingerprint": said.fingerprint, "rules": said.model_dump(mode="json", by_alias=True)})
-    else:
-        typer.echo(rules_text(said), nl=False)
+    rules = {"fingerprint": said.fingerprint, "rules": said.model_dump(mode="json", by_alias=True)}
+    print_result(rules, rules_text(said), json_output=options.json_output)

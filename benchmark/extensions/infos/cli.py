@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -11,10 +11,6 @@ from benchmark.cli import options as shared
 from benchmark.cli.output import print_json
 from benchmark.cli.settings import Option, command
 from benchmark.report.words import counted
-
-if TYPE_CHECKING:
-    pass
-
 
 InfoReader = Literal["uniad", "vad", "sparsedrive"]
 """Whose info files are written."""

@@ -4,12 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import typer
-
 from benchmark import api
 from benchmark.cli import options as shared
 from benchmark.cli.options import name_list
-from benchmark.cli.output import print_json, same_out, same_place, say_next, say_plan, say_shard
+from benchmark.cli.output import print_result, same_out, same_place, say_next, say_plan, say_shard
 from benchmark.cli.settings import Option, command
 
 if TYPE_CHECKING:
@@ -86,11 +84,9 @@ def quality_command(options: QualityOptions) -> None:
     record = measure_quality(dataset, options.split, root, settings)
     for caveat in record.caveats:
         api.tell(f"warning: {caveat.sentence}")
-    if options.json_output:
-        facts = record.facts.model_dump(mode="json", by_alias=True, include={"definition", "weights", "summary"})
-        print_json({"directory": str(record.directory), **facts})
-    else:
-        typer.echo(quality_tables([record])[0].plain(wide=options.wide))
+    facts = record.facts.model_dump(mode="json", by_alias=True, include={"definition", "weights", "summary"})
+    table = quality_tables([record])[0].plain(wide=options.wide)
+    print_result({"directory": str(record.directory), **facts}, f"{table}\n", json_output=options.json_output)
     say_next(
         f"record: {record.directory}",
         (f"leaderboard{same_out(options.out)}", "all records in tables beside the paper's"),

@@ -8,7 +8,7 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.output import print_json, same_place, say_next, say_plan
+from benchmark.cli.output import print_result, same_place, say_next, say_plan
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
 
@@ -75,11 +75,9 @@ def reproduce_command(options: ReproduceOptions) -> None:
     record, found = reproduce(dataset, options.split, factory, runs_root, numbers, workers=count, seed=options.seed)
     if options.store is not None:
         store_expected(options.store, record, numbers.protocol)
-    if options.json_output:
-        rows = [{**number.model_dump(mode="json"), "ok": number.ok} for number in found.numbers]
-        print_json({"directory": str(record.directory), "reproduced": found.reproduced, "numbers": rows})
-    else:
-        typer.echo(reproduction_table(found).plain(wide=options.wide), nl=False)
+    rows = [{**number.model_dump(mode="json"), "ok": number.ok} for number in found.numbers]
+    result = {"directory": str(record.directory), "reproduced": found.reproduced, "numbers": rows}
+    print_result(result, reproduction_table(found).plain(wide=options.wide), json_output=options.json_output)
     if not found.reproduced:
         raise typer.Exit(1)
     as_published = "".join(f" --as-published {option}" for option in published)
