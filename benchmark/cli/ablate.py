@@ -1,7 +1,6 @@
 """Command that repeats the paper's ablation: ``ablate``."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 from benchmark import api
@@ -22,7 +21,7 @@ class AblateOptions:
     """Options of ``ablate``."""
 
     model: Annotated[str, Option("Planner that has to drive.", "Planner")] = "constant-velocity"
-    checkpoint: Annotated[Path | None, Option("Weights of the model.", "Planner")] = None
+    checkpoint: shared.Checkpoint = None
     sample_limit: shared.SampleLimit = None
     memory_limit: shared.MemoryLimit = None
     data: shared.Data = "mini"

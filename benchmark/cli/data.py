@@ -61,9 +61,7 @@ def _open_to_look(data: api.DataSource) -> "DataSet":
 class DataStatsOptions:
     """Options of ``data stats``."""
 
-    root: Annotated[
-        str, Option("mini, demo or the root of a data set, generated ones included.", "Input", names="")
-    ] = "mini"
+    root: shared.Root = "mini"
     split: Annotated[str | None, Option("Only this split; every row of the tables if not given.", "Input")] = None
     recordings: Annotated[
         str | None, Option("What the scenes were made from: adversaries are compared with it.", "Input")
@@ -129,7 +127,7 @@ def _judged(root: Path, options: DataStatsOptions, recordings: api.DataSource | 
 class DataShowOptions:
     """Options of ``data show``."""
 
-    root: Annotated[str, Option("mini, demo or the root of a data set, generated ones included.", "Input", names="")]
+    root: shared.Root
     to: Annotated[Path, Option("Folder for the pictures.", "Output")]
     conditions: Annotated[bool, Option("Draw what MagicDriveDiT would be told.", "Output")] = False
     out: shared.Out = api.OUT
@@ -238,7 +236,7 @@ class DataBuildOptions:
     ] = 0
     size: shared.Size = "448x256"
     frames: shared.Frames = "all"
-    renderer: Annotated[Literal["schematic", "none"], Option("Who draws the images.", "Output")] = "schematic"
+    renderer: shared.QuickRenderer = "schematic"
     seed: shared.Seed = 0
     workers: shared.Workers = 0
 

@@ -141,6 +141,7 @@ FilmFormat = Annotated[
     Literal["webm", "png", "webp"],
     Option("A film, numbered frames, or an animated picture for pages.", "Output", names="--format"),
 ]
+QuickRenderer = Annotated[Literal["schematic", "none"], Option("Who draws the images.", "Output")]
 Lossless = Annotated[bool, Option("Keep a PNG file beside each JPEG file.", "Output")]
 Frames = Annotated[Literal["all", "keyframes"], Option("Images at all 12 Hz frames or at 2 Hz keyframes.", "Output")]
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -85,7 +85,7 @@ class DataUnpackOptions:
     tables: shared.Tables = None
     scenes: shared.Scenes = None
     limit: shared.Limit = None
-    renderer: Annotated[Literal["schematic", "none"], Option("Who draws the images.", "Output")] = "schematic"
+    renderer: shared.QuickRenderer = "schematic"
     size: shared.Size = "448x256"
     frames: shared.Frames = "all"
     workers: shared.Workers = 0

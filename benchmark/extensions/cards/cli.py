@@ -28,7 +28,7 @@ CreatorOption = Annotated[str | None, Option("Who publishes it.", "Output")]
 class DataCardOptions:
     """Options of ``data card``."""
 
-    root: Annotated[str, Option("mini, demo or the root of a data set, generated ones included.", "Input", names="")]
+    root: shared.Root
     to: ToOption
     title: TitleOption = None
     licence: LicenceOption = None

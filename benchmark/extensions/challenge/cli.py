@@ -147,10 +147,8 @@ class ChallengeScoreOptions:
     horizon: Annotated[Horizon, Option("Whose collision rate ranks; avg is the mean of the three.", "Output")] = "avg"
     out: shared.Out = api.OUT
     base_tables: BaseTablesOption = None
-    device: Annotated[
-        str | None, Option("Where a network runs: cpu, cuda, cuda:1; the first GPU if there is one.", "Planner")
-    ] = None
-    precision: Annotated[str | None, Option("Of a network: float32 or bfloat16.", "Planner")] = None
+    device: shared.NetworkDevice = None
+    precision: shared.Precision = None
     seed: shared.Seed = 0
     workers: shared.Workers = 0
     wide: shared.Wide = False

@@ -27,11 +27,9 @@ class ServeOptions:
     accept_torch_tensors: Annotated[
         bool, Option("Pictures may be saved tensors, as NeuroNCAP's (pickles).", "Planner")
     ] = False
-    device: Annotated[
-        str | None, Option("Where a network runs: cpu, cuda, cuda:1; the first GPU if there is one.", "Planner")
-    ] = None
-    precision: Annotated[str | None, Option("Of a network: float32 or bfloat16.", "Planner")] = None
-    checkpoint: Annotated[Path | None, Option("Weights of the model.", "Planner")] = None
+    device: shared.NetworkDevice = None
+    precision: shared.Precision = None
+    checkpoint: shared.Checkpoint = None
     sample_limit: shared.SampleLimit = None
     memory_limit: shared.MemoryLimit = None
     seed: shared.Seed = 0

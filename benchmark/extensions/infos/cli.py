@@ -20,7 +20,7 @@ InfoReader = Literal["uniad", "vad", "sparsedrive"]
 class ExportInfosOptions:
     """Options of ``data export infos``."""
 
-    root: Annotated[str, Option("mini, demo or the root of a data set, generated ones included.", "Input", names="")]
+    root: shared.Root
     reader: Annotated[
         InfoReader, Option("Whose code reads them; DiffusionDrive: sparsedrive.", "Output", names="--for")
     ]

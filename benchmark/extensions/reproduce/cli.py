@@ -27,7 +27,7 @@ class ReproduceOptions:
     split: Annotated[str, Option("Split of the numbers.", "Input")] = _SPLIT
     out: shared.Out = api.OUT
     tables: shared.Tables = None
-    checkpoint: Annotated[Path | None, Option("Weights of the model.", "Planner")] = None
+    checkpoint: shared.Checkpoint = None
     expected: Annotated[Path | None, Option("File of numbers to compare with, if not the published ones.")] = None
     store: Annotated[
         Path | None, Option("Write what came out to this file, for --expected of a later run.", "Output")

@@ -23,9 +23,7 @@ if TYPE_CHECKING:
 class DataReviewOptions:
     """Options of ``data review``."""
 
-    root: Annotated[
-        str, Option("mini, demo or the root of a data set, generated ones included.", "Input", names="")
-    ] = "mini"
+    root: shared.Root = "mini"
     split: Annotated[
         str | None, Option("Only this split; also adv or val-r that was generated from the data set.", "Input")
     ] = None
