@@ -35,11 +35,13 @@ def taking_settings(settings: type) -> Callable[..., Any]:
         own = settings.reserved() if hasattr(settings, "reserved") else None
         known, left, said = _by_name(settings), [], {}
         for each in value:
-            name, _, text = each.partition("=")
+            name, equals, text = each.partition("=")
             if own is not None and (name in own or _key(name) not in known):
                 left.append(each)
                 continue
             field = _named(known, name, SET, context)
+            if not equals:
+                raise InputError(f"{SET} {each} is not NAME=VALUE; write {SET} {each}=VALUE")
             said[field.name] = _checked(context, field, text.split(",") if field.repeated else text, SET, name)
         _defaults(context).update(said)
         context.meta[SAID_BY_SET] = tuple(said)

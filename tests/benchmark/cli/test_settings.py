@@ -115,7 +115,12 @@ def test_a_file_that_does_not_fit_is_refused_in_one_sentence(text: str, words: s
 
 
 def test_a_change_by_name_is_refused_like_a_file() -> None:
-    for change, words in (("glos=1", "did you mean gloss"), ("gloss=x", "valid number"), ("count=10", "less than")):
+    for change, words in (
+        ("gloss", "NAME=VALUE"),
+        ("glos=1", "did you mean gloss"),
+        ("gloss=x", "valid number"),
+        ("count=10", "less than"),
+    ):
         with pytest.raises(InputError, match=words):
             painted("hall", "--set", change)
     with pytest.raises(InputError, match="one thing twice"):
