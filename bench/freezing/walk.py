@@ -34,6 +34,9 @@ def _walk(top: Any, command: Any, words: list[str]) -> Iterator[tuple[str, dict[
 
 
 def _choices(annotation: Any) -> Iterator[str]:
+    if typing.get_origin(annotation) is typing.Literal:
+        yield from map(str, typing.get_args(annotation))
+        return
     for inner in typing.get_args(annotation):
         yield from _choices(inner)
     if isinstance(annotation, type) and issubclass(annotation, enum.Enum):

@@ -20,10 +20,20 @@ from benchmark.api.opening import (
     worker_count as worker_count,
     workspace as workspace,
 )
+from benchmark.api.options import named_alike as named_alike
 from benchmark.api.planners import (
+    NEEDS_SERVE as NEEDS_SERVE,
+    PlannerSource as PlannerSource,
     load_planner as load_planner,
     model_that_runs as model_that_runs,
     planner_under_test as planner_under_test,
+    require_device as require_device,
+    require_devices as require_devices,
+)
+from benchmark.api.sources import (
+    Ahead as Ahead,
+    DataSource as DataSource,
+    town_bytes as town_bytes,
 )
 from benchmark.api.saying import say_once as say_once, tell as tell
 from benchmark.api.showing import (

@@ -1,11 +1,15 @@
 """Planners by name, whichever package or machine they are of."""
 
+import re
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
-from benchmark.api.driving import looks_at_images
+from benchmark.api.driving import looks_at_images, require_sensor
 from benchmark.api.opening import worker_count
+from benchmark.api.options import named_alike
 from benchmark.api.saying import say_once
+from benchmark.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -13,6 +17,10 @@ if TYPE_CHECKING:
     from adapters.registry import NamedPlanner
     from benchmark.sandbox.limits import Supervision
     from generation.pipeline.surrogate import PlannerUnderTest
+
+NEEDS_SERVE: Final = "{what} needs the package {package}; install it with: pip install 'challenger-bench[serve]'"
+_DEVICE: Final = re.compile(r"auto|cpu|cuda(:\d+)?")
+_PRECISIONS: Final = ("float32", "bfloat16")
 
 
 def load_planner(
@@ -116,3 +124,190 @@ def planner_under_test(
 
     factory = load_planner(name, checkpoint, data=data, seed=seed, supervision=supervision)
     return PlannerUnderTest(factory, images=looks_at_images(name) is not False, workers=worker_count(workers))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlannerSource:
+    """Planners by name that are checked before anything is built, and loaded when they are needed.
+
+    Attributes:
+        names: Planner names, ``package.module:Class``, or addresses of model servers.
+        data: What they will drive on.
+        checkpoint: Their weights, if not their own.
+        seed: For planners that take one.
+        device: Where a network runs.
+        precision: Of a network.
+        as_published: What networks do as in their published runs.
+        sample_limit: Seconds that a planner of another package may take for a plan.
+        memory_limit: GiB that one may hold.
+        frame: In which a model server, or a file, plans.
+        image_format: How a model server is sent pictures.
+        deadline_s: How long a model server may take; its own limit by default.
+    """
+
+    names: "Sequence[str]"
+    data: str = "mini"
+    checkpoint: Path | None = None
+    seed: int = 0
+    device: str | None = None
+    precision: str | None = None
+    as_published: "Sequence[str]" = ()
+    sample_limit: float | None = None
+    memory_limit: float | None = None
+    frame: str | None = None
+    image_format: str | None = None
+    deadline_s: float | None = None
+
+    @classmethod
+    def of(cls, options: Any, **others: Any) -> "PlannerSource":
+        """The planners that options of a command name.
+
+        Args:
+            options: Those of them that are called as the attributes here count; ``model`` is one name or several.
+            others: Attributes that the options say otherwise.
+
+        Returns:
+            The planners, not checked yet.
+        """
+        named = getattr(options, "model", ())
+        said = {**named_alike(cls, options), "names": (named,) if isinstance(named, str) else named}
+        return cls(**{**said, "as_published": said.get("as_published") or (), **others})
+
+    def require(self) -> "PlannerSource":
+        """Refuse planners that there are not, that have no weights, or that cannot run so.
+
+        Returns:
+            Itself.
+
+        Raises:
+            InputError: If one is unknown, weights are absent, there is no such device or precision, or a limit is no
+                such number or has no planner that it is for.
+        """
+        from adapters.models import MODELS
+
+        for runs in self.running:
+            # What devices and precisions a planner of another package has is for that package to say.
+            if runs not in MODELS or MODELS[runs].network is None:
+                continue
+            if self.device is not None:
+                require_devices(self.device)
+            if self.precision is not None and self.precision not in _PRECISIONS:
+                raise InputError(f"there is no precision {self.precision!r}; use {' or '.join(_PRECISIONS)}")
+        _ = self.supervision
+        return self
+
+    def require_frame(self, *, of_file: bool = False) -> None:
+        """Refuse ``--frame`` where no file and no model server is named: classes say in which frame they plan."""
+        if self.frame is not None and not of_file and not self._served:
+            raise InputError(
+                "--frame says in which frame a file or a model at http://HOST:PORT plans; a class says so with "
+                "PlanFrame in its Plan, leave --frame out"
+            )
+
+    def require_servers(self, sensor: str = "none", *, tensors: bool = False) -> None:
+        """Refuse servers that do not answer, and options that are about servers where none is named.
+
+        Args:
+            sensor: As ``--sensor`` takes it.
+            tensors: Whether ``--accept-torch-tensors`` was given.
+
+        Raises:
+            InputError: If one is no address, does not answer, or a model behind HTTP would be sent no pictures.
+        """
+        from benchmark.machine.address import Address, is_address
+        from benchmark.machine.extension import from_extension, require_package
+
+        if self.image_format is not None and not self._served:
+            raise InputError("--image-format says how pictures are sent to a model at http://HOST:PORT; leave it out")
+        if tensors and not is_address(sensor):
+            raise InputError("--accept-torch-tensors belongs to a renderer at --sensor http://HOST:PORT; leave it out")
+        require_sensor(sensor)
+        if not self._served and not is_address(sensor):
+            return
+        require_package("httpx2", NEEDS_SERVE.format(what="asking over HTTP", package="httpx2"))
+        for each in self._served:
+            from_extension("planner", "http")(each).require_alive()
+        if is_address(sensor):
+            from_extension("sensor", "http")(Address.of(sensor, "--sensor")).require_alive()
+
+    def remembers_across_scenes(self) -> bool:
+        """Whether any planner does as published what makes plans depend on the scenes before.
+
+        Raises:
+            InputError: If a planner does nothing of the kind that is asked for.
+        """
+        from adapters.as_published import CROSS_SCENES, options_of
+        from adapters.models import MODELS
+
+        if self.as_published and not self.names:
+            raise InputError("--as-published says how networks run that --model names; leave it out")
+        done: set[str] = set()
+        for runs in self.running if self.as_published else ():
+            network = MODELS[runs].network if runs in MODELS else None
+            done |= set(options_of(runs, {} if network is None else network.as_published, self.as_published))
+        return not CROSS_SCENES.isdisjoint(done)
+
+    @property
+    def running(self) -> list[str]:
+        """Names of what runs: miniatures on embedded data where a full model has no weights."""
+        return [model_that_runs(each, self.checkpoint, data=self.data) for each in self.names]
+
+    @property
+    def supervision(self) -> "Supervision":
+        """Limits of planners of other packages; `InputError` where there is no such planner or no such number."""
+        from adapters.registry import is_foreign
+        from benchmark.sandbox.limits import Supervision
+
+        given = {"--sample-limit": self.sample_limit, "--memory-limit": self.memory_limit}
+        said = next((option for option, value in given.items() if value is not None), None)
+        if said is not None and not any(is_foreign(name) for name in self.names):
+            raise InputError(
+                f"{said} is of planners of other packages, which run in a process of their own (docs/planners.md); "
+                "leave it out"
+            )
+        return Supervision.of(self.sample_limit, self.memory_limit)
+
+    def load(self, supervision: "Supervision | None" = None) -> "list[NamedPlanner]":
+        """Load them; ``supervision`` replaces the limits that options name."""
+        asked = {"image_format": self.image_format, "frame": self.frame, "deadline_s": self.deadline_s}
+        return [
+            load_planner(
+                each,
+                self.checkpoint,
+                data=self.data,
+                seed=self.seed,
+                device=self.device,
+                precision=self.precision,
+                as_published=self.as_published,
+                over_http={name: value for name, value in asked.items() if value is not None},
+                supervision=supervision or self.supervision,
+            )
+            for each in self.names
+        ]
+
+    def under_test(self, workers: int) -> "PlannerUnderTest":
+        """The one planner, loaded to decide about generated scenes in so many processes."""
+        (name,) = self.names
+        return planner_under_test(
+            name, self.checkpoint, data=self.data, seed=self.seed, workers=workers, supervision=self.supervision
+        )
+
+    @property
+    def _served(self) -> list[str]:
+        from benchmark.machine.address import is_address
+
+        return [each for each in self.names if is_address(each)]
+
+
+def require_device(name: str) -> None:
+    """Refuse what names no device; whether this machine has it is only known to torch, which is slow to import."""
+    if not _DEVICE.fullmatch(name):
+        raise InputError(f"there is no device {name!r}; use cpu, cuda, cuda:1 or auto")
+
+
+def require_devices(names: str) -> None:
+    """`require_device` of each of several, which commas separate."""
+    from benchmark.machine.several_devices import device_names
+
+    for name in device_names(names):
+        require_device(name)

@@ -6,10 +6,24 @@ from typing import Annotated, Final
 
 import typer
 
-from benchmark.cli import data, demo, drive, evaluate, generate, models, packages, show, verify, weights
+from benchmark.cli import (
+    ablate,
+    data,
+    demo,
+    drive,
+    evaluate,
+    generate,
+    judging,
+    models,
+    packages,
+    show,
+    verify,
+    weights,
+)
 from benchmark.cli.extensions import Groups, add_command_of_extension, add_commands_of_others
+from benchmark.cli.help import WholeSummaries
+from benchmark.cli.settings import add_command
 from benchmark.cli.streams import replace_what_cannot_be_shown
-from benchmark.cli.whole_help import WholeSummaries
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
 from benchmark.machine.extension import absent_extension, not_installed
@@ -36,8 +50,8 @@ add_command_of_extension("data export scenarionet", _GROUPS)
 add_command_of_extension("data export openscenario", _GROUPS)
 add_command_of_extension("leaderboard submit-check", _GROUPS)
 add_command_of_extension("data review", _GROUPS)
-data.app.command("pack")(packages.data_pack_command)
-data.app.command("unpack")(packages.data_unpack_command)
+add_command(data.app, "pack", packages.data_pack_command)
+add_command(data.app, "unpack", packages.data_unpack_command)
 add_command_of_extension("data card", _GROUPS)
 add_command_of_extension("leaderboard card", _GROUPS)
 app.add_typer(data.app, name="data")
@@ -45,21 +59,21 @@ add_command_of_extension("train", _GROUPS)
 app.add_typer(weights.app, name="weights")
 app.add_typer(show.leaderboard_app, name="leaderboard")
 add_command_of_extension("challenge", _GROUPS)
-app.command("generate")(generate.generate_command)
-app.command("ablate")(generate.ablate_command)
-app.command("eval")(evaluate.eval_command)
-app.command("drive")(drive.drive_command)
+add_command(app, "generate", generate.generate_command)
+add_command(app, "ablate", ablate.ablate_command)
+add_command(app, "eval", evaluate.eval_command)
+add_command(app, "drive", drive.drive_command)
 add_command_of_extension("serve", _GROUPS)
-app.command("models")(models.models_command)
-app.command("rescore")(evaluate.rescore_command)
-app.command("transfer")(evaluate.transfer_command)
+add_command(app, "models", models.models_command)
+add_command(app, "rescore", judging.rescore_command)
+add_command(app, "transfer", judging.transfer_command)
 add_command_of_extension("quality", _GROUPS)
-app.command("sheets")(show.sheets_command)
+add_command(app, "sheets", show.sheets_command)
 add_command_of_extension("film", _GROUPS)
-app.command("verify")(verify.verify_command)
-app.command("demo")(demo.demo_command)
+add_command(app, "verify", verify.verify_command)
+add_command(app, "demo", demo.demo_command)
 add_command_of_extension("reproduce", _GROUPS)
-app.command("doctor")(verify.doctor_command)
+add_command(app, "doctor", verify.doctor_command)
 add_commands_of_others(_GROUPS)
 
 _LONGEST_SENTENCE: Final = 1000

@@ -1,23 +1,26 @@
 """What one ``generate`` command builds: a split, or one for each of several seeds; searched for, or frozen."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import typer
-
-from benchmark.cli.shards import say_shard
-from benchmark.cli.what_next import say_next
+from benchmark import api
+from benchmark.cli.output import say_next, say_shard
+from benchmark.cli.settings import is_given
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
+    from benchmark.api import Ahead, DataSource
+    from benchmark.cli.ablate import AblateOptions
+    from benchmark.cli.generate import GenerateOptions
     from benchmark.datasets.roots import DataSet
     from benchmark.machine.workers import Executor
     from benchmark.runs.units import Shard
     from generation.pipeline.settings import BuildSettings
+    from generation.search.definition import PackagedPrior
     from generation.splits.packaged import NamedSplit
 
 OF_THE_SEARCH: Final = (
@@ -53,25 +56,12 @@ class Built:
     said: Mapping[str, Any]
 
 
-def splits_to_build(
-    split: str,
-    seed: int,
-    seeds: str | None,
-    from_file: str | None,
-    freeze: Path | None,
-    context: typer.Context,
-    recordings: "Callable[[], DataSet]",
-) -> tuple[SplitToBuild, ...]:
+def splits_to_build(options: "GenerateOptions", data: "DataSource") -> tuple[SplitToBuild, ...]:
     """The splits that a command builds.
 
     Args:
-        split: What ``--split`` says.
-        seed: What ``--seed`` says.
-        seeds: What ``--seeds`` says.
-        from_file: What ``--from`` says.
-        freeze: What ``--freeze`` says.
-        context: Which options were given.
-        recordings: Opens them; called only for edited scenes, which are compared with them.
+        options: Of the command.
+        data: The recordings; opened only for edited scenes, which are compared with them.
 
     Returns:
         They; one without ``--seeds``.
@@ -83,11 +73,12 @@ def splits_to_build(
     from generation.splits.packaged import frozen_split
     from generation.splits.seeds import file_of_seed, frozen_of_seed, seeds_of
 
+    split, seed, from_file, freeze = options.split, options.seed, options.from_file, options.freeze
     if from_file is not None:
         edited = is_edited(from_file)
-        _require_no_search(split, context, but=("freeze",) if edited else ())
+        _require_no_search(split, but=("freeze",) if edited else ())
         if edited:
-            if seeds is not None:
+            if options.seeds is not None:
                 raise InputError("--seeds belongs to a search, and edited scenes have none; leave it out")
             if freeze is not None:
                 require_freezable(split, freeze)
@@ -95,15 +86,15 @@ def splits_to_build(
 
             # Before the recordings, which may have to be built.
             files = read_edited(Path(from_file))
-            return (SplitToBuild(split, seed, freeze, edited_split(recordings(), Path(from_file), files)),)
-    if seeds is None:
+            return (SplitToBuild(split, seed, freeze, edited_split(data.open(), Path(from_file), files)),)
+    if options.seeds is None:
         found: tuple[SplitToBuild, ...] = (
             SplitToBuild(split, seed, freeze, None if from_file is None else frozen_split(from_file)),
         )
     else:
         if split != "adv":
             raise InputError(f"--seeds builds one adv for each seed, not {split}; leave --split out")
-        if _is_given(context, "seed"):
+        if is_given("seed"):
             raise InputError("--seed and --seeds contradict each other; leave one of them out")
         found = tuple(
             SplitToBuild(
@@ -112,12 +103,43 @@ def splits_to_build(
                 None if freeze is None else file_of_seed(freeze, each),
                 None if from_file is None else frozen_of_seed(Path(from_file), each),
             )
-            for each in seeds_of(seeds)
+            for each in seeds_of(options.seeds)
         )
     for one in found:
         if one.freeze is not None:
             require_freezable(one.split, one.freeze)
     return found
+
+
+def hyper_parameter_names() -> frozenset[str]:
+    """Names of the settings of the search."""
+    from generation.search.hyperparameters import HyperParameters
+
+    return frozenset(each.name for each in fields(HyperParameters))
+
+
+def require_trajectory_model(device: str, denoiser: Path | None) -> None:
+    """Refuse a trajectory model that could not run."""
+    from benchmark.machine.places import require_file
+
+    api.require_devices(device)
+    require_file(denoiser, "--denoiser")
+
+
+def trajectory_model(options: "GenerateOptions | AblateOptions") -> "PackagedPrior":
+    """The trajectory model that options name."""
+    from generation.search.presets import trajectory_model
+
+    of_sampler = {name: getattr(options, name) for name in ("calls", "dropout", "samples") if hasattr(options, name)}
+    return trajectory_model(options.preset, options.denoiser, options.device, **of_sampler)
+
+
+def require_cluster(place: "Executor", ahead: "Ahead") -> None:
+    """Refuse a cluster that does not answer before minutes go into what is built for it here."""
+    from benchmark.machine.ray_cluster import RayCluster, require_answer
+
+    if ahead.builds and isinstance(place, RayCluster) and place.address is not None:
+        require_answer(place.address)
 
 
 def is_edited(from_file: str) -> bool:
@@ -247,16 +269,11 @@ def say_built(
     )
 
 
-def _require_no_search(split: str, context: typer.Context, but: tuple[str, ...] = ()) -> None:
+def _require_no_search(split: str, but: tuple[str, ...] = ()) -> None:
     """Refuse options of the search beside a frozen split."""
     if split != "adv":
         raise InputError(f"--from builds split adv, not {split}; leave --split out")
     for name in OF_THE_SEARCH:
-        if name not in but and _is_given(context, name):
+        if name not in but and is_given(name):
             option = {"changes": "set"}.get(name, name).replace("_", "-")
             raise InputError(f"--{option} belongs to a search, and --from does not search; leave one of them out")
-
-
-def _is_given(context: typer.Context, name: str) -> bool:
-    source = context.get_parameter_source(name)
-    return source is not None and source.name != "DEFAULT"

@@ -1,29 +1,17 @@
 """Commands on data sets: ``data info|stats|show|check|import|build``; extensions add ``data export``."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from benchmark import api
-from benchmark.cli.options import (
-    CategoriesOption,
-    Frames,
-    FramesOption,
-    JsonOption,
-    LimitOption,
-    OutOption,
-    QuickRendererName,
-    ScenesOption,
-    SeedOption,
-    SizeOption,
-    TablesOption,
-    WorkersOption,
-    image_size,
-    name_list,
-    print_json,
-)
-from benchmark.cli.whole_help import WholeSummaries
+from benchmark.cli import options as shared
+from benchmark.cli.help import WholeSummaries
+from benchmark.cli.options import image_size, name_list
+from benchmark.cli.output import print_json, print_result
+from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
 from benchmark.report.words import counted
 
@@ -36,80 +24,80 @@ export_app = typer.Typer(cls=WholeSummaries, help="Write a data set for the code
 app.add_typer(export_app, name="export")
 
 
-@app.command("info")
-def data_info_command(
-    root: Annotated[str, typer.Argument(help="mini, demo or the root of a data set.")] = "mini",
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    workers: WorkersOption = 0,
-    json_output: JsonOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataInfoOptions:
+    """Options of ``data info``."""
+
+    root: Annotated[str, Option("mini, demo or the root of a data set.", "Input", names="")] = "mini"
+    out: shared.Out = api.OUT
+    tables: shared.Tables = None
+    workers: shared.Workers = 0
+    json_output: shared.Json = False
+
+
+@command(DataInfoOptions, app, "info")
+def data_info_command(options: DataInfoOptions) -> None:
     """Say what a data set holds: splits, scenes, samples, annotations, fingerprint."""
-    from benchmark.cli.preflight_data_sets import require_root
     from benchmark.datasets.contents import contents, contents_text
 
-    api.worker_count(workers)
-    require_root(root, tables, out)
-    found = contents(_open_to_look(root, tables, workers, out))
-    if json_output:
-        print_json(found)
-    else:
-        typer.echo(contents_text(found), nl=False)
+    data = api.DataSource.of(options)
+    data.require()
+    found = contents(_open_to_look(data))
+    print_result(found, contents_text(found), json_output=options.json_output)
 
 
-def _open_to_look(root: str, tables: str | None, workers: int, out: Path) -> "DataSet":
+def _open_to_look(data: api.DataSource) -> "DataSet":
     """Open a data set that may have another keyframe rate; a warning says so."""
     from benchmark.datasets.schema import FaultList
 
     rates = FaultList()
-    dataset = api.open_data(root, tables=tables, workers=workers, out=out, rates=rates)
+    dataset = data.open(rates=rates)
     for fault in rates.told():
         api.tell(f"warning: {fault.sentence}")
     return dataset
 
 
-@app.command("stats")
-def data_stats_command(
-    root: Annotated[
-        str, typer.Argument(help="mini, demo or the root of a data set, generated ones included.")
-    ] = "mini",
-    split: Annotated[str | None, typer.Option(help="Only this split; every row of the tables if not given.")] = None,
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataStatsOptions:
+    """Options of ``data stats``."""
+
+    root: shared.Root = "mini"
+    split: Annotated[str | None, Option("Only this split; every row of the tables if not given.", "Input")] = None
     recordings: Annotated[
-        str | None, typer.Option(help="What the scenes were made from: adversaries are compared with it.")
-    ] = None,
+        str | None, Option("What the scenes were made from: adversaries are compared with it.", "Input")
+    ] = None
     judge: Annotated[
         bool | None,
-        typer.Option(
-            "--judge/--no-judge", help="Judge recordings, too, or nothing; by default scenes with adversaries."
+        Option(
+            "Judge recordings, too, or nothing; by default scenes with adversaries.",
+            "Output",
+            names="--judge/--no-judge",
         ),
-    ] = None,
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    workers: WorkersOption = 0,
-    json_output: JsonOption = False,
-) -> None:
-    """Print the data-set table; what adversaries do where, who could avoid it, how severe and how real it is."""
-    from benchmark.cli.preflight_data_sets import require_data, require_root, require_source
-    from benchmark.datasets.statistics import statistics
-    from benchmark.machine.workspace import EMBEDDED_NAMES
+    ] = None
+    out: shared.Out = api.OUT
+    tables: shared.Tables = None
+    workers: shared.Workers = 0
+    json_output: shared.Json = False
 
-    processes = api.worker_count(workers)
-    known = root in EMBEDDED_NAMES
-    if split is not None and known:
-        require_data(root, tables, split, out)
-    elif split is not None:
-        require_source(root, tables, split, out, scenes=None, limit=None)
-    if recordings is not None:
-        require_root(recordings, None, out)
-    folder = Path(root)
-    if known:
-        source = api.open_data(root, tables=tables, workers=workers, out=out)
-        folder = (source if split is None else api.open_split(source, split, out, workers=workers)).root
-    found = statistics(folder, split=split, version=tables)
-    judged = None
-    if judge is not False:
-        judged = _judged(folder, split, tables, recordings, processes, out, everything=judge is True)
-    if json_output:
+
+@command(DataStatsOptions, app, "stats")
+def data_stats_command(options: DataStatsOptions) -> None:
+    """Print the data-set table; what adversaries do where, who could avoid it, how severe and how real it is."""
+    from benchmark.datasets.statistics import statistics
+
+    data = api.DataSource.of(options)
+    if options.split is not None:
+        data.require_split(options.split) if data.is_embedded else data.require_source(options.split)
+    recordings = None
+    if options.recordings is not None:
+        recordings = api.DataSource.of(options, data=options.recordings, tables=None)
+        recordings.require()
+    root = Path(options.root)
+    if data.is_embedded:
+        root = (data.open() if options.split is None else data.open_split(options.split)).root
+    found = statistics(root, split=options.split, version=options.tables)
+    judged = None if options.judge is False else _judged(root, options, recordings)
+    if options.json_output:
         said = None if judged is None else judged.model_dump(mode="json")
         print_json({**found.as_json(), "judgement": said})
         return
@@ -120,148 +108,161 @@ def data_stats_command(
         typer.echo("\n" + judgement_text(judged), nl=False)
 
 
-def _judged(
-    root: Path,
-    split: str | None,
-    tables: str | None,
-    recordings: str | None,
-    workers: int,
-    out: Path,
-    *,
-    everything: bool,
-) -> "SplitJudgement | None":
+def _judged(root: Path, options: DataStatsOptions, recordings: api.DataSource | None) -> "SplitJudgement | None":
     """What is said of the scenes of a root; nothing where there is none to judge."""
     from benchmark.datasets.roots import open_data
     from benchmark.fairness.splits import adversarial_names, judge_split
     from benchmark.machine.workers import LocalProcesses
 
-    data = open_data(root, version=tables)
-    known = data.scene_names(split)
-    names = known if everything else adversarial_names(data, known)
+    data = open_data(root, version=options.tables)
+    known = data.scene_names(options.split)
+    names = known if options.judge else adversarial_names(data, known)
     if not names:
         return None
-    base = None if recordings is None else api.open_data(recordings, workers=workers, out=out)
-    return judge_split(data, names, LocalProcesses(workers), base)
+    base = None if recordings is None else recordings.open()
+    return judge_split(data, names, LocalProcesses(api.worker_count(options.workers)), base)
 
 
-@app.command("show")
-def data_show_command(
-    root: Annotated[str, typer.Argument(help="mini, demo or the root of a data set, generated ones included.")],
-    to: Annotated[Path, typer.Option(help="Folder for the pictures.")],
-    conditions: Annotated[bool, typer.Option("--conditions", help="Draw what MagicDriveDiT would be told.")] = False,
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    scenes: ScenesOption = None,
-    limit: LimitOption = None,
-    workers: WorkersOption = 0,
-) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataShowOptions:
+    """Options of ``data show``."""
+
+    root: shared.Root
+    to: Annotated[Path, Option("Folder for the pictures.", "Output")]
+    conditions: Annotated[bool, Option("Draw what MagicDriveDiT would be told.", "Output")] = False
+    out: shared.Out = api.OUT
+    tables: shared.Tables = None
+    scenes: shared.Scenes = None
+    limit: shared.Limit = None
+    workers: shared.Workers = 0
+
+
+@command(DataShowOptions, app, "show")
+def data_show_command(options: DataShowOptions) -> None:
     """Draw each scene: from above over time, and the camera that sees the adversary best."""
-    from benchmark.cli.preflight_data_sets import require_root
-    from benchmark.cli.preflight_places import require_place
+    from benchmark.machine.places import require_place
 
-    api.worker_count(workers)
-    require_root(root, tables, out, name_list(scenes))
-    require_place(to, "--to")
+    data, scenes = api.DataSource.of(options), name_list(options.scenes)
+    data.require(scenes)
+    require_place(options.to, "--to")
     from benchmark.machine.extension import from_extension
     from generation.render.pictures import write_pictures
     from generation.render.schematic import SchematicRenderer
 
-    dataset = _open_to_look(root, tables, workers, out)
-    names = (name_list(scenes) or dataset.scene_names(None))[:limit]
-    write = from_extension("pictures", "conditions") if conditions else write_pictures
-    written = write(dataset, names, to, SchematicRenderer())
-    typer.echo(f"{counted(len(written), 'picture')} in {to}")
+    dataset = _open_to_look(data)
+    names = (scenes or dataset.scene_names(None))[: options.limit]
+    write = from_extension("pictures", "conditions") if options.conditions else write_pictures
+    written = write(dataset, names, options.to, SchematicRenderer())
+    typer.echo(f"{counted(len(written), 'picture')} in {options.to}")
 
 
-@app.command("check")
-def data_check_command(
-    root: Annotated[Path, typer.Argument(help="Root of a data set.")],
-    tables: TablesOption = None,
-    categories: CategoriesOption = None,
-    json_output: JsonOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataCheckOptions:
+    """Options of ``data check``."""
+
+    root: Annotated[Path, Option("Root of a data set.", "Input", names="")]
+    tables: shared.Tables = None
+    categories: shared.Categories = None
+    json_output: shared.Json = False
+
+
+@command(DataCheckOptions, app, "check")
+def data_check_command(options: DataCheckOptions) -> None:
     """Look for faults in the tables and files of a data set."""
     from benchmark.datasets.categories import read_categories
     from benchmark.datasets.schema.check import check_tables
 
-    named = None if categories is None else read_categories(categories)
-    faults = check_tables(root, version=tables, categories=named)
+    named = None if options.categories is None else read_categories(options.categories)
+    faults = check_tables(options.root, version=options.tables, categories=named)
     errors = sum(fault.severity == "error" for fault in faults)
-    if json_output:
+    if options.json_output:
         rows = [{"severity": f.severity, "table": f.table, "token": f.token, "says": f.sentence} for f in faults]
         print_json({"errors": errors, "faults": rows})
     else:
         for fault in faults:
             typer.echo(f"{fault.severity}: {fault.table}: {fault.sentence}")
-        typer.echo(f"{counted(errors, 'error')}, {counted(len(faults) - errors, 'warning')} in {root}")
+        typer.echo(f"{counted(errors, 'error')}, {counted(len(faults) - errors, 'warning')} in {options.root}")
     raise typer.Exit(1 if errors else 0)
 
 
-@app.command("import")
-def data_import_command(
-    form: Annotated[str, typer.Argument(help="Form of the recordings: scenarionet.")],
-    source: Annotated[Path, typer.Argument(help="A file or a folder of recordings.")],
-    out: Annotated[Path, typer.Option("--out", help="Root of the data set to write.")],
-    renderer: Annotated[QuickRendererName, typer.Option(help="Who draws the images (these recordings have none).")] = (
-        QuickRendererName.SCHEMATIC
-    ),
-    size: SizeOption = "448x256",
-    frames: FramesOption = Frames.ALL,
-    split: Annotated[str, typer.Option(help="Name of the split; adv for adversarial scenes.")] = "val",
-    workers: WorkersOption = 0,
-    json_output: JsonOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataImportOptions:
+    """Options of ``data import``."""
+
+    form: Annotated[str, Option("Form of the recordings: scenarionet.", "Input", names="")]
+    source: Annotated[Path, Option("A file or a folder of recordings.", "Input", names="")]
+    out: Annotated[Path, Option("Root of the data set to write.", "Output")]
+    renderer: Annotated[
+        Literal["schematic", "none"], Option("Who draws the images (these recordings have none).", "Output")
+    ] = "schematic"
+    size: shared.Size = "448x256"
+    frames: shared.Frames = "all"
+    split: Annotated[str, Option("Name of the split; adv for adversarial scenes.", "Input")] = "val"
+    workers: shared.Workers = 0
+    json_output: shared.Json = False
+
+
+@command(DataImportOptions, app, "import")
+def data_import_command(options: DataImportOptions) -> None:
     """Bring recordings of another form into nuScenes format."""
-    from benchmark.cli.preflight_places import require_place
+    from benchmark.machine.places import require_place
     from generation.sources.importing import ImportSettings, import_scenarionet
 
-    if form != "scenarionet":
-        raise InputError(f"cannot import {form!r}; the form that can be imported is scenarionet")
-    require_place(out, "--out")
-    width, height = image_size(size)
-    images = renderer is not QuickRendererName.NONE
-    settings = ImportSettings(width, height, frames.value, images=images, split=split)
-    names = import_scenarionet(source, out, settings, workers=api.worker_count(workers))
-    if json_output:
-        print_json({"root": str(out), "scenes": names})
-    else:
-        typer.echo(f"{counted(len(names), 'scene')} in {out}: {', '.join(names)}")
+    if options.form != "scenarionet":
+        raise InputError(f"cannot import {options.form!r}; the form that can be imported is scenarionet")
+    require_place(options.out, "--out")
+    width, height = image_size(options.size)
+    images = options.renderer != "none"
+    settings = ImportSettings(width, height, options.frames, images=images, split=options.split)
+    names = import_scenarionet(options.source, options.out, settings, workers=api.worker_count(options.workers))
+    text = f"{counted(len(names), 'scene')} in {options.out}: {', '.join(names)}"
+    print_result({"root": str(options.out), "scenes": names}, text, json_output=options.json_output)
 
 
-@app.command("build")
-def data_build_command(
-    root: Annotated[Path | None, typer.Option(help="Where to; the user's cache if not given.")] = None,
-    town_scenes: Annotated[int, typer.Option(help="Evaluation scenes.")] = 10,
-    train_scenes: Annotated[int, typer.Option(help="Training scenes.")] = 0,
-    off_path: Annotated[
-        bool, typer.Option("--off-path", help="The ego of training scenes gets off its path and comes back.")
-    ] = False,
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataBuildOptions:
+    """Options of ``data build``."""
+
+    root: Annotated[Path | None, Option("Where to; the user's cache if not given.", "Input")] = None
+    town_scenes: Annotated[int, Option("Evaluation scenes.")] = 10
+    train_scenes: Annotated[int, Option("Training scenes.")] = 0
+    off_path: Annotated[bool, Option("The ego of training scenes gets off its path and comes back.")] = False
     driven: Annotated[
         Path | None,
-        typer.Option(
-            help="Folder with a record of drives through training scenes: their ego goes where it was driven."
-        ),
-    ] = None,
+        Option("Folder with a record of drives through training scenes: their ego goes where it was driven."),
+    ] = None
     crossing: Annotated[
-        int, typer.Option(help="Most pedestrians more who cross the ego's way in each training scene when it comes.")
-    ] = 0,
-    size: SizeOption = "448x256",
-    frames: FramesOption = Frames.ALL,
-    renderer: Annotated[QuickRendererName, typer.Option(help="Who draws the images.")] = QuickRendererName.SCHEMATIC,
-    seed: SeedOption = 0,
-    workers: WorkersOption = 0,
-) -> None:
+        int, Option("Most pedestrians more who cross the ego's way in each training scene when it comes.")
+    ] = 0
+    size: shared.Size = "448x256"
+    frames: shared.Frames = "all"
+    renderer: shared.QuickRenderer = "schematic"
+    seed: shared.Seed = 0
+    workers: shared.Workers = 0
+
+
+@command(DataBuildOptions, app, "build")
+def data_build_command(options: DataBuildOptions) -> None:
     """Build the embedded town, with any number of scenes; the same command resumes."""
-    from benchmark.cli.preflight_places import require_folder, require_place
+    from benchmark.machine.places import require_folder, require_place
     from benchmark.machine.workspace import EMBEDDED, cache_root
     from generation.sources.mini import TownSettings, build_town
 
-    width, height = image_size(size)
-    images = renderer is not QuickRendererName.NONE
-    require_folder(driven, "--driven")
+    width, height = image_size(options.size)
+    images = options.renderer != "none"
+    require_folder(options.driven, "--driven")
     settings = TownSettings(
-        town_scenes, train_scenes, seed, width, height, frames.value, images, off_path, driven, crossing=crossing
+        options.town_scenes,
+        options.train_scenes,
+        options.seed,
+        width,
+        height,
+        options.frames,
+        images,
+        options.off_path,
+        options.driven,
+        crossing=options.crossing,
     )
-    target = root or cache_root() / settings.folder_name(EMBEDDED)
+    target = options.root or cache_root() / settings.folder_name(EMBEDDED)
     require_place(target, "--root")
-    typer.echo(str(build_town(target, settings, workers=api.worker_count(workers))))
+    typer.echo(str(build_town(target, settings, workers=api.worker_count(options.workers))))

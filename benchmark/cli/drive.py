@@ -1,52 +1,25 @@
 """``drive``: planners in closed loop."""
 
-from collections.abc import Sequence
-from dataclasses import replace
-from enum import StrEnum
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
 import typer
 
 from benchmark import api
-from benchmark.cli.caveats import warn_of_caveats
-from benchmark.cli.options import (
-    AddressOption,
-    CategoriesOption,
-    DataOption,
-    DryRunOption,
-    ExecutorName,
-    ExecutorOption,
-    FrameName,
-    ImageFormatName,
-    ImageFormatOption,
-    JsonOption,
-    LimitOption,
-    MemoryLimitOption,
-    OutOption,
-    PlanFrameOption,
-    ScenesOption,
-    SeedOption,
-    ShardOption,
-    SplitOption,
-    TablesOption,
-    WideOption,
-    WorkersOption,
-    executor_of,
-    name_list,
-    print_json,
-    say_plan,
-)
-from benchmark.cli.shards import say_shard
-from benchmark.cli.what_next import same_place, say_next
+from benchmark.cli import options as shared
+from benchmark.cli.options import executor_of, name_list
+from benchmark.cli.output import print_json, same_place, say_next, say_plan, say_shard, warn_of_caveats
+from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
     from adapters.registry import NamedPlanner
     from benchmark.datasets.roots import DataSet
+    from benchmark.machine.workers import Executor
     from benchmark.records.drives import DriveRecord
     from benchmark.runs.driving import DriveSettings
-    from benchmark.runs.units import Shard
 
 BASELINES: Final = ("stop", "constant-velocity", "constant-velocity-on-path", "log-replay", "idm")
 """Planners that every table has: without them no number of closed loop says much."""
@@ -56,295 +29,215 @@ STEP_MS: Final = 100
 LONGEST_LATENCY_MS: Final = 3000
 
 
-class EngineName(StrEnum):
-    """Who drives plans."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveOptions:
+    """Options of ``drive``."""
 
-    DEFAULT = "default"
-    CODE = "neuroncap@code"
-    PAPER = "neuroncap@paper"
+    RARE: ClassVar = (
+        *("tables", "categories", "adversary_every", "adversary_others", "adversary_rounds", "adversary_candidates"),
+        *("adversary_tracks", "keep_considered", "image_format", "frame", "accept_torch_tensors", "scenarios"),
+        *("timeout", "memory_limit", "precision", "address"),
+    )
 
-
-class AgentsName(StrEnum):
-    """How the others behave."""
-
-    REPLAY = "replay"
-    IDM = "idm"
-    ADVERSARY = "adversary"
-
-
-class KnowsName(StrEnum):
-    """What an adversary expects of the ego."""
-
-    PLAN = "plan"
-    MOTION = "motion"
-    NOTHING = "nothing"
-
-
-class OthersName(StrEnum):
-    """How those behave who are beside an adversary."""
-
-    REPLAY = "replay"
-    IDM = "idm"
-
-
-class ScenariosName(StrEnum):
-    """What scenes are driven with, in NeuroNCAP's engine."""
-
-    RECORDED = "recorded"
-    OWN = "own"
-    OFFICIAL = "official"
-
-
-class UntilName(StrEnum):
-    """What ends a drive before its time."""
-
-    CONTACT = "contact"
-    FAULT = "fault"
-
-
-def drive_command(
-    model: Annotated[
-        list[str],
-        typer.Option(
-            "--model", metavar="<str>", help="Planner name, package.module:Class or http://HOST:PORT; may be repeated."
-        ),
-    ] = [],  # noqa: B006 - typer reads the default, nothing changes it
-    split: SplitOption = "adv",
-    data: DataOption = "mini",
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    categories: CategoriesOption = None,
+    model: shared.Models = ()
+    split: shared.Split = "adv"
+    data: shared.Data = "mini"
+    scenes: shared.Scenes = None
+    limit: shared.Limit = None
+    out: shared.Out = api.OUT
+    json_output: shared.Json = False
+    dry_run: shared.DryRun = False
+    wide: shared.Wide = False
+    sensor: Annotated[
+        str, Option("What cameras see: none, schematic or http://HOST:PORT; blind planners have none.", "Planner")
+    ] = "none"
+    checkpoint: shared.Checkpoint = None
+    device: shared.NetworkDevices = None
+    baselines: Annotated[
+        bool, Option("Also the five that every table has.", "Planner", names="--baselines/--no-baselines")
+    ] = True
     engine: Annotated[
-        EngineName, typer.Option(help="Who drives the plans (docs/closed-loop.md).")
-    ] = EngineName.DEFAULT,
+        Literal["default", "neuroncap@code", "neuroncap@paper"],
+        Option("Who drives the plans (docs/closed-loop.md).", "Search"),
+    ] = "default"
     agents: Annotated[
-        AgentsName,
-        typer.Option(help="The others: their tracks, keeping distance, or one of them challenges the ego."),
-    ] = AgentsName.REPLAY,
+        Literal["replay", "idm", "adversary"],
+        Option("The others: their tracks, keeping distance, or one of them challenges the ego.", "Search"),
+    ] = "replay"
     adversary_knows: Annotated[
-        KnowsName, typer.Option(help="adversary: expects that the ego drives its plan, keeps its motion, or stays.")
-    ] = KnowsName.MOTION,
-    adversary_every: Annotated[float, typer.Option(help="adversary: seconds between its plans, at most 3.")] = 1.0,
+        Literal["plan", "motion", "nothing"],
+        Option("adversary: expects that the ego drives its plan, keeps its motion, or stays.", "Search"),
+    ] = "motion"
+    latency: Annotated[int, Option("Milliseconds after which a plan takes effect.", "Search", min=0)] = 0
+    until: Annotated[
+        Literal["contact", "fault"],
+        Option("What ends a drive: any contact, or one that is the ego's fault (others who touch it go).", "Search"),
+    ] = "contact"
+    runs: Annotated[int, Option("Runs of each scene; one where nothing is drawn.", "Search", min=1)] = 1
+    workers: shared.Workers = 0
+    seed: shared.Seed = 0
+    executor: shared.Executor = "local"
+    address: shared.Address = None
+    shard: shared.Shard = None
+    tables: shared.Tables = None
+    categories: shared.Categories = None
+    adversary_every: Annotated[float, Option("adversary: seconds between its plans, at most 3.", "Search")] = 1.0
     adversary_others: Annotated[
-        OthersName, typer.Option(help="adversary: how everybody else behaves.")
-    ] = OthersName.REPLAY,
+        Literal["replay", "idm"], Option("adversary: how everybody else behaves.", "Search")
+    ] = "replay"
     adversary_rounds: Annotated[
-        int | None, typer.Option(min=0, help="adversary: refinement rounds of its search; 5 if not given.")
-    ] = None,
+        int | None, Option("adversary: refinement rounds of its search; 5 if not given.", "Search", min=0)
+    ] = None
     adversary_candidates: Annotated[
-        int | None, typer.Option(min=1, help="adversary: candidates of each round; 256 if not given.")
-    ] = None,
+        int | None, Option("adversary: candidates of each round; 256 if not given.", "Search", min=1)
+    ] = None
     adversary_tracks: Annotated[
         Path | None,
-        typer.Option(help="adversary: drives the tracks of this record of drives once more, and plans nothing."),
-    ] = None,
-    keep_considered: Annotated[
-        bool,
-        typer.Option("--keep-considered", help="adversary: keep what it considers, for films and the site."),
-    ] = False,
-    sensor: Annotated[
-        str, typer.Option(help="What cameras see: none, schematic or http://HOST:PORT; blind planners have none.")
-    ] = "none",
-    image_format: ImageFormatOption = None,
-    frame: PlanFrameOption = None,
-    accept_torch_tensors: Annotated[
-        bool, typer.Option("--accept-torch-tensors", help="A renderer's pictures may be saved tensors (pickles).")
-    ] = False,
+        Option("adversary: drives the tracks of this record of drives once more, and plans nothing.", "Search"),
+    ] = None
+    keep_considered: Annotated[bool, Option("adversary: keep what it considers, for films and the site.", "Output")] = (
+        False
+    )
     scenarios: Annotated[
-        ScenariosName, typer.Option(help="neuroncap: scenes as they are, or scenarios put into them.")
-    ] = ScenariosName.RECORDED,
-    runs: Annotated[int, typer.Option(min=1, help="Runs of each scene; one where nothing is drawn.")] = 1,
-    latency: Annotated[int, typer.Option(min=0, help="Milliseconds after which a plan takes effect.")] = 0,
-    until: Annotated[
-        UntilName,
-        typer.Option(help="What ends a drive: any contact, or one that is the ego's fault (others who touch it go)."),
-    ] = UntilName.CONTACT,
-    timeout: Annotated[float, typer.Option(min=0.001, max=86_400.0, help="Seconds that a plan may take.")] = 120.0,
-    baselines: Annotated[
-        bool, typer.Option("--baselines/--no-baselines", help="Also the five that every table has.")
-    ] = True,
-    memory_limit: MemoryLimitOption = None,
-    device: Annotated[
-        str | None,
-        typer.Option(
-            help="Where a network runs: cpu, cuda, cuda:1, or cuda:0,cuda:1 for a process on each; else the first GPU."
-        ),
-    ] = None,
-    precision: Annotated[str | None, typer.Option(help="Of a network: float32 or bfloat16.")] = None,
-    checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
-    scenes: ScenesOption = None,
-    limit: LimitOption = None,
-    shard: ShardOption = None,
-    seed: SeedOption = 0,
-    workers: WorkersOption = 0,
-    executor: ExecutorOption = ExecutorName.LOCAL,
-    address: AddressOption = None,
-    wide: WideOption = False,
-    json_output: JsonOption = False,
-    dry_run: DryRunOption = False,
-) -> None:
+        Literal["recorded", "own", "official"],
+        Option("neuroncap: scenes as they are, or scenarios put into them.", "Search"),
+    ] = "recorded"
+    image_format: shared.ImageFormat = None
+    frame: shared.PlanFrame = None
+    accept_torch_tensors: Annotated[
+        bool, Option("A renderer's pictures may be saved tensors (pickles).", "Planner")
+    ] = False
+    timeout: Annotated[float, Option("Seconds that a plan may take.", "Planner", min=0.001, max=86_400.0)] = 120.0
+    memory_limit: shared.MemoryLimit = None
+    precision: shared.Precision = None
+
+    @staticmethod
+    def from_record(members: "Mapping[str, Any]") -> "dict[str, Any] | None":
+        """Settings of a record of drives."""
+        from benchmark.cli.recorded import drive_options
+
+        return drive_options(members)
+
+
+@command(DriveOptions)
+def drive_command(options: DriveOptions) -> None:
     """Drive planners in closed loop: the plan is driven and the world answers; the same command resumes."""
-    from benchmark.cli.preflight_data_sets import require_data
-    from benchmark.cli.preflight_names import require_categories, require_models, supervision_of
-    from benchmark.cli.preflight_over_http import require_frame, require_servers
-    from benchmark.cli.preflight_places import require_place
+    from benchmark.machine.places import require_place
     from benchmark.machine.several_devices import require_one_device, workers_for
     from benchmark.runs.units import Shard
 
-    _require_engine(engine, agents, latency, scenarios, until)
-    budget = (adversary_every, adversary_rounds, adversary_candidates)
-    about_adversary = (adversary_knows, adversary_others, *budget, keep_considered)
-    if agents is not AgentsName.ADVERSARY and about_adversary != _USUAL_ADVERSARY:
-        raise InputError(
-            f"--agents {agents.value} has no adversary; add --agents adversary or leave --adversary-... and "
-            "--keep-considered out"
-        )
-    names = tuple(dict.fromkeys([*model, *(BASELINES if baselines else ())]))
+    _require_engine(options)
+    names = tuple(dict.fromkeys([*options.model, *(BASELINES if options.baselines else ())]))
     if not names:
         raise InputError("name a planner with --model (for example constant-velocity), or leave --no-baselines out")
-    require_categories(categories)
-    require_models(model, checkpoint, data=data, device=device, precision=precision)
-    supervision = replace(supervision_of(model, None, memory_limit), sample_s=timeout)
-    for each in model:
-        _require_sight(api.model_that_runs(each, checkpoint, data=data), sensor)
-    require_frame(model, None if frame is None else frame.value)
-    require_servers(model, image_format, sensor, tensors=accept_torch_tensors)
-    mine = None if shard is None else Shard.named(shard)
-    if executor is not ExecutorName.LOCAL:
-        require_one_device(device, "a Ray cluster gives its tasks GPUs itself")
-    place = executor_of(executor, address, workers_for(workers, device))
-    ahead = require_data(data, tables, split, out, scenes=name_list(scenes), limit=limit)
-    require_place(out, "--out")
-    if dry_run and ahead.builds:
-        then = f"drive {', '.join(names)} through {ahead.counted()} of {split}"
-        say_plan(ahead.plan(then), json_output=json_output)
-        return
     # A little longer than the drive itself waits, so that who is late is late for one reason.
-    over_http = {
-        "image_format": (image_format or ImageFormatName.TORCH).value,
-        "deadline_s": timeout + 5.0,
-        "frame": (frame or FrameName.EGO).value,
-    }
-    # Planners first: a stranger's class may not be importable, and data may take minutes to build.
-    factories = [
-        api.load_planner(
-            each,
-            checkpoint if each in model else None,
-            data=data,
-            seed=seed,
-            device=device,
-            precision=precision,
-            over_http=over_http,
-            supervision=supervision,
-        )
-        if each in model
-        else api.load_planner(each, data=data)
-        for each in names
-    ]
-    source = api.open_data(data, tables=tables, workers=workers, out=out, categories=categories)
-    dataset = api.open_split(source, split, out, workers=workers)
-    how = api.drive_settings(
-        split,
-        engine=engine.value,
-        agents=agents.value,
-        adversary_knows=adversary_knows.value,
-        adversary_every_s=adversary_every,
-        adversary_others=adversary_others.value,
-        adversary_rounds=adversary_rounds,
-        adversary_candidates=adversary_candidates,
-        adversary_tracks=adversary_tracks,
-        keep_considered=keep_considered,
-        sensor=sensor,
-        accept_torch_tensors=accept_torch_tensors,
-        latency_ms=latency,
-        scenarios=scenarios.value,
-        until=until.value,
-        runs=runs,
-        scenes=name_list(scenes),
-        limit=limit,
-        executor=place,
-        timeout_s=timeout,
-        seed=seed,
-    )
-    root = api.workspace(out).drive_root()
-    how = replace(how, timings=api.workspace(out).timings_of(root))
-    if dry_run:
+    planners = api.PlannerSource.of(options, deadline_s=options.timeout + 5.0).require()
+    supervision = replace(planners.supervision, sample_s=options.timeout)
+    for each in planners.running:
+        if options.sensor == "none" and api.looks_at_images(each):
+            raise InputError(f"{each} looks at images, and --sensor none has none; add --sensor schematic")
+    planners.require_frame()
+    planners.require_servers(options.sensor, tensors=options.accept_torch_tensors)
+    mine = None if options.shard is None else Shard.named(options.shard)
+    if options.executor != "local":
+        require_one_device(options.device, "a Ray cluster gives its tasks GPUs itself")
+    place = executor_of(options.executor, options.address, workers_for(options.workers, options.device))
+    data, scenes = api.DataSource.of(options), name_list(options.scenes)
+    ahead = data.require_split(options.split, scenes, options.limit)
+    require_place(options.out, "--out")
+    if options.dry_run and ahead.builds:
+        then = f"drive {', '.join(names)} through {ahead.counted()} of {options.split}"
+        say_plan(ahead.plan(then), json_output=options.json_output)
+        return
+    # Planners first: a class of another package may not be importable, and data may take minutes to build.
+    asked = replace(planners, image_format=options.image_format or "torch", frame=options.frame or "ego")
+    loaded = dict(zip(options.model, asked.load(supervision)))
+    factories = [loaded[each] if each in loaded else api.load_planner(each, data=options.data) for each in names]
+    dataset = data.open_split(options.split)
+    space = api.workspace(options.out)
+    how = replace(_settings(options, scenes, place), timings=space.timings_of(space.drive_root()))
+    if options.dry_run:
         from benchmark.runs.drive_estimate import estimate
 
-        said = [estimate(dataset, split, each, _settings_of(each, how), root) for each in factories]
-        say_plan(said, json_output=json_output)
+        root = space.drive_root()
+        said = [estimate(dataset, options.split, each, _settings_of(each, how), root) for each in factories]
+        say_plan(said, json_output=options.json_output)
         return
+    again = same_place(options)
     if mine is not None:
-        again = same_place(data, out, tables, categories)
-        _drive_shard(dataset, split, factories, root, how, mine, json_output=json_output, again=again)
+        from benchmark.runs.driving import drive_shard
+
+        groups = [[each for each in factories if _looks_at_nothing(each)]]
+        groups += [[each] for each in factories if not _looks_at_nothing(each)]
+        done = [
+            each
+            for group in filter(None, groups)
+            for each in drive_shard(
+                dataset, options.split, group, space.drive_root(), _settings_of(group[0], how), mine
+            )
+        ]
+        step = (f"drive{again}", "with the same options and no --shard, when all shards are")
+        say_shard(mine, done, "driven", step, json_output=options.json_output)
         return
-    records = _driven(dataset, split, factories, root, how)
+    records = _driven(dataset, options.split, factories, space.drive_root(), how)
     warn_of_caveats(record.facts for record in records)
-    sound = _show(records, wide=wide, json_output=json_output)
+    sound = _show(records, wide=options.wide, json_output=options.json_output)
     say_next(
         f"records: {', '.join(str(record.directory) for record in records)}",
-        (f"eval --split {split}{same_place(data, out, tables, categories)}", "the same planners in open loop"),
-        json_output=json_output,
+        (f"eval --split {options.split}{again}", "the same planners in open loop"),
+        json_output=options.json_output,
     )
     if not sound:
         raise typer.Exit(1)
 
 
-_USUAL_ADVERSARY: Final = (KnowsName.MOTION, OthersName.REPLAY, 1.0, None, None, False)
-"""What says nothing about an adversary."""
+def _settings(options: DriveOptions, scenes: tuple[str, ...] | None, place: "Executor") -> "DriveSettings":
+    """How planners are driven."""
+    same = (
+        *("engine", "agents", "adversary_knows", "adversary_others", "adversary_rounds", "adversary_candidates"),
+        *("adversary_tracks", "keep_considered", "sensor", "accept_torch_tensors", "scenarios", "until", "runs"),
+        *("limit", "seed"),
+    )
+    return api.drive_settings(
+        options.split,
+        adversary_every_s=options.adversary_every,
+        latency_ms=options.latency,
+        timeout_s=options.timeout,
+        scenes=scenes,
+        executor=place,
+        **{name: getattr(options, name) for name in same},
+    )
 
 
-def _require_engine(
-    engine: EngineName, agents: AgentsName, latency: int, scenarios: ScenariosName, until: UntilName
-) -> None:
-    """Refuse what NeuroNCAP's engine has not, and a latency that no engine has."""
-    if engine is not EngineName.DEFAULT:
-        if agents is not AgentsName.REPLAY:
+def _require_engine(options: DriveOptions) -> None:
+    """Refuse what NeuroNCAP's engine has not, a latency that no engine has, and an adversary that there is not."""
+    engine, latency = options.engine, options.latency
+    if engine != "default":
+        if options.agents != "replay":
             raise InputError(
-                f"actors of {engine.value} never react; leave --agents {agents.value} out or take --engine default"
+                f"actors of {engine} never react; leave --agents {options.agents} out or take --engine default"
             )
         if latency:
-            raise InputError(f"{engine.value} has no latency; leave --latency out or take --engine default")
-        if until is not UntilName.CONTACT:
+            raise InputError(f"{engine} has no latency; leave --latency out or take --engine default")
+        if options.until != "contact":
             raise InputError(
-                f"every contact ends a run of {engine.value}; leave --until {until.value} out or take --engine default"
+                f"every contact ends a run of {engine}; leave --until {options.until} out or take --engine default"
             )
-    elif scenarios is not ScenariosName.RECORDED:
-        raise InputError(f"--scenarios {scenarios.value} are of NeuroNCAP's engine; add --engine neuroncap@code")
+    elif options.scenarios != "recorded":
+        raise InputError(f"--scenarios {options.scenarios} are of NeuroNCAP's engine; add --engine neuroncap@code")
     if latency % STEP_MS or latency > LONGEST_LATENCY_MS:
         raise InputError(
             f"--latency {latency} is no multiple of {STEP_MS} ms up to {LONGEST_LATENCY_MS}: the engine's steps are "
             f"{STEP_MS} ms and a plan is 3 s long"
         )
-
-
-def _require_sight(name: str, sensor: str) -> None:
-    """Refuse to drive a planner blindly that looks at images, or is sent some."""
-    if sensor == "none" and api.looks_at_images(name):
-        raise InputError(f"{name} looks at images, and --sensor none has none; add --sensor schematic")
-
-
-def _drive_shard(
-    data: "DataSet",
-    split: str,
-    factories: "Sequence[NamedPlanner]",
-    root: Path,
-    how: "DriveSettings",
-    shard: "Shard",
-    *,
-    json_output: bool,
-    again: str,
-) -> None:
-    """Drive one shard and say what is left to do."""
-    from benchmark.runs.driving import drive_shard
-
-    groups = [[each for each in factories if _looks_at_nothing(each)]]
-    groups += [[each] for each in factories if not _looks_at_nothing(each)]
-    found = []
-    for group in filter(None, groups):
-        found += drive_shard(data, split, group, root, _settings_of(group[0], how), shard)
-    step = (f"drive{again}", "with the same options and no --shard, when all shards are")
-    say_shard(shard, found, "driven", step, json_output=json_output)
+    usual = DriveOptions()
+    about_adversary = ("knows", "others", "every", "rounds", "candidates")
+    of_adversary = (*(f"adversary_{each}" for each in about_adversary), "keep_considered")
+    if options.agents != "adversary" and any(getattr(options, each) != getattr(usual, each) for each in of_adversary):
+        raise InputError(
+            f"--agents {options.agents} has no adversary; add --agents adversary or leave --adversary-... and "
+            "--keep-considered out"
+        )
 
 
 def _driven(

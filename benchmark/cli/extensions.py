@@ -10,6 +10,7 @@ from typing import Any, Final, NoReturn
 
 import typer
 
+from benchmark.cli.settings import add_command
 from benchmark.errors import InputError
 from benchmark.machine.extension import OFFERS, AbsentExtensionError, extension_of, from_extension
 from benchmark.untrusted.files import one_line
@@ -55,7 +56,7 @@ def _add(words: str, command: typer.Typer | Callable[..., Any], groups: Groups) 
     if isinstance(command, typer.Typer):
         groups[group].add_typer(command, name=last)
     else:
-        groups[group].command(last)(command)
+        add_command(groups[group], last, command)
 
 
 def _add_absent(words: str, name: str, groups: Groups) -> None:

@@ -1,313 +1,290 @@
-"""Commands that make scenes: ``generate`` and ``ablate``."""
+"""Command that makes scenes: ``generate``."""
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import typer
 
 from benchmark import api
+from benchmark.cli import options as shared
 from benchmark.cli.built_splits import (
     build_one,
     build_shards,
     frozen_scenes,
+    hyper_parameter_names,
     is_edited,
+    require_cluster,
     require_shardable,
+    require_trajectory_model,
     say_built,
     splits_to_build,
+    trajectory_model,
 )
-from benchmark.cli.options import (
-    AddressOption,
-    AskedLook,
-    AskedLookOption,
-    CallsOption,
-    CategoriesOption,
-    DataOption,
-    DenoiserOption,
-    DevicesOption,
-    DrawnSize,
-    DrawnSizeOption,
-    DropoutOption,
-    DryRunOption,
-    ExecutorName,
-    ExecutorOption,
-    Frames,
-    FramesOption,
-    JsonOption,
-    Layout,
-    LimitOption,
-    LosslessOption,
-    MemoryLimitOption,
-    OutOption,
-    Preset,
-    PresetOption,
-    RenderDeviceOption,
-    RendererName,
-    SampleLimitOption,
-    SamplesOption,
-    ScenesOption,
-    SeedOption,
-    SetOption,
-    ShardOption,
-    SizeOption,
-    SpeedOption,
-    SplitOption,
-    TablesOption,
-    TogetherOption,
-    WeightsFolderOption,
-    WideOption,
-    WorkersOption,
-    WrittenSize,
-    WrittenSizeOption,
-    executor_of,
-    image_size,
-    name_list,
-    print_json,
-    say_plan,
-)
-from benchmark.cli.what_next import same_place, say_next
+from benchmark.cli.options import executor_of, image_size, name_list
+from benchmark.cli.output import print_json, same_place, say_plan
+from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
-    from benchmark.cli.preflight_data_sets import Ahead
-    from benchmark.datasets.roots import DataSet
-    from benchmark.machine.workers import Executor
+    from benchmark.api import PlannerSource
     from generation.labels.manoeuvres import Manoeuvre
-    from generation.render.contract import Renderer
 
 
-def generate_command(
-    context: typer.Context,
-    split: SplitOption = "adv",
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GenerateOptions:
+    """Options of ``generate``."""
+
+    RARE: ClassVar = (
+        *("address", "tables", "categories", "source_split", "surrogate_checkpoint", "sample_limit"),
+        *("memory_limit", "variants", "top", "rounds", "parked", "denoiser", "calls", "dropout", "samples"),
+        *("together", "layout", "size", "render_size", "written_size", "prompt_look", "lossless"),
+        *("weights_folder", "render_device", "tflops", "seeds", "keep_rounds", "profile"),
+    )
+
+    split: shared.Split = "adv"
     from_file: Annotated[
         str | None,
-        typer.Option(
-            "--from",
-            help="Rebuild a frozen split, a file or mini-adv-3, or build edited ScenarioNet files; no search.",
+        Option(
+            "Rebuild a frozen split, a file or mini-adv-3, or build edited ScenarioNet files; no search.",
+            "Input",
+            names="--from",
         ),
-    ] = None,
+    ] = None
+    data: shared.Data = "mini"
+    scenes: shared.Scenes = None
+    limit: shared.Limit = None
+    out: shared.Out = api.OUT
     freeze: Annotated[
-        Path | None, typer.Option(help="Also write the result as a frozen split, a few kB a scene, to this file.")
-    ] = None,
-    data: DataOption = "mini",
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    categories: CategoriesOption = None,
-    source_split: Annotated[str, typer.Option(help="Split of the data set to start from.")] = "val",
-    scenes: ScenesOption = None,
-    limit: LimitOption = None,
-    adversaries: Annotated[int, typer.Option(min=1, help="Adversaries in each scene.")] = 1,
-    surrogate: Annotated[str | None, typer.Option(help="Keep only scenes in which this planner collides.")] = None,
-    surrogate_checkpoint: Annotated[Path | None, typer.Option(help="Weights of the surrogate.")] = None,
-    sample_limit: SampleLimitOption = None,
-    memory_limit: MemoryLimitOption = None,
-    vehicles: Annotated[int | None, typer.Option(min=1, help="Vehicles to try per scene, at most.")] = None,
-    per_scene: Annotated[int | None, typer.Option(min=1, help="Keep at most so many variants of a scene.")] = None,
-    variants: Annotated[
-        int | None, typer.Option(min=1, help="Keep at most so many variants of a scene, those that differ most.")
-    ] = None,
+        Path | None, Option("Also write the result as a frozen split, a few kB a scene, to this file.", "Output")
+    ] = None
+    renderer: Annotated[Literal["schematic", "magicdrive", "none"], Option("Who draws the images.", "Output")] = (
+        "schematic"
+    )
+    frames: shared.Frames = "all"
+    json_output: shared.Json = False
+    dry_run: shared.DryRun = False
+    adversaries: Annotated[int, Option("Adversaries in each scene.", "Search", min=1)] = 1
     manoeuvres: Annotated[
-        list[str] | None,
-        typer.Option("--manoeuvre", help="Steer the search to this kind, e.g. cut-in-left; may be repeated."),
-    ] = None,
-    top: Annotated[int | None, typer.Option(min=1, help="Keep only the so many most challenging scenes.")] = None,
-    candidates: Annotated[int | None, typer.Option(min=4, max=65536, help="Candidates per planning step.")] = None,
-    rounds: Annotated[int | None, typer.Option(min=0, help="Refinement rounds per planning step.")] = None,
-    parked: Annotated[bool, typer.Option(help="Also try vehicles that never move.")] = False,
-    preset: PresetOption = Preset.DEFAULT,
+        tuple[str, ...] | None,
+        Option("Steer the search to this kind, e.g. cut-in-left; may be repeated.", "Search", names="--manoeuvre"),
+    ] = None
+    preset: shared.Preset = "default"
+    changes: shared.Set = None
+    candidates: Annotated[int | None, Option("Candidates per planning step.", "Search", min=4, max=65536)] = None
+    vehicles: Annotated[int | None, Option("Vehicles to try per scene, at most.", "Search", min=1)] = None
+    per_scene: Annotated[int | None, Option("Keep at most so many variants of a scene.", "Search", min=1)] = None
+    surrogate: Annotated[str | None, Option("Keep only scenes in which this planner collides.", "Search")] = None
     keep_unsolvable: Annotated[
         bool,
-        typer.Option(
-            "--keep-unsolvable",
-            help="Keep scenes that nobody could have avoided: they test luck, not driving (docs/severity.md).",
-        ),
-    ] = False,
-    changes: SetOption = None,
-    denoiser: DenoiserOption = None,
-    calls: CallsOption = None,
-    dropout: DropoutOption = False,
-    samples: SamplesOption = None,
-    device: DevicesOption = "cpu",
-    together: TogetherOption = 1,
-    layout: Annotated[Layout, typer.Option(help="One root with suffixed names, or one root per variant.")] = (
-        Layout.SUFFIXED
-    ),
-    renderer: Annotated[RendererName, typer.Option(help="Who draws the images.")] = RendererName.SCHEMATIC,
-    size: SizeOption = "448x256",
-    render_size: DrawnSizeOption = DrawnSize.SMALL,
-    written_size: WrittenSizeOption = WrittenSize.CAMERA,
-    prompt_look: AskedLookOption = AskedLook.RECORDED,
-    lossless: LosslessOption = False,
-    weights_folder: WeightsFolderOption = None,
-    render_device: RenderDeviceOption = "auto",
-    tflops: SpeedOption = None,
-    frames: FramesOption = Frames.ALL,
-    seed: SeedOption = 0,
+        Option("Keep scenes that nobody could have avoided: they test luck, not driving (docs/severity.md).", "Search"),
+    ] = False
+    device: shared.Devices = "cpu"
+    workers: shared.Workers = 0
+    seed: shared.Seed = 0
+    shard: shared.Shard = None
+    executor: shared.Executor = "local"
+    address: shared.Address = None
+    tables: shared.Tables = None
+    categories: shared.Categories = None
+    source_split: Annotated[str, Option("Split of the data set to start from.", "Input")] = "val"
+    surrogate_checkpoint: Annotated[Path | None, Option("Weights of the surrogate.", "Search")] = None
+    sample_limit: shared.SampleLimit = None
+    memory_limit: shared.MemoryLimit = None
+    variants: Annotated[
+        int | None, Option("Keep at most so many variants of a scene, those that differ most.", "Search", min=1)
+    ] = None
+    top: Annotated[int | None, Option("Keep only the so many most challenging scenes.", "Search", min=1)] = None
+    rounds: Annotated[int | None, Option("Refinement rounds per planning step.", "Search", min=0)] = None
+    parked: Annotated[bool, Option("Also try vehicles that never move.", "Search", names="--parked/--no-parked")] = (
+        False
+    )
+    denoiser: shared.Denoiser = None
+    calls: shared.Calls = None
+    dropout: shared.Dropout = False
+    samples: shared.Samples = None
+    together: shared.Together = 1
+    layout: Annotated[
+        Literal["suffixed", "per-variant"], Option("One root with suffixed names, or one root per variant.", "Output")
+    ] = "suffixed"
+    size: shared.Size = "448x256"
+    render_size: shared.DrawnSize = "224x400"
+    written_size: shared.WrittenSize = "1600x900"
+    prompt_look: shared.AskedLook = "recorded"
+    lossless: shared.Lossless = False
+    weights_folder: shared.WeightsFolder = None
+    render_device: shared.RenderDevice = "auto"
+    tflops: shared.Speed = None
     seeds: Annotated[
-        str | None, typer.Option(help="Build one split for each seed, adv-seed-0, adv-seed-1, ...: 0,1,2.")
-    ] = None,
-    shard: ShardOption = None,
-    workers: WorkersOption = 0,
-    executor: ExecutorOption = ExecutorName.LOCAL,
-    address: AddressOption = None,
-    keep_rounds: Annotated[
-        bool, typer.Option("--keep-rounds", help="Keep what sheets --rounds shows, less than a megabyte a scene.")
-    ] = False,
-    profile: Annotated[bool, typer.Option(help="Say where the time went, beside the paper's table.")] = False,
-    json_output: JsonOption = False,
-    dry_run: DryRunOption = False,
-) -> None:
+        str | None, Option("Build one split for each seed, adv-seed-0, adv-seed-1, ...: 0,1,2.", "Execution")
+    ] = None
+    keep_rounds: Annotated[bool, Option("Keep what sheets --rounds shows, less than a megabyte a scene.", "Output")] = (
+        False
+    )
+    profile: Annotated[
+        bool, Option("Say where the time went, beside the paper's table.", "Output", names="--profile/--no-profile")
+    ] = False
+
+    @staticmethod
+    def from_record(members: "Mapping[str, Any]") -> "dict[str, Any] | None":
+        """Settings of the search of a built split."""
+        from benchmark.cli.recorded import generate_options
+
+        return generate_options(members)
+
+    @staticmethod
+    def reserved() -> "frozenset[str]":
+        """Names that ``--set`` leaves to the search: its hyper-parameters."""
+        return hyper_parameter_names()
+
+
+@command(GenerateOptions)
+def generate_command(options: GenerateOptions) -> None:
     """Build a split, adv or val-r, from recorded scenes; the same command resumes."""
-    from benchmark.cli.preflight_data_sets import require_room_to_draw, require_root, require_source
-    from benchmark.cli.preflight_names import require_categories, supervision_of
-    from benchmark.cli.preflight_places import require_place
-    from benchmark.machine.extension import OFFERS, from_extension
+    from benchmark.machine.places import require_place
     from benchmark.machine.several_devices import require_one_device, workers_for
     from benchmark.runs.units import Shard
     from generation.search.departures import told
-    from generation.search.presets import hyper_parameters, trajectory_model
+    from generation.search.presets import hyper_parameters
 
-    _require_generated(split)
-    require_categories(categories)
-    if from_file is not None and is_edited(from_file):
-        first = require_root(data, tables, out)
-        require_place(out, "--out")
-        if dry_run and first.builds:
-            say_plan(first.plan(f"build split {split} from the edited scenes of {from_file}"), json_output=json_output)
+    _require_generated(options.split)
+    data = api.DataSource.of(options)
+    if options.from_file is not None and is_edited(options.from_file):
+        first = data.require()
+        require_place(options.out, "--out")
+        if options.dry_run and first.builds:
+            then = f"build split {options.split} from the edited scenes of {options.from_file}"
+            say_plan(first.plan(then), json_output=options.json_output)
             return
-
-    def recordings() -> "DataSet":
-        return api.open_data(data, tables=tables, workers=workers, out=out, categories=categories)
-
-    wanted = splits_to_build(split, seed, seeds, from_file, freeze, context, recordings)
+    wanted = splits_to_build(options, data)
     frozen = wanted[0].frozen
-    shortcuts = {"candidate_limit": vehicles, "candidates": candidates, "rounds": rounds, "parked": parked or None}
-    shortcuts["solvable"] = False if keep_unsolvable else None
-    hyper = hyper_parameters(preset.value, shortcuts, changes or ())
-    asked = _asked(manoeuvres or [], split, from_file)
-    if variants is not None and per_scene is not None:
+    shortcuts = {
+        "candidate_limit": options.vehicles,
+        "candidates": options.candidates,
+        "rounds": options.rounds,
+        "parked": options.parked or None,
+        "solvable": False if options.keep_unsolvable else None,
+    }
+    hyper = hyper_parameters(options.preset, shortcuts, options.changes or ())
+    asked = _asked(options)
+    if options.variants is not None and options.per_scene is not None:
         raise InputError("--variants keeps scenes that differ, --per-scene the most challenging ones; give one of them")
-    if surrogate is None and surrogate_checkpoint is not None:
-        raise InputError("--surrogate-checkpoint belongs to --surrogate; name the planner that it is for")
-    _require_tools(surrogate, surrogate_checkpoint, data, device, denoiser)
-    supervision = supervision_of([] if surrogate is None else [surrogate], sample_limit, memory_limit)
-    photorealistic = None
-    if renderer.value in OFFERS["renderer"]:
-        photorealistic = from_extension("renderer", renderer.value)(
-            weights_folder,
-            drawn_size=render_size.value,
-            written_size=written_size.value,
-            look=prompt_look.value,
-            device=render_device,
-            seed=seed,
-            tera_operations=tflops,
-            estimates_only=dry_run,
-        )
-        photorealistic.require()
-    pixels, named = image_size(size), name_list(scenes)
-    if executor is not ExecutorName.LOCAL:
-        require_one_device(device, "a Ray cluster gives its tasks GPUs itself")
-    place = executor_of(executor, address, workers_for(workers, device))
-    mine = None if shard is None else Shard.named(shard)
-    require_shardable(mine, surrogate, place)
+    surrogate = _surrogate(options)
+    require_trajectory_model(options.device, options.denoiser)
+    photorealistic = _photorealistic(options)
+    pixels, named = image_size(options.size), name_list(options.scenes)
+    if options.executor != "local":
+        require_one_device(options.device, "a Ray cluster gives its tasks GPUs itself")
+    place = executor_of(options.executor, options.address, workers_for(options.workers, options.device))
+    mine = None if options.shard is None else Shard.named(options.shard)
+    require_shardable(mine, options.surrogate, place)
     if frozen is None:
-        ahead = require_source(data, tables, source_split, out, scenes=named, limit=limit)
+        ahead = data.require_source(options.source_split, named, options.limit)
     else:
-        ahead = replace(require_root(data, tables, out), scenes=frozen_scenes(wanted, named, limit))
-    require_place(out, "--out")
-    if renderer is RendererName.SCHEMATIC and not dry_run:
+        ahead = replace(data.require(), scenes=frozen_scenes(wanted, named, options.limit))
+    require_place(options.out, "--out")
+    if options.renderer == "schematic" and not options.dry_run:
         # How many a search finds is not known.
-        least = 1 if split == "adv" and frozen is None else len(ahead.scenes)
-        require_room_to_draw(api.workspace(out), data, wanted[0].split, scenes=least, size=pixels, frames=frames.value)
-    unlike = told(preset.value, hyper) if split == "adv" and frozen is None and dry_run else []
-    if dry_run and ahead.builds:
+        least = 1 if options.split == "adv" and frozen is None else len(ahead.scenes)
+        data.require_room_to_draw(wanted[0].split, scenes=least, size=pixels, frames=options.frames)
+    unlike = told(options.preset, hyper) if options.split == "adv" and frozen is None and options.dry_run else []
+    if options.dry_run and ahead.builds:
         from_what = ahead.counted() if frozen is None else f"frozen split {frozen.name}, {ahead.counted()}"
-        then = f"build split {split} from {from_what}; --dry-run says how much work that is once they are there"
-        say_plan([*ahead.plan(then), *unlike], json_output=json_output)
+        then = f"build split {options.split} from {from_what}; --dry-run says how much work that is once they are there"
+        say_plan([*ahead.plan(then), *unlike], json_output=options.json_output)
         return
-    _require_cluster(place, ahead)
+    require_cluster(place, ahead)
     from generation.pipeline.settings import BuildSettings
     from generation.pipeline.split import source_scenes
 
-    under_test = None
-    if surrogate is not None:
-        under_test = api.planner_under_test(
-            surrogate, surrogate_checkpoint, data=data, seed=seed, workers=workers, supervision=supervision
-        )
-    drawing: Renderer | None = None
-    if renderer is RendererName.SCHEMATIC:
-        drawing = api.schematic_renderer(pixels)
+    under_test = None if surrogate is None else surrogate.under_test(options.workers)
+    space = api.workspace(options.out)
+    drawing = api.schematic_renderer(pixels) if options.renderer == "schematic" else None
     rendering = None
     if photorealistic is not None:
-        drawing = network = photorealistic.renderer(api.workspace(out).rendering_root())
+        drawing = network = photorealistic.renderer(space.rendering_root())
         rendering = photorealistic.executor(place)
     # Last: the embedded data set takes minutes to build the first time, and a mistyped option should not.
-    source = recordings()
-    root = api.workspace(out).split_root(source.name, wanted[0].split)
-    settings = BuildSettings(
-        out=root,
-        timings=api.workspace(out).timings_of(root),
-        hyper=hyper,
-        prior=trajectory_model(
-            preset.value,
-            denoiser,
-            device,
-            calls=calls,
-            dropout=dropout,
-            samples=None if samples is None else samples.value,
-        ),
-        source_split=source_split,
-        scenes=named,
-        limit=limit,
-        adversaries=adversaries,
-        surrogate=under_test,
-        per_scene=per_scene,
-        variants=variants,
-        asked=asked,
-        total=top,
-        layout=layout.value,
-        renderer=drawing,
-        frames=frames.value,
-        lossless=lossless,
-        seed=wanted[0].seed,
-        executor=place,
-        rendering=rendering,
-        together=together,
-        keep_rounds=keep_rounds,
-        freeze=wanted[0].freeze,
-    )
+    source = data.open()
+    root = space.split_root(source.name, wanted[0].split)
+    others: dict[str, Any] = {
+        "out": root,
+        "timings": space.timings_of(root),
+        "hyper": hyper,
+        "prior": trajectory_model(options),
+        "scenes": named,
+        "surrogate": under_test,
+        "asked": asked,
+        "total": options.top,
+        "renderer": drawing,
+        "executor": place,
+        "rendering": rendering,
+    }
+    settings = BuildSettings(**{**api.named_alike(BuildSettings, options), **others})
     if photorealistic is not None:
         typer.echo(network.estimate(source.scene(source_scenes(source, settings)[0])).plain(), err=True)
-    space, own = api.workspace(out), []
+    own = []
     for one in wanted:
         root = space.split_root(source.name, one.split)
         own.append(replace(settings, out=root, timings=space.timings_of(root), seed=one.seed, freeze=one.freeze))
-    if mine is not None and not dry_run:
-        build_shards(source, wanted, own, mine, same_place(data, out, tables, categories), json_output=json_output)
+    again = same_place(options)
+    if mine is not None and not options.dry_run:
+        build_shards(source, wanted, own, mine, again, json_output=options.json_output)
         return
     built = []
     for one, of_split in zip(wanted, own, strict=True):
-        built.append(build_one(source, one, of_split, unlike, profile=profile, dry_run=dry_run))
-        if not json_output:
-            typer.echo(built[-1].text if seeds is None else f"{one.split}: {built[-1].text}")
-    if json_output:
-        print_json(built[0].said if seeds is None else [each.said for each in built])
-    if not dry_run:
-        say_built(wanted, own, same_place(data, out, tables, categories), json_output=json_output)
+        built.append(build_one(source, one, of_split, unlike, profile=options.profile, dry_run=options.dry_run))
+        if not options.json_output:
+            typer.echo(built[-1].text if options.seeds is None else f"{one.split}: {built[-1].text}")
+    if options.json_output:
+        print_json(built[0].said if options.seeds is None else [each.said for each in built])
+    if not options.dry_run:
+        say_built(wanted, own, again, json_output=options.json_output)
 
 
-def _asked(names: list[str], split: str, from_file: str | None) -> "tuple[Manoeuvre, ...]":
+def _asked(options: GenerateOptions) -> "tuple[Manoeuvre, ...]":
     """The kinds of manoeuvre that are asked for; `InputError` for one that cannot be."""
-    if not names:
+    if not options.manoeuvres:
         return ()
     from generation.search.asked_manoeuvres import askable
 
-    if split != "adv" or from_file is not None:
+    if options.split != "adv" or options.from_file is not None:
         raise InputError("--manoeuvre steers the search for split adv, and nothing is searched here; leave it out")
-    kinds = tuple(map(askable, names))
+    kinds = tuple(map(askable, options.manoeuvres))
     if len(set(kinds)) < len(kinds):
         raise InputError("--manoeuvre names one kind twice; name each once")
     return kinds
+
+
+def _surrogate(options: GenerateOptions) -> "PlannerSource | None":
+    """The planner that scenes have to be hard for, checked; `InputError` for options of it where there is none."""
+    if options.surrogate is None and options.surrogate_checkpoint is not None:
+        raise InputError("--surrogate-checkpoint belongs to --surrogate; name the planner that it is for")
+    names = () if options.surrogate is None else (options.surrogate,)
+    others = {"checkpoint": options.surrogate_checkpoint, "device": None}
+    found = api.PlannerSource.of(options, names=names, **others).require()
+    return found if names else None
+
+
+def _photorealistic(options: GenerateOptions) -> "Any | None":
+    """The renderer of an extension, if one is named, checked; it is made later."""
+    from benchmark.machine.extension import OFFERS, from_extension
+
+    if options.renderer not in OFFERS["renderer"]:
+        return None
+    found = from_extension("renderer", options.renderer)(
+        options.weights_folder,
+        drawn_size=options.render_size,
+        written_size=options.written_size,
+        look=options.prompt_look,
+        device=options.render_device,
+        seed=options.seed,
+        tera_operations=options.tflops,
+        estimates_only=options.dry_run,
+    )
+    found.require()
+    return found
 
 
 def _require_generated(split: str) -> None:
@@ -317,110 +294,3 @@ def _require_generated(split: str) -> None:
     if split not in GENERATED_SPLITS:
         close = did_you_mean(split, GENERATED_SPLITS)
         raise InputError(f"cannot generate split {split!r}; {close}those that can be generated are val-r and adv")
-
-
-def _require_tools(planner: str | None, checkpoint: Path | None, data: str, device: str, denoiser: Path | None) -> None:
-    """Refuse a planner under test or a trajectory model that could not run."""
-    from benchmark.cli.preflight_names import require_devices, require_models
-    from benchmark.cli.preflight_places import require_file
-
-    if planner is not None:
-        require_models([planner], checkpoint, data=data)
-    require_devices(device)
-    require_file(denoiser, "--denoiser")
-
-
-def _require_cluster(place: "Executor", ahead: "Ahead") -> None:
-    """Refuse a cluster that does not answer before minutes go into what is built for it here."""
-    from benchmark.machine.ray_cluster import RayCluster, require_answer
-
-    if ahead.builds and isinstance(place, RayCluster) and place.address is not None:
-        require_answer(place.address)
-
-
-def ablate_command(
-    model: Annotated[str, typer.Option("--model", help="Planner that has to drive.")] = "constant-velocity",
-    checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
-    sample_limit: SampleLimitOption = None,
-    memory_limit: MemoryLimitOption = None,
-    data: DataOption = "mini",
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    source_split: Annotated[str, typer.Option(help="Split of the data set to start from.")] = "val",
-    scenes: ScenesOption = None,
-    limit: LimitOption = None,
-    vehicles: Annotated[int | None, typer.Option(min=1, help="Vehicles to try per scene, at most.")] = None,
-    candidates: Annotated[int | None, typer.Option(min=4, max=65536, help="Candidates per planning step.")] = None,
-    preset: PresetOption = Preset.DEFAULT,
-    changes: SetOption = None,
-    denoiser: DenoiserOption = None,
-    device: DevicesOption = "cpu",
-    together: TogetherOption = 1,
-    size: SizeOption = "448x256",
-    seed: SeedOption = 0,
-    workers: WorkersOption = 0,
-    executor: ExecutorOption = ExecutorName.LOCAL,
-    address: AddressOption = None,
-    wide: WideOption = False,
-    json_output: JsonOption = False,
-    dry_run: DryRunOption = False,
-) -> None:
-    """Run the paper's ablation: full search, without refinement (MTR), without scoring (TS), without both."""
-    from benchmark.cli.preflight_data_sets import require_source
-    from benchmark.cli.preflight_names import supervision_of
-    from benchmark.cli.preflight_places import require_place
-    from benchmark.machine.several_devices import require_one_device, workers_for
-    from benchmark.machine.storage import file_name
-    from generation.search.departures import told
-    from generation.search.presets import hyper_parameters, trajectory_model
-
-    hyper = hyper_parameters(preset.value, {"candidate_limit": vehicles, "candidates": candidates}, changes or ())
-    _require_tools(model, checkpoint, data, device, denoiser)
-    supervision = supervision_of([model], sample_limit, memory_limit)
-    if executor is not ExecutorName.LOCAL:
-        require_one_device(device, "a Ray cluster gives its tasks GPUs itself")
-    drawing, place = (
-        api.schematic_renderer(image_size(size)),
-        executor_of(executor, address, workers_for(workers, device)),
-    )
-    ahead = require_source(data, tables, source_split, out, scenes=name_list(scenes), limit=limit)
-    require_place(out, "--out")
-    if dry_run and ahead.builds:
-        then = f"search {ahead.counted()} four times, with {model} driving; --dry-run says how long once they are there"
-        say_plan([*ahead.plan(then), *told(preset.value, hyper)], json_output=json_output)
-        return
-    _require_cluster(place, ahead)
-    from generation.pipeline.ablation import ablate, ablation_estimate
-    from generation.pipeline.settings import BuildSettings
-
-    planner = api.planner_under_test(model, checkpoint, data=data, seed=seed, workers=workers, supervision=supervision)
-    source = api.open_data(data, tables=tables, workers=workers, out=out)
-    study = api.workspace(out).ablation_root() / source.name / file_name(planner.factory.facts.name)
-    settings = BuildSettings(
-        out=study,
-        timings=api.workspace(out).timings_of(study),
-        hyper=hyper,
-        prior=trajectory_model(preset.value, denoiser, device),
-        source_split=source_split,
-        scenes=name_list(scenes),
-        limit=limit,
-        renderer=drawing,
-        frames="keyframes",
-        seed=seed,
-        executor=place,
-        together=together,
-    )
-    if dry_run:
-        estimate = ablation_estimate(source, planner, settings)
-        say_plan([estimate, *told(preset.value, hyper)], json_output=json_output)
-        return
-    report = ablate(source, planner, settings)
-    if json_output:
-        print_json(report.model_dump(mode="json", by_alias=True))
-    else:
-        typer.echo(report.table().plain(wide=wide), nl=False)
-    say_next(
-        f"study: {settings.out}",
-        (f"leaderboard{same_place('mini', out)}", "all records in tables beside the paper's"),
-        json_output=json_output,
-    )

@@ -1,16 +1,24 @@
 """``models``: every planner and what it needs."""
 
-import typer
+from dataclasses import dataclass
 
-from benchmark.cli.options import JsonOption, print_json
+from benchmark.cli import options as shared
+from benchmark.cli.output import print_result
+from benchmark.cli.settings import command
 
 
-def models_command(json_output: JsonOption = False) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelsOptions:
+    """Options of ``models``."""
+
+    json_output: shared.Json = False
+
+
+@command(ModelsOptions)
+def models_command(options: ModelsOptions) -> None:
     """List every planner with what it sees and needs: weights, GPU, extra packages, and how to get what is missing."""
     from adapters.known_planners import known_planners, planners_text
 
     planners = known_planners()
-    if json_output:
-        print_json([planner.as_json() for planner in planners])
-    else:
-        typer.echo(planners_text(planners), nl=False)
+    said = [planner.as_json() for planner in planners]
+    print_result(said, planners_text(planners), json_output=options.json_output)

@@ -1,156 +1,151 @@
 """Commands on packages of splits: ``data pack`` and ``data unpack``."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from benchmark import api
-from benchmark.cli.options import (
-    DryRunOption,
-    Frames,
-    FramesOption,
-    JsonOption,
-    LimitOption,
-    OutOption,
-    QuickRendererName,
-    ScenesOption,
-    SizeOption,
-    TablesOption,
-    WorkersOption,
-    image_size,
-    name_list,
-    print_json,
-)
+from benchmark.cli import options as shared
+from benchmark.cli.options import image_size, name_list
+from benchmark.cli.output import print_json
+from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
 from benchmark.report.words import counted
 
 
-def data_pack_command(
-    splits: Annotated[list[str], typer.Argument(help="Frozen splits: files, or names such as mini-adv-3.")],
-    to: Annotated[Path, typer.Option("--to", help="The package to write, a .zip file.")],
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataPackOptions:
+    """Options of ``data pack``."""
+
+    splits: Annotated[tuple[str, ...], Option("Frozen splits: files, or names such as mini-adv-3.", "Input", names="")]
+    to: Annotated[Path, Option("The package to write, a .zip file.", "Output")]
     root: Annotated[
         str | None,
-        typer.Option(help="Data set that was built from them (or mini): its verdicts and statistics go along."),
-    ] = None,
+        Option("Data set that was built from them (or mini): its verdicts and statistics go along.", "Input"),
+    ] = None
     drives: Annotated[
-        list[Path] | None,
-        typer.Option(help="Folder of records of drives, whose settings go along; may be repeated."),
-    ] = None,
-    rules: Annotated[Path | None, typer.Option(help="File of rules (TOML) that goes along.")] = None,
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    workers: WorkersOption = 0,
-    json_output: JsonOption = False,
-) -> None:
-    """Put a frozen split and what belongs to it into one file to publish; no recording is in it."""
-    from benchmark.cli.preflight_data_sets import require_data, require_root
-    from benchmark.cli.preflight_places import require_file, require_output_file
-    from benchmark.machine.workspace import EMBEDDED_NAMES
+        tuple[Path, ...] | None,
+        Option("Folder of records of drives, whose settings go along; may be repeated.", "Input"),
+    ] = None
+    rules: Annotated[Path | None, Option("File of rules (TOML) that goes along.", "Input")] = None
+    out: shared.Out = api.OUT
+    tables: shared.Tables = None
+    workers: shared.Workers = 0
+    json_output: shared.Json = False
 
-    processes = api.worker_count(workers)
-    require_output_file(to, "--to", (".zip",))
-    require_file(rules, "--rules")
-    known = root in EMBEDDED_NAMES
-    if root is not None:
-        if known:
-            require_data(root, tables, "adv", out)
-        else:
-            require_root(root, tables, out)
+
+@command(DataPackOptions)
+def data_pack_command(options: DataPackOptions) -> None:
+    """Put a frozen split and what belongs to it into one file to publish; no recording is in it."""
+    from benchmark.machine.places import require_file, require_output_file
+
+    processes = api.worker_count(options.workers)
+    require_output_file(options.to, "--to", (".zip",))
+    require_file(options.rules, "--rules")
+    source = None if options.root is None else api.DataSource.of(options)
+    if source is not None:
+        source.require_split("adv") if source.is_embedded else source.require()
     from benchmark.machine.workers import LocalProcesses
     from benchmark.records.drives import find_drives
     from generation.splits.packaged import frozen_split
     from generation.splits.packing import PackageContents, pack_split
 
-    named = tuple(map(frozen_split, splits))
-    records = find_drives(*(drives or ()))
-    if drives and not records:
-        raise InputError(f"--drives {drives[0]} holds no record of drives; run challenger-bench drive first")
+    named = tuple(map(frozen_split, options.splits))
+    records = find_drives(*(options.drives or ()))
+    if options.drives and not records:
+        raise InputError(f"--drives {options.drives[0]} holds no record of drives; run challenger-bench drive first")
     data = None
-    if root is not None:
-        data = api.open_data(root, tables=tables, workers=workers, out=out)
-        data = api.open_split(data, "adv", out, workers=workers) if known else data
-    contents = PackageContents(named, data, tuple(records), rules)
-    packed = pack_split(to, contents, LocalProcesses(processes))
+    if source is not None:
+        data = source.open_split("adv") if source.is_embedded else source.open()
+    contents = PackageContents(named, data, tuple(records), options.rules)
+    packed = pack_split(options.to, contents, LocalProcesses(processes))
     manifest = packed.manifest
-    if json_output:
+    if options.json_output:
         said = manifest.model_dump(mode="json", by_alias=True)
-        print_json({"file": str(to), "sha256": packed.sha256, "manifest": said})
+        print_json({"file": str(options.to), "sha256": packed.sha256, "manifest": said})
         return
     names = ", ".join(f"{each.name} ({counted(each.scenes, 'scene')})" for each in manifest.splits)
     kinds = [file.kind for file in manifest.files.values()]
     beside = [str(kind) for kind in kinds if kind in ("verdicts", "statistics", "rules")]
     beside += [f"settings of {counted(kinds.count('drive'), 'drive record')}"] if "drive" in kinds else []
-    typer.echo(f"{to}: {names}{'; ' + ', '.join(beside) if beside else ''}\n  SHA-256 {packed.sha256}")
+    typer.echo(f"{options.to}: {names}{'; ' + ', '.join(beside) if beside else ''}\n  SHA-256 {packed.sha256}")
 
 
-def data_unpack_command(
-    package: Annotated[Path, typer.Argument(help="A package that data pack wrote.")],
-    to: Annotated[Path, typer.Option("--to", help="Folder for its files.")],
-    data: Annotated[
-        str | None, typer.Option("--data", help="The recordings: mini or a root; the split is built from them.")
-    ] = None,
-    split: Annotated[str | None, typer.Option(help="Which frozen split is built, if there are several.")] = None,
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    scenes: ScenesOption = None,
-    limit: LimitOption = None,
-    renderer: Annotated[QuickRendererName, typer.Option(help="Who draws the images.")] = QuickRendererName.SCHEMATIC,
-    size: SizeOption = "448x256",
-    frames: FramesOption = Frames.ALL,
-    workers: WorkersOption = 0,
-    json_output: JsonOption = False,
-    dry_run: DryRunOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataUnpackOptions:
+    """Options of ``data unpack``."""
+
+    package: Annotated[Path, Option("A package that data pack wrote.", "Input", names="")]
+    to: Annotated[Path, Option("Folder for its files.", "Output")]
+    data: Annotated[str | None, Option("The recordings: mini or a root; the split is built from them.", "Input")] = None
+    split: Annotated[str | None, Option("Which frozen split is built, if there are several.", "Input")] = None
+    out: shared.Out = api.OUT
+    tables: shared.Tables = None
+    scenes: shared.Scenes = None
+    limit: shared.Limit = None
+    renderer: shared.QuickRenderer = "schematic"
+    size: shared.Size = "448x256"
+    frames: shared.Frames = "all"
+    workers: shared.Workers = 0
+    json_output: shared.Json = False
+    dry_run: shared.DryRun = False
+
+
+@command(DataUnpackOptions)
+def data_unpack_command(options: DataUnpackOptions) -> None:
     """Check a package, write its files, and build its split from the recordings with --data."""
-    from benchmark.cli.preflight_data_sets import require_source
-    from benchmark.cli.preflight_places import require_place
+    from benchmark.machine.places import require_place
 
-    processes = api.worker_count(workers)
-    require_place(to, "--to")
-    require_place(out, "--out")
-    width, height = image_size(size)
+    processes = api.worker_count(options.workers)
+    require_place(options.to, "--to")
+    require_place(options.out, "--out")
+    width, height = image_size(options.size)
     from generation.splits.unpacking import read_split_package, write_files
 
-    found = read_split_package(package)
+    found = read_split_package(options.package)
     for sentence in found.left_out:
         api.tell(sentence)
     chosen = None
-    if data is not None:
-        chosen = found.split(split)
-        named = chosen.chosen(name_list(scenes), limit)
-        require_source(data, tables, "val", out, scenes=tuple({scene.source for scene, _ in named}), limit=None)
-    elif split is not None:
+    if options.data is not None:
+        chosen = found.split(options.split)
+        named = chosen.chosen(name_list(options.scenes), options.limit)
+        recordings = api.DataSource.of(options)
+        recordings.require_source("val", tuple({scene.source for scene, _ in named}))
+    elif options.split is not None:
         raise InputError("--split says what is built from recordings; add --data, or leave it out")
-    files = () if dry_run else write_files(found, to)
+    files = () if options.dry_run else write_files(found, options.to)
     said = {"files": [str(path) for path in files], "splits": [each.name for each in found.splits]}
-    if not json_output:
-        typer.echo(f"{package} is whole: {counted(len(found.files), 'file')}" + (f" in {to}" if files else ""))
-    if chosen is None or data is None:
-        if json_output:
+    if not options.json_output:
+        typer.echo(
+            f"{options.package} is whole: {counted(len(found.files), 'file')}" + (f" in {options.to}" if files else "")
+        )
+    if chosen is None or options.data is None:
+        if options.json_output:
             print_json({**said, "built": None})
         else:
             for each in found.splits:
-                typer.echo(f"  {each.name}: generate --from {to / 'splits' / each.name}.json --data RECORDINGS")
+                typer.echo(f"  {each.name}: generate --from {options.to / 'splits' / each.name}.json --data RECORDINGS")
         return
     from benchmark.machine.workers import LocalProcesses
     from generation.pipeline.dry_run import estimate_frozen
     from generation.pipeline.settings import BuildSettings
     from generation.splits.rebuilding import rebuild
 
-    source = api.open_data(data, tables=tables, workers=workers, out=out)
-    root = api.workspace(out).split_root(source.name, "adv")
+    source = recordings.open()
+    root = api.workspace(options.out).split_root(source.name, "adv")
     settings = BuildSettings(
         out=root,
-        timings=api.workspace(out).timings_of(root),
-        scenes=name_list(scenes),
-        limit=limit,
-        renderer=None if renderer is QuickRendererName.NONE else api.schematic_renderer((width, height)),
-        frames=frames.value,
+        timings=api.workspace(options.out).timings_of(root),
+        scenes=name_list(options.scenes),
+        limit=options.limit,
+        renderer=None if options.renderer == "none" else api.schematic_renderer((width, height)),
+        frames=options.frames,
         executor=LocalProcesses(processes),
     )
-    report = estimate_frozen(source, chosen, settings) if dry_run else rebuild(source, found, chosen, settings)
-    if json_output:
+    report = estimate_frozen(source, chosen, settings) if options.dry_run else rebuild(source, found, chosen, settings)
+    if options.json_output:
         print_json({**said, "built": {"root": str(settings.out), **report.as_json()}})
     else:
         typer.echo(f"{report.summary()}\n  data set: {settings.out}")

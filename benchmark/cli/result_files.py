@@ -1,79 +1,83 @@
-"""``eval --results`` and ``eval --dump-results``: result files of planners' repositories, read and written."""
+"""Plans that others made, as ``eval`` reads and writes them: plan files, and result files of repositories."""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypedDict
+from typing import TYPE_CHECKING, Any
 
 from benchmark import api
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
-    from adapters.result_files.planner import ResultFileFactory
     from adapters.result_files.recognition import Recognised
+    from benchmark.cli.evaluate import EvalOptions
     from benchmark.datasets.roots import DataSet
     from benchmark.machine.workspace import Workspace
     from benchmark.records.run import RunRecord
+    from benchmark.runs.plan_rows import PlannerFactory
 
 
-class ReadAs(TypedDict):
-    """How plans of a file are read, whatever it says: what ``--frame`` and ``--as-is`` say."""
-
-    frame: Literal["lidar", "ego"] | None
-    as_is: bool
-
-
-def opened_results(
-    paths: Sequence[Path] | None, wanted: str, name: str | None, native: str | None, dump: str | None
-) -> "list[Recognised]":
-    """Open the result files that were named, before anything is built.
+def opened_results(options: "EvalOptions") -> "list[Recognised]":
+    """Open the files that ``--results`` names, and check that of ``--plans``, before anything is built.
 
     Args:
-        paths: Files and folders, or none.
-        wanted: What ``--format`` says.
-        name: What ``--name`` says.
-        native: What ``--native`` says.
-        dump: What ``--dump-results`` says.
+        options: Of the command.
 
     Returns:
-        The files with their formats.
+        The result files with their formats.
 
     Raises:
         InputError: If a file is broken, options contradict each other, or there is no such format or protocol.
     """
+    from adapters.plan_file import read_plan_file
     from adapters.result_files.recognition import AUTO, recognise, require_format
     from adapters.result_files.writing.formats import require_writable
+    from benchmark.machine.places import require_file
     from benchmark.runs.planner_facts import known_native
 
-    if dump is not None:
-        require_writable(dump)
+    plans, paths, wanted, name = options.plans, options.results, options.results_format, options.name
+    if plans is not None:
+        known_native(options.native, f"plan file {plans}")
+        require_file(plans, "--plans", (".csv", ".parquet", ".json"))
+        read_plan_file(plans)
+    if options.dump_results is not None:
+        require_writable(options.dump_results)
     if not paths:
         if wanted != AUTO or name is not None:
             raise InputError(f"{'--name' if name is not None else '--format'} belongs to --results; add it")
         return []
     require_format(wanted)
-    known_native(native, f"result file {paths[0]}")
+    known_native(options.native, f"result file {paths[0]}")
     if name is not None and (not name.strip() or not name.isprintable() or len(name) > 100):
         raise InputError("--name must be some printable text of at most 100 characters")
     return [recognise(path, wanted) for path in paths]
 
 
-def results_planner(
+def planners_of_files(
+    options: "EvalOptions",
     opened: "Sequence[Recognised]",
     dataset: "DataSet",
     split: str,
-    *,
     scenes: tuple[str, ...],
-    name: str | None,
-    native: str | None,
-    read_as: ReadAs,
-) -> "ResultFileFactory":
-    """The planner of opened result files; says what was found in them."""
+    run_root: Path,
+) -> "list[PlannerFactory]":
+    """The planners of a plan file and of opened result files; what was found in them is said on stderr."""
+    from adapters.plan_file import plan_file_factory
     from adapters.result_files.planner import result_file_factory
 
-    factory = result_file_factory(opened, dataset, split, scenes=scenes, name=name, native=native, **read_as)
-    for sentence in factory.sentences:
-        api.tell(sentence)
-    return factory
+    read_as: dict[str, Any] = {"scenes": scenes, "native": options.native, "frame": options.frame}
+    read_as["as_is"] = options.as_is
+    found: list[Any] = []
+    if options.plans is not None:
+        partial = options.allow_partial
+        found.append(
+            plan_file_factory(options.plans, dataset, split, records=[run_root], allow_partial=partial, **read_as)
+        )
+    if opened:
+        found.append(result_file_factory(opened, dataset, split, name=options.name, **read_as))
+    for factory in found:
+        for sentence in factory.sentences:
+            api.tell(sentence)
+    return found
 
 
 def write_dumps(

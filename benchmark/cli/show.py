@@ -1,38 +1,20 @@
 """Commands that show results: ``sheets`` and ``leaderboard``."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from benchmark import api
-from benchmark.cli.options import (
-    ByOption,
-    CategoriesOption,
-    DataOption,
-    DryRunOption,
-    JsonOption,
-    LimitOption,
-    OutOption,
-    RecordsOption,
-    ScenesOption,
-    SheetPictures,
-    SplitOption,
-    TablesOption,
-    WideOption,
-    WorkersOption,
-    name_list,
-    print_json,
-    say_plan,
-)
-from benchmark.cli.what_next import same_place, say_next
-from benchmark.cli.whole_help import WholeSummaries
+from benchmark.cli import options as shared
+from benchmark.cli.help import WholeSummaries
+from benchmark.cli.options import name_list
+from benchmark.cli.output import print_json, print_result, same_out, same_place, say_next, say_plan
+from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
 from benchmark.report.words import counted
-
-if TYPE_CHECKING:
-    pass
 
 leaderboard_app = typer.Typer(
     cls=WholeSummaries,
@@ -40,119 +22,125 @@ leaderboard_app = typer.Typer(
 )
 
 
-def sheets_command(
-    split: SplitOption = "val",
-    data: DataOption = "mini",
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    categories: CategoriesOption = None,
-    scenes: ScenesOption = None,
-    limit: LimitOption = None,
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SheetsOptions:
+    """Options of ``sheets``."""
+
+    split: shared.Split = "val"
+    data: shared.Data = "mini"
+    out: shared.Out = api.OUT
+    tables: shared.Tables = None
+    categories: shared.Categories = None
+    scenes: shared.Scenes = None
+    limit: shared.Limit = None
     pictures: Annotated[
-        SheetPictures, typer.Option(help="Pictures of all cameras at 2 Hz keyframes, at all 12 Hz frames, or none.")
-    ] = SheetPictures.KEYFRAMES,
-    cell_width: Annotated[int, typer.Option(help="Width of one camera in them, pixels; never enlarged.")] = 480,
-    rounds: Annotated[
-        bool, typer.Option("--rounds", help="Also the rounds of refinement that generate --keep-rounds kept.")
-    ] = False,
-    workers: WorkersOption = 0,
-    json_output: JsonOption = False,
-    dry_run: DryRunOption = False,
-) -> None:
+        Literal["keyframes", "all", "none"],
+        Option("Pictures of all cameras at 2 Hz keyframes, at all 12 Hz frames, or none.", "Output"),
+    ] = "keyframes"
+    cell_width: Annotated[int, Option("Width of one camera in them, pixels; never enlarged.", "Output")] = 480
+    rounds: Annotated[bool, Option("Also the rounds of refinement that generate --keep-rounds kept.", "Search")] = False
+    workers: shared.Workers = 0
+    json_output: shared.Json = False
+    dry_run: shared.DryRun = False
+
+
+@command(SheetsOptions)
+def sheets_command(options: SheetsOptions) -> None:
     """Write scene sheets: what films, pictures and the site show of a split; the same command goes on."""
-    from benchmark.cli.preflight_data_sets import require_data
-    from benchmark.cli.preflight_places import require_place
+    from benchmark.machine.places import require_place
     from benchmark.scene_pages.writing import SheetSettings, plan_of
 
-    settings = SheetSettings(pictures.value, cell_width, name_list(scenes), limit, api.worker_count(workers), rounds)
-    if rounds and split in ("val", "val-r"):
-        raise InputError(f"--rounds shows what generate --split adv --keep-rounds kept; split {split} has none")
-    ahead = require_data(data, tables, split, out, scenes=settings.scenes, limit=limit)
-    require_place(out, "--out")
-    if dry_run and ahead.builds:
-        say_plan(ahead.plan(f"write sheets of {ahead.counted()} of {split}"), json_output=json_output)
+    settings = SheetSettings(
+        options.pictures,
+        options.cell_width,
+        name_list(options.scenes),
+        options.limit,
+        api.worker_count(options.workers),
+        options.rounds,
+    )
+    if options.rounds and options.split in ("val", "val-r"):
+        raise InputError(f"--rounds shows what generate --split adv --keep-rounds kept; split {options.split} has none")
+    data = api.DataSource.of(options)
+    ahead = data.require_split(options.split, settings.scenes, options.limit)
+    require_place(options.out, "--out")
+    if options.dry_run and ahead.builds:
+        say_plan(ahead.plan(f"write sheets of {ahead.counted()} of {options.split}"), json_output=options.json_output)
         return
-    between = pictures is SheetPictures.ALL and split == "val" and not dry_run
-    source = api.open_data(data, tables=tables, workers=workers, out=out, sweeps=between, categories=categories)
-    root = api.workspace(out).sheet_root()
-    dataset = api.open_split(source, split, out, workers=workers)
-    if dry_run:
-        say_plan([plan_of(dataset, split, root, settings)], json_output=json_output)
+    between = options.pictures == "all" and options.split == "val" and not options.dry_run
+    source = data.open(sweeps=between)
+    root = api.workspace(options.out).sheet_root()
+    dataset = data.open_split(options.split, source)
+    if options.dry_run:
+        say_plan([plan_of(dataset, options.split, root, settings)], json_output=options.json_output)
         return
-    written = api.write_sheets(dataset, split, root, settings)
-    if json_output:
-        print_json(written.as_json())
-    else:
-        typer.echo(written.sentence())
-    again = same_place(data, out)
+    written = api.write_sheets(dataset, options.split, root, settings)
+    print_result(written.as_json(), written.sentence(), json_output=options.json_output)
+    again = same_place(options)
     say_next(
         f"sheets: {written.directory}",
-        (f"film --split {split} --limit 1 --to films{again}", "a film of a scene; --model shows planners that ran"),
-        (f"leaderboard{same_place('mini', out)}", "tables and a site that plays all scenes"),
-        json_output=json_output,
+        (
+            f"film --split {options.split} --limit 1 --to films{again}",
+            "a film of a scene; --model shows planners that ran",
+        ),
+        (f"leaderboard{same_out(options.out)}", "tables and a site that plays all scenes"),
+        json_output=options.json_output,
     )
 
 
-@leaderboard_app.callback(invoke_without_command=True)
-def leaderboard_command(
-    context: typer.Context,
-    out: OutOption = api.OUT,
-    records: RecordsOption = None,
-    to: Annotated[Path | None, typer.Option(help="Folder of the tables, if not <out>/leaderboard.")] = None,
-    site: Annotated[bool, typer.Option("--site/--no-site", help="Whether to write the site too.")] = True,
-    check: Annotated[bool, typer.Option("--check", help="Only say whether the written tables are current.")] = False,
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeaderboardOptions:
+    """Options of ``leaderboard``."""
+
+    out: shared.Out = api.OUT
+    records: shared.Records = None
+    to: Annotated[Path | None, Option("Folder of the tables, if not <out>/leaderboard.", "Output")] = None
+    site: Annotated[bool, Option("Whether to write the site too.", "Output", names="--site/--no-site")] = True
+    check: Annotated[bool, Option("Only say whether the written tables are current.", "Output")] = False
     publish_check: Annotated[
         Path | None,
-        typer.Option(
-            "--publish-check",
-            help="Only say what of a site, a leaderboard or an --out should not leave the house, or needs a server.",
+        Option(
+            "Only say what of a site, a leaderboard or an --out should not leave the house, or needs a server.",
+            "Output",
         ),
-    ] = None,
+    ] = None
     may_show: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--may-show",
-            metavar="<str>",
-            help="Data set whose licence allows to show its pictures, for --publish-check; may be repeated.",
-        ),
-    ] = None,
-    json_output: JsonOption = False,
-) -> None:
-    """Write tables (Markdown, LaTeX, CSV, JSON), figures and site from run records, scene sheets and studies."""
-    if context.invoked_subcommand is not None:
-        return
-    from benchmark.cli.preflight_places import require_folder, require_place
+        tuple[str, ...] | None,
+        Option("Data set whose licence allows to show its pictures, for --publish-check; may be repeated.", "Output"),
+    ] = None
+    json_output: shared.Json = False
 
-    if publish_check is not None:
-        if check:
+
+@leaderboard_app.callback(invoke_without_command=True)
+@command(LeaderboardOptions)
+def leaderboard_command(options: LeaderboardOptions) -> None:
+    """Write tables (Markdown, LaTeX, CSV, JSON), figures and site from run records, scene sheets and studies."""
+    from benchmark.machine.places import require_folder, require_place
+
+    if options.publish_check is not None:
+        if options.check:
             raise InputError("--check and --publish-check are two questions; ask them one after the other")
-        raise typer.Exit(_say_publishable(publish_check, may_show or (), json_output=json_output))
-    if may_show:
-        raise InputError("--may-show belongs to --publish-check; add it or leave it out")
-    folder = to or out / "leaderboard"
-    for place in records or ():
-        require_folder(place, "--records")
-    if check:
-        stale = api.stale_leaderboard(out, folder, records, site=site)
-        if json_output:
-            print_json({"stale": stale})
-        else:
-            typer.echo("\n".join(stale) or f"{folder} is current")
-        raise typer.Exit(1 if stale else 0)
-    require_place(folder, "--to" if to else "--out")
-    written = api.write_leaderboard(out, folder, records, site=site)
-    if json_output:
-        print_json({"files": [str(path) for path in written]})
-    else:
-        typer.echo(
-            f"{counted(len(written), 'file')} in {folder}; start with "
-            f"{folder / ('site/index.html' if site else 'README.md')}"
+        raise typer.Exit(
+            _say_publishable(options.publish_check, options.may_show or (), json_output=options.json_output)
         )
-    page = f", {folder / 'site/index.html'} in any browser" if site else ""
+    if options.may_show:
+        raise InputError("--may-show belongs to --publish-check; add it or leave it out")
+    folder = options.to or options.out / "leaderboard"
+    for place in options.records or ():
+        require_folder(place, "--records")
+    if options.check:
+        stale = api.stale_leaderboard(options.out, folder, options.records, site=options.site)
+        print_result({"stale": stale}, "\n".join(stale) or f"{folder} is current", json_output=options.json_output)
+        raise typer.Exit(1 if stale else 0)
+    require_place(folder, "--to" if options.to else "--out")
+    written = api.write_leaderboard(options.out, folder, options.records, site=options.site)
+    first = folder / ("site/index.html" if options.site else "README.md")
+    text = f"{counted(len(written), 'file')} in {folder}; start with {first}"
+    print_result({"files": [str(path) for path in written]}, text, json_output=options.json_output)
+    page = f", {folder / 'site/index.html'} in any browser" if options.site else ""
     say_next(
         f"to read: {folder / 'README.md'}{page}",
-        (f"leaderboard --check{same_place('mini', out)}", "whether it is current, after further runs"),
-        json_output=json_output,
+        (f"leaderboard --check{same_out(options.out)}", "whether it is current, after further runs"),
+        json_output=options.json_output,
     )
 
 
@@ -175,20 +163,25 @@ def _say_publishable(folder: Path, may_show: "Sequence[str]", *, json_output: bo
     return 1 if found else 0
 
 
-@leaderboard_app.command("slices")
-def slices_command(
-    by: ByOption = None,
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlicesOptions:
+    """Options of ``leaderboard slices``."""
+
+    by: shared.By = None
     protocol: Annotated[
-        list[str] | None,
-        typer.Option(metavar="<str>", help="Whose numbers: a protocol, native, pdm or diagnosis; may be repeated."),
-    ] = None,
-    out: OutOption = api.OUT,
-    records: RecordsOption = None,
-    split: Annotated[str | None, typer.Option("--split", help="Only records of this split.")] = None,
-    data: Annotated[str | None, typer.Option("--data", help="Only records of the data set of this name.")] = None,
-    wide: WideOption = False,
-    json_output: JsonOption = False,
-) -> None:
+        tuple[str, ...] | None,
+        Option("Whose numbers: a protocol, native, pdm or diagnosis; may be repeated.", "Output"),
+    ] = None
+    out: shared.Out = api.OUT
+    records: shared.Records = None
+    split: Annotated[str | None, Option("Only records of this split.", "Input")] = None
+    data: Annotated[str | None, Option("Only records of the data set of this name.", "Input")] = None
+    wide: shared.Wide = False
+    json_output: shared.Json = False
+
+
+@command(SlicesOptions, leaderboard_app, "slices")
+def slices_command(options: SlicesOptions) -> None:
     """Print every rate by place, light, manoeuvre of the adversary, speed and command, from run records."""
     from benchmark.metrics.slices import KINDS, kinds_named
     from benchmark.protocols import protocol as known_protocol
@@ -198,30 +191,30 @@ def slices_command(
     from leaderboard.selection import one_run_each
     from leaderboard.tables.slices import DIAGNOSIS, slice_tables
 
-    asked = tuple(dict.fromkeys(protocol or ["exact"]))
+    asked = tuple(dict.fromkeys(options.protocol or ["exact"]))
     for name in asked:
         if name not in (NATIVE, PDM, DIAGNOSIS):
             known_protocol(name)
-    folders = records or [api.workspace(out).run_root()]
+    folders = options.records or [api.workspace(options.out).run_root()]
     chosen = [
         record
         for record in one_run_each(find_records(*folders))
-        if split in (None, record.run.split) and data in (None, record.run.data.name)
+        if options.split in (None, record.run.split) and options.data in (None, record.run.data.name)
     ]
     if not chosen:
         raise InputError(
             f"there are no such run records below {', '.join(map(str, folders))}; {said_of(recorded(folders))}; name "
             "one of these or run challenger-bench eval first"
         )
-    kinds = kinds_named(by or KINDS)
+    kinds = kinds_named(options.by or KINDS)
     names = sorted({record.run.data.name for record in chosen})
     tables = [
         table
         for name in names
         for table in slice_tables(name, [one for one in chosen if one.run.data.name == name], asked, kinds)
     ]
-    if json_output:
+    if options.json_output:
         print_json([table.as_json() for table in tables])
         return
     for table in tables:
-        typer.echo(table.plain(wide=wide))
+        typer.echo(table.plain(wide=options.wide))

@@ -1,46 +1,76 @@
 """Commands that check numerics and the machine: ``verify`` and ``doctor``."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from benchmark import api
-from benchmark.cli.options import JsonOption, OutOption, Verifiable, print_json
+from benchmark.cli import options as shared
+from benchmark.cli.output import print_json, print_result
+from benchmark.cli.settings import Option, command
 
 
-def verify_command(
-    what: Annotated[Verifiable, typer.Argument(help="What to compare.")],
-    golden: Annotated[Path | None, typer.Option(help="Directory of golden numbers, if not the built-in set.")] = None,
-    model: Annotated[str | None, typer.Option(help="With model: which one, for example vad-tiny.")] = None,
-    noise: Annotated[
-        bool, typer.Option("--noise", help="With model: run ours twice more, to tell its own rounding from an error.")
-    ] = False,
-    json_output: JsonOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VerifyOptions:
+    """Options of ``verify``."""
+
+    what: Annotated[
+        Literal[
+            "physics",
+            "scoring",
+            "denoiser",
+            "protocols",
+            "pdm",
+            "neuroncap",
+            "infos",
+            "results",
+            "drivers",
+            "severity",
+            "realism",
+            "model",
+        ],
+        Option("What to compare.", names=""),
+    ]
+    golden: Annotated[Path | None, Option("Directory of golden numbers, if not the built-in set.")] = None
+    model: Annotated[str | None, Option("With model: which one, for example vad-tiny.", "Planner")] = None
+    noise: Annotated[bool, Option("With model: run ours twice more, to tell its own rounding from an error.")] = False
+    json_output: shared.Json = False
+
+
+@command(VerifyOptions)
+def verify_command(options: VerifyOptions) -> None:
     """Compare numerics with golden numbers; exit code 1 if any differ by more than they may."""
-    from benchmark.cli.preflight_places import require_folder
+    from benchmark.machine.places import require_folder
     from benchmark.verification.checks import report
 
-    require_folder(golden, "--golden")
-    checks = api.verify(what.value, golden, model, noise=noise)
-    if json_output:
+    require_folder(options.golden, "--golden")
+    checks = api.verify(options.what, options.golden, options.model, noise=options.noise)
+    if options.json_output:
         print_json([check.as_json() for check in checks])
     else:
         typer.echo(report(checks))
-        if what is Verifiable.MODEL and not noise and not all(check.ok for check in checks):
+        if options.what == "model" and not options.noise and not all(check.ok for check in checks):
             typer.echo("--noise says which of these are as far off as our own rounding moves them", err=True)
     raise typer.Exit(0 if all(check.passes for check in checks) else 1)
 
 
-def doctor_command(out: OutOption = api.OUT, json_output: JsonOption = False) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DoctorOptions:
+    """Options of ``doctor``."""
+
+    out: shared.Out = api.OUT
+    json_output: shared.Json = False
+
+
+@command(DoctorOptions)
+def doctor_command(options: DoctorOptions) -> None:
     """Say whether this machine computes correctly and has what is needed."""
     from benchmark.machine.environment import checks
 
-    found = checks(out)
-    if json_output:
-        print_json([{"check": check.name, "ok": check.ok, "says": check.sentence} for check in found])
-    else:
-        for check in found:
-            typer.echo(f"{'ok  ' if check.ok else 'FAIL'}  {check.name}: {check.sentence}")
+    found = checks(options.out)
+    said = [{"check": check.name, "ok": check.ok, "says": check.sentence} for check in found]
+    lines = [f"{'ok  ' if check.ok else 'FAIL'}  {check.name}: {check.sentence}" for check in found]
+    print_result(said, "\n".join(lines), json_output=options.json_output)
     raise typer.Exit(0 if all(check.ok for check in found) else 1)

@@ -1,118 +1,130 @@
 """Commands on official weights: ``weights list|import|fetch|anchors``."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from benchmark import api
-from benchmark.cli.options import (
-    DataOption,
-    JsonOption,
-    NormalisationOption,
-    SplitOption,
-    TablesOption,
-    WorkersOption,
-    print_json,
-)
-from benchmark.cli.whole_help import WholeSummaries
-
-if TYPE_CHECKING:
-    from adapters.checkpoints.arrival import KeptWeights
-    from adapters.checkpoints.importing import ImportedWeights
+from benchmark.cli import options as shared
+from benchmark.cli.help import WholeSummaries
+from benchmark.cli.output import print_json, print_result
+from benchmark.cli.settings import Option, command
+from benchmark.errors import InputError, did_you_mean
 
 app = typer.Typer(
     cls=WholeSummaries, help="List, import and fetch official weights of the native models.", no_args_is_help=True
 )
 
 
-@app.command("list")
-def weights_list_command(json_output: JsonOption = False) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WeightsListOptions:
+    """Options of ``weights list``."""
+
+    json_output: shared.Json = False
+
+
+@command(WeightsListOptions, app, "list")
+def weights_list_command(options: WeightsListOptions) -> None:
     """List official files, where to get them, and what has been imported."""
     from adapters.checkpoints.listing import known_weights
 
     known = known_weights()
-    if json_output:
+    if options.json_output:
         print_json([entry.as_json() for entry in known])
         return
     for entry in known:
         typer.echo(entry.plain())
 
 
-@app.command("import")
-def weights_import_command(
-    path: Annotated[Path, typer.Argument(help="An official .pth file, or a folder of published weights.")],
-    model: Annotated[str | None, typer.Option(help="What it must be for; found out if not given.")] = None,
-    normalisation: NormalisationOption = None,
-    anchors: Annotated[
-        Path | None, typer.Option(help="Of weights anchors, or UniAD's .pkl, for weights that come without.")
-    ] = None,
-    json_output: JsonOption = False,
-) -> None:
-    """Check an official checkpoint without running anything in it, and keep its weights."""
-    from benchmark.cli.preflight_names import require_normalisation, require_published
-    from benchmark.cli.preflight_places import require_file
-    from benchmark.errors import InputError
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WeightsImportOptions:
+    """Options of ``weights import``."""
 
-    if not path.exists():
-        raise InputError(f"there is no file or folder {path}; name one that is there")
-    if model is not None:
-        require_published(model)
-    require_normalisation(normalisation)
-    require_file(anchors, "--anchors")
+    path: Annotated[Path, Option("An official .pth file, or a folder of published weights.", names="")]
+    model: Annotated[str | None, Option("What it must be for; found out if not given.", "Planner")] = None
+    normalisation: shared.Normalisation = None
+    anchors: Annotated[
+        Path | None, Option("Of weights anchors, or UniAD's .pkl, for weights that come without.", "Planner")
+    ] = None
+    json_output: shared.Json = False
+
+
+@command(WeightsImportOptions, app, "import")
+def weights_import_command(options: WeightsImportOptions) -> None:
+    """Check an official checkpoint without running anything in it, and keep its weights."""
+    from benchmark.machine.places import require_file
+
+    if not options.path.exists():
+        raise InputError(f"there is no file or folder {options.path}; name one that is there")
+    _require_weights(options.model, options.normalisation)
+    require_file(options.anchors, "--anchors")
     from adapters.checkpoints.arrival import import_weights
 
-    _tell(import_weights(path, model, normalisation=normalisation, anchors=anchors), json_output=json_output)
+    found = import_weights(options.path, options.model, normalisation=options.normalisation, anchors=options.anchors)
+    print_result(found.as_json(), found.sentence(), json_output=options.json_output)
 
 
-@app.command("fetch")
-def weights_fetch_command(
-    name: Annotated[str, typer.Argument(help="Model or file name, as weights list has them.")],
-    normalisation: NormalisationOption = None,
-    json_output: JsonOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WeightsFetchOptions:
+    """Options of ``weights fetch``."""
+
+    name: Annotated[str, Option("Model or file name, as weights list has them.", "Planner", names="")]
+    normalisation: shared.Normalisation = None
+    json_output: shared.Json = False
+
+
+@command(WeightsFetchOptions, app, "fetch")
+def weights_fetch_command(options: WeightsFetchOptions) -> None:
     """Fetch an official file, or a folder of published weights, from the internet and import it."""
-    from benchmark.cli.preflight_names import require_normalisation, require_published
-
-    require_published(name, files=True)
-    require_normalisation(normalisation)
+    _require_weights(options.name, options.normalisation, files=True)
     from adapters.checkpoints.arrival import fetch_weights
 
-    _tell(fetch_weights(name, normalisation=normalisation), json_output=json_output)
+    found = fetch_weights(options.name, normalisation=options.normalisation)
+    print_result(found.as_json(), found.sentence(), json_output=options.json_output)
 
 
-@app.command("anchors")
-def weights_anchors_command(
-    model: Annotated[str, typer.Option(help="sparsedrive or diffusiondrive.")],
-    data: DataOption,
-    out: Annotated[Path, typer.Option("--out", help="File of anchors to write (.safetensors).")],
-    split: SplitOption = "train",
-    tables: TablesOption = None,
-    workers: WorkersOption = 0,
-    json_output: JsonOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WeightsAnchorsOptions:
+    """Options of ``weights anchors``."""
+
+    model: Annotated[str, Option("sparsedrive or diffusiondrive.", "Planner")]
+    data: shared.Data
+    out: Annotated[Path, Option("File of anchors to write (.safetensors).", "Output")]
+    split: shared.Split = "train"
+    tables: shared.Tables = None
+    workers: shared.Workers = 0
+    json_output: shared.Json = False
+
+
+@command(WeightsAnchorsOptions, app, "anchors")
+def weights_anchors_command(options: WeightsAnchorsOptions) -> None:
     """Compute anchors from a data set by k-means, for weights that come without them."""
-    from benchmark.cli.preflight_data_sets import require_source
-    from benchmark.cli.preflight_names import require_clustered
-    from benchmark.cli.preflight_places import require_output_file
+    from adapters.models import published_models
+    from benchmark.machine.places import require_output_file
 
-    api.worker_count(workers)
-    require_clustered(model)
-    require_output_file(out, "--out", (".safetensors",))
-    require_source(data, tables, split, api.OUT, scenes=None, limit=None)
+    known = [name for name, each in published_models().items() if each.net.clustered]
+    if options.model not in known:
+        close = did_you_mean(options.model, known)
+        raise InputError(f"{options.model!r} is no model with anchors; {close}those are {', '.join(known)}")
+    require_output_file(options.out, "--out", (".safetensors",))
+    data = api.DataSource.of(options, out=api.OUT)
+    data.require_source(options.split)
     from adapters.checkpoints.anchor_files import write_anchors
 
-    source = api.open_data(data, tables=tables, workers=workers)
-    made = write_anchors(model, source, split, out).as_json()
-    if json_output:
-        print_json(made)
-        return
+    made = write_anchors(options.model, data.open(), options.split, options.out).as_json()
     counts = ", ".join(f"{count} {what}" for what, count in made["sightings"].items())
-    typer.echo(f"{made['path']}: anchors of {model} from {counts}")
+    print_result(made, f"{made['path']}: anchors of {options.model} from {counts}", json_output=options.json_output)
 
 
-def _tell(found: "ImportedWeights | KeptWeights", *, json_output: bool) -> None:
-    if json_output:
-        print_json(found.as_json())
-    else:
-        typer.echo(found.sentence())
+def _require_weights(name: str | None, normalisation: str | None, *, files: bool = False) -> None:
+    """Refuse what names no model with published weights, nor a file of theirs where one may be named; `InputError`."""
+    from adapters.camera_inputs import normalisation_of
+    from adapters.models import published_model
+    from benchmark.weights.catalogue import FOLDERS, checkpoint_of
+
+    if name is not None and name not in {entry.name for entry in FOLDERS}:
+        checkpoint_of(name) if files else published_model(name)
+    if normalisation is not None:
+        normalisation_of(normalisation)

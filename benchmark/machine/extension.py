@@ -4,6 +4,7 @@ Nothing is imported before somebody asks for it by name, and an extension that i
 """
 
 import importlib
+import importlib.util
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -128,3 +129,9 @@ def imported(reference: str) -> Any:
         if (name := absent_extension(error)) is None:
             raise
         raise not_installed(name) from None
+
+
+def require_package(module: str, sentence: str) -> None:
+    """Raise `InputError` with a sentence where an optional package is not installed; nothing is imported."""
+    if importlib.util.find_spec(module) is None:
+        raise InputError(sentence)

@@ -1,4 +1,4 @@
-"""How far lasting work is, told on stderr: a redrawn line on a terminal, a line a minute where there is none.
+"""How far lasting work is, told on stderr: a bar with the time left on a terminal, a line a minute where there is none.
 
 What is counted is what the user counts (scenes, vehicles, samples), and the time left follows from what was made since
 the work began: what an earlier command had finished counts as done and makes nothing look quicker than it is. The
@@ -11,10 +11,13 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, Final, TextIO, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TextIO, TypeVar
 
 from benchmark.report.terminal import terminal_width
 from benchmark.report.words import counted
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 Result = TypeVar("Result")
 
@@ -23,6 +26,7 @@ QUIET_S: Final = 2.0
 LINE_EVERY_S: Final = 60.0
 """Where there is no terminal; over all work of a command together."""
 _REDRAWN_EVERY_S: Final = 0.5
+_BAR_COLUMNS: Final = 12
 
 
 def _one(_: Any) -> int:
@@ -87,6 +91,10 @@ class Work:
         Returns:
             The sentence; without the time left before anything was made.
         """
+        return f"{self.label}: {self.state(now_s, unit)}"
+
+    def state(self, now_s: float, unit: "Work | None" = None) -> str:
+        """The `sentence` without what is done."""
         with self._lock:
             done, made = self._done, float(self._made)
         gone_s, left, within = now_s - self.begun_s, float(self.total - done), ""
@@ -94,7 +102,7 @@ class Work:
             share = unit.share()
             made, left = made + share, left - share
             within = f" ({unit.counts()})"
-        said = f"{self.label}: {self.counts()}{within}, {clock_time(gone_s)}"
+        said = f"{self.counts()}{within}, {clock_time(gone_s)}"
         return f"{said}, about {clock_time(gone_s * left / made)} left" if made and left > 0 else said
 
     def counts(self) -> str:
@@ -122,7 +130,7 @@ class Watch:
     _works: list[Work] = field(default_factory=list)
     _lock: threading.RLock = field(default_factory=threading.RLock)
     _line_s: float | None = None
-    _drawn: int = 0
+    _bar: "Progress | None" = None
     _silent: bool = False
 
     def silence(self) -> None:
@@ -165,11 +173,14 @@ class Watch:
             unit = self._works[-1] if self._works[-1].noun != work.noun else None
             if now_s - work.begun_s < QUIET_S:
                 return
-            if stream.isatty():
-                line = work.sentence(now_s, unit)[: terminal_width() - 1]
-                stream.write(f"\r{line.ljust(self._drawn)}")
-                stream.flush()
-                self._drawn = len(line)
+            if stream.isatty() and (bar := self._bar or self._new_bar(stream, work)) is not None:
+                state, inner = work.state(now_s, unit), 0.0 if unit is None else unit.share()
+                # The state is shown whole; of the label there is what room is left.
+                room = max(bar.console.width - _BAR_COLUMNS - len(state) - 2, 0)
+                label = work.label if len(work.label) <= room else f"{work.label[: room - 3]}..." if room > 3 else ""
+                done = work.share() * work.total + inner
+                bar.update(bar.task_ids[0], description=label, completed=done, state=state)
+                bar.refresh()
             elif self._line_s is not None and now_s - self._line_s >= LINE_EVERY_S:
                 self._line_s = now_s
                 stream.write(f"{work.sentence(now_s, unit)}\n")
@@ -181,13 +192,27 @@ class Watch:
             with contextlib.suppress(OSError, ValueError):
                 self.tick()
 
+    def _new_bar(self, stream: TextIO, work: Work) -> "Progress | None":
+        """Begin a bar; none on a terminal that cannot move its cursor."""
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn
+
+        console = Console(file=stream, width=terminal_width() - 1, highlight=False)
+        if console.is_dumb_terminal:
+            return None
+        label, state = TextColumn("{task.description}", markup=False), TextColumn("{task.fields[state]}", markup=False)
+        quiet: dict[str, Any] = {"auto_refresh": False, "redirect_stdout": False, "redirect_stderr": False}
+        columns = (label, BarColumn(_BAR_COLUMNS), state)
+        self._bar = Progress(*columns, console=console, transient=True, **quiet)
+        self._bar.add_task("", total=work.total, state="")
+        self._bar.start()
+        return self._bar
+
     def _clear(self) -> None:
-        if self._drawn:
-            stream = self.stream or sys.stderr
+        bar, self._bar = self._bar, None
+        if bar is not None:
             with contextlib.suppress(OSError, ValueError):
-                stream.write(f"\r{' ' * self._drawn}\r")
-                stream.flush()
-            self._drawn = 0
+                bar.stop()
 
 
 WATCH: Final = Watch()

@@ -71,7 +71,7 @@ def test_what_is_attacked_and_what_is_left_out_are_commands() -> None:
     commands = {name for name, _ in commands_of(typer.main.get_command(app)) if name}
     assert commands >= {*BASES} | LEFT_OUT and not {*BASES} & LEFT_OUT
     tries = option_tries()
-    assert {tried.command for tried in tries} == {*BASES} - {"models", "weights list"}
+    assert {tried.command for tried in tries} == {*BASES}
     assert len({tried.arguments for tried in tries}) == len(tries) > 100 * len(ABSURD)
     assert len(planner_tries()) == 2 * len(ODD_PLANNERS)
     assert len(server_tries()) == 2 * len(odd_answers()) - 3 * len(SLOW)

@@ -18,6 +18,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 MODULE_OF = {
     "nuscenes-devkit": "nuscenes",
     "opencv-python-headless": "cv2",
+    "pyyaml": "yaml",
     "pillow": "PIL",
 }
 BROUGHT_BY_OTHERS = {

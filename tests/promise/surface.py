@@ -79,13 +79,15 @@ def _options(command: Any, name: str) -> Iterator[str]:
         called = "/".join((*each.opts, *each.secondary_opts))
         kinds = list(kinds_of(each.type_descriptor.annotation))
         choices = [
-            choice for kind in kinds if isinstance(kind, type) and issubclass(kind, enum.Enum) for choice in kind
+            choice.value if isinstance(choice, enum.Enum) else choice
+            for kind in kinds
+            for choice in (kind if isinstance(kind, enum.EnumType) else typing.get_args(kind))
         ]
         kind = "choice" if choices else " or ".join(sorted(kind.__name__ for kind in kinds))
         repeated = ", may be repeated" if getattr(each, "multiple", False) or each.nargs == -1 else ""
-        default = "required" if each.required else f"default {plain(each.default)}"
+        default = "required" if each.required else f"default {each.default if choices else plain(each.default)}"
         yield f"{name} | {called} | {kind}, {default}{repeated}"
-        yield from (f"{name} | {called} | {choice.value}" for choice in choices)
+        yield from (f"{name} | {called} | {choice}" for choice in choices)
     for part, inner in getattr(command, "commands", {}).items():
         yield from _options(inner, f"{name} {part}")
 
@@ -93,8 +95,9 @@ def _options(command: Any, name: str) -> Iterator[str]:
 def kinds_of(annotation: Any) -> Iterator[type]:
     """The types that a value of an option has, without what makes it optional or repeated."""
     inner = [each for each in typing.get_args(annotation) if each not in (type(None), Ellipsis)]
-    if not inner:
+    if not inner or typing.get_origin(annotation) is typing.Literal:
         yield annotation
+        return
     for each in inner:
         yield from kinds_of(each)
 

@@ -1,156 +1,156 @@
 """Commands that train the small models of this package: ``train denoiser|planner|judge|ego-status``."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from benchmark import api
-from benchmark.cli.options import (
-    Architecture,
-    DeviceOption,
-    SeedOption,
-    SplitOption,
-    WorkersOption,
-    name_list,
-    print_json,
-)
-from benchmark.cli.whole_help import WholeSummaries
+from benchmark.cli import options as shared
+from benchmark.cli.help import WholeSummaries
+from benchmark.cli.options import name_list
+from benchmark.cli.output import print_json
+from benchmark.cli.settings import Option, command
 
 app = typer.Typer(cls=WholeSummaries, help="Train the small models that this package carries.", no_args_is_help=True)
 
 
-@app.command("denoiser")
-def train_denoiser_command(
-    tracks: Annotated[
-        Path, typer.Option(help="Folder of track files (.npz), nuPlan databases (.db) or nuScenes roots.")
-    ],
-    out: Annotated[Path, typer.Option(help="Weights file to write; log and progress lie beside it.")],
-    steps: Annotated[int | None, typer.Option(min=1, help="Optimisation steps.")] = None,
-    held_out: Annotated[str | None, typer.Option(help="Sources that only check, separated by commas.")] = None,
-    architecture: Annotated[
-        Architecture, typer.Option(help="The package's small network, or the published one, which wants a GPU.")
-    ] = Architecture.PACKAGED,
-    seed: SeedOption = 0,
-    device: DeviceOption = "cpu",
-) -> None:
-    """Train the trajectory model and describe it; the same command resumes."""
-    from benchmark.cli.preflight_names import require_device
-    from benchmark.cli.preflight_places import require_folder, require_output_file
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainDenoiserOptions:
+    """Options of ``train denoiser``."""
 
-    require_device(device)
-    require_folder(tracks, "--tracks")
-    require_output_file(out, "--out")
+    tracks: Annotated[Path, Option("Folder of track files (.npz), nuPlan databases (.db) or nuScenes roots.", "Input")]
+    out: Annotated[Path, Option("Weights file to write; log and progress lie beside it.", "Output")]
+    steps: Annotated[int | None, Option("Optimisation steps.", "Execution", min=1)] = None
+    held_out: Annotated[str | None, Option("Sources that only check, separated by commas.")] = None
+    architecture: Annotated[
+        Literal["packaged", "published"],
+        Option("The package's small network, or the published one, which wants a GPU."),
+    ] = "packaged"
+    seed: shared.Seed = 0
+    device: shared.Device = "cpu"
+
+
+@command(TrainDenoiserOptions, app, "denoiser")
+def train_denoiser_command(options: TrainDenoiserOptions) -> None:
+    """Train the trajectory model and describe it; the same command resumes."""
+    from benchmark.machine.places import require_folder, require_output_file
+
+    api.require_device(options.device)
+    require_folder(options.tracks, "--tracks")
+    require_output_file(options.out, "--out")
     from generation.diffusion.bank import write_bank
     from generation.extensions.denoiser_training.card import write_model_card
     from generation.extensions.denoiser_training.loop import TrainingConfig, train_denoiser
 
-    default = TrainingConfig(tracks=tracks, out=out, seed=seed, device=device).of_architecture(architecture.value)
-    checking = default.held_out if held_out is None else name_list(held_out) or ()
-    weights = train_denoiser(replace(default, steps=steps or default.steps, held_out=checking))
-    write_bank(weights, device=device)
-    typer.echo(f"{weights}, {write_model_card(weights, tracks)}")
+    default = TrainingConfig(
+        tracks=options.tracks, out=options.out, seed=options.seed, device=options.device
+    ).of_architecture(options.architecture)
+    checking = default.held_out if options.held_out is None else name_list(options.held_out) or ()
+    weights = train_denoiser(replace(default, steps=options.steps or default.steps, held_out=checking))
+    write_bank(weights, device=options.device)
+    typer.echo(f"{weights}, {write_model_card(weights, options.tracks)}")
 
 
-@app.command("planner")
-def train_planner_command(
-    model: Annotated[str, typer.Option("--model", help="A miniature (uniad-mini, ...) or image-encoder.")],
-    data: Annotated[Path, typer.Option(help="Root of a data set in nuScenes format.")],
-    out: Annotated[Path, typer.Option(help="Weights file to write; log, progress and card lie beside it.")],
-    split: SplitOption = "train",
-    steps: Annotated[int | None, typer.Option(help="Steps of all parts together, instead of the usual.")] = None,
-    learning_rate: Annotated[float | None, typer.Option(help="Instead of the usual.")] = None,
-    image_encoder: Annotated[Path | None, typer.Option(help="Weights of train planner --model image-encoder.")] = None,
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainPlannerOptions:
+    """Options of ``train planner``."""
+
+    model: Annotated[str, Option("A miniature (uniad-mini, ...) or image-encoder.", "Planner")]
+    data: Annotated[Path, Option("Root of a data set in nuScenes format.", "Input")]
+    out: Annotated[Path, Option("Weights file to write; log, progress and card lie beside it.", "Output")]
+    split: shared.Split = "train"
+    steps: Annotated[int | None, Option("Steps of all parts together, instead of the usual.", "Execution")] = None
+    learning_rate: Annotated[float | None, Option("Instead of the usual.")] = None
+    image_encoder: Annotated[Path | None, Option("Weights of train planner --model image-encoder.")] = None
     start_from: Annotated[
-        list[Path] | None,
-        typer.Option(help="Weights to start from, where names and shapes agree; of several files the last counts."),
-    ] = None,
-    judged_on: Annotated[Path | None, typer.Option(help="Data set whose split val gives the scores.")] = None,
+        tuple[Path, ...] | None,
+        Option("Weights to start from, where names and shapes agree; of several files the last counts.", "Input"),
+    ] = None
+    judged_on: Annotated[Path | None, Option("Data set whose split val gives the scores.", "Input")] = None
     adversarial: Annotated[
-        list[Path] | None,
-        typer.Option(help="Root of adversarial scenes made from the split, learned from as well; repeatable."),
-    ] = None,
+        tuple[Path, ...] | None,
+        Option("Root of adversarial scenes made from the split, learned from as well; repeatable.", "Input"),
+    ] = None
     also: Annotated[
-        list[Path] | None,
-        typer.Option(help="Root of another data set with that split, learned from as well; repeatable."),
-    ] = None,
-    only: Annotated[list[str] | None, typer.Option(help="A part of the training, instead of all; repeatable.")] = None,
+        tuple[Path, ...] | None,
+        Option("Root of another data set with that split, learned from as well; repeatable.", "Input"),
+    ] = None
+    only: Annotated[tuple[str, ...] | None, Option("A part of the training, instead of all; repeatable.")] = None
     kept_of_start: Annotated[
-        float, typer.Option(help="Share of the weights of --start-from in what is written, a weighted mean of both.")
-    ] = 0.0,
-    seed: SeedOption = 0,
-    device: DeviceOption = "auto",
-    workers: WorkersOption = 0,
-) -> None:
-    """Train a miniature of a native model on a data set; the same command resumes."""
-    from benchmark.cli.preflight_names import require_device, require_trainable
-    from benchmark.cli.preflight_places import require_file, require_output_file
-    from benchmark.datasets.listing import listed_scenes
+        float, Option("Share of the weights of --start-from in what is written, a weighted mean of both.")
+    ] = 0.0
+    seed: shared.Seed = 0
+    device: shared.Device = "auto"
+    workers: shared.Workers = 0
 
-    require_trainable(model)
-    require_device(device)
-    require_output_file(out, "--out", (".safetensors",))
-    require_file(image_encoder, "--image-encoder")
-    for path in start_from or ():
+
+@command(TrainPlannerOptions, app, "planner")
+def train_planner_command(options: TrainPlannerOptions) -> None:
+    """Train a miniature of a native model on a data set; the same command resumes."""
+    from adapters.models import miniature
+    from benchmark.datasets.listing import listed_scenes
+    from benchmark.machine.places import require_file, require_output_file
+
+    if options.model != "image-encoder":
+        miniature(options.model)
+    api.require_device(options.device)
+    require_output_file(options.out, "--out", (".safetensors",))
+    require_file(options.image_encoder, "--image-encoder")
+    for path in options.start_from or ():
         require_file(path, "--start-from")
-    listed_scenes(data, split)
-    if judged_on is not None:
-        listed_scenes(judged_on, "val")
-    for root in adversarial or ():
+    listed_scenes(options.data, options.split)
+    if options.judged_on is not None:
+        listed_scenes(options.judged_on, "val")
+    for root in options.adversarial or ():
         listed_scenes(root, "adv")
-    for root in also or ():
-        listed_scenes(root, split)
+    for root in options.also or ():
+        listed_scenes(root, options.split)
     from adapters.extensions.training.planners import PlannerTraining, train_planner
 
-    training = PlannerTraining(
-        model,
-        data,
-        split,
-        out,
-        steps,
-        seed,
-        learning_rate,
-        image_encoder,
-        tuple(start_from or ()),
-        judged_on,
-        device,
-        api.worker_count(workers),
-        tuple(adversarial or ()),
-        tuple(also or ()),
-        tuple(only or ()),
-        kept_of_start,
-    )
-    print_json(train_planner(training))
+    repeated = {name: getattr(options, name) or () for name in ("start_from", "adversarial", "also", "only")}
+    others = {"data_root": options.data, "workers": api.worker_count(options.workers), **repeated}
+    print_json(train_planner(PlannerTraining(**{**api.named_alike(PlannerTraining, options), **others})))
 
 
-@app.command("judge")
-def train_judge_command(
-    weights: Annotated[Path, typer.Argument(help="Weights file of train planner, with its .json beside it.")],
-    data: Annotated[Path, typer.Option(help="Data set whose split val gives the scores.")],
-) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainJudgeOptions:
+    """Options of ``train judge``."""
+
+    weights: Annotated[Path, Option("Weights file of train planner, with its .json beside it.", names="")]
+    data: Annotated[Path, Option("Data set whose split val gives the scores.", "Input")]
+
+
+@command(TrainJudgeOptions, app, "judge")
+def train_judge_command(options: TrainJudgeOptions) -> None:
     """Measure a trained miniature again, and write its facts and its card anew."""
-    from benchmark.cli.preflight_places import require_file
     from benchmark.datasets.listing import listed_scenes
+    from benchmark.machine.places import require_file
 
-    require_file(weights, "the weights")
-    listed_scenes(data, "val")
+    require_file(options.weights, "the weights")
+    listed_scenes(options.data, "val")
     from adapters.extensions.training.planners import judge_again
 
-    print_json(judge_again(weights, data))
+    print_json(judge_again(options.weights, options.data))
 
 
-@app.command("ego-status")
-def train_ego_status_command(
-    tracks: Annotated[Path, typer.Option(help="Folder of track files (npz).")],
-    out: Annotated[Path, typer.Option(help="Weights file to write (safetensors).")],
-    seed: SeedOption = 0,
-) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainEgoStatusOptions:
+    """Options of ``train ego-status``."""
+
+    tracks: Annotated[Path, Option("Folder of track files (npz).", "Input")]
+    out: Annotated[Path, Option("Weights file to write (safetensors).", "Output")]
+    seed: shared.Seed = 0
+
+
+@command(TrainEgoStatusOptions, app, "ego-status")
+def train_ego_status_command(options: TrainEgoStatusOptions) -> None:
     """Train the planner that sees its own motion and the command only."""
-    from benchmark.cli.preflight_places import require_folder, require_output_file
+    from benchmark.machine.places import require_folder, require_output_file
 
-    require_folder(tracks, "--tracks")
-    require_output_file(out, "--out")
+    require_folder(options.tracks, "--tracks")
+    require_output_file(options.out, "--out")
     from adapters.extensions.training.ego_status import train_ego_status
 
-    print_json(train_ego_status(tracks, out, seed=seed))
+    print_json(train_ego_status(options.tracks, options.out, seed=options.seed))

@@ -1,87 +1,98 @@
 """Commands that write cards: ``data card`` and ``leaderboard card``."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from benchmark import api
-from benchmark.cli.options import JsonOption, OutOption, RecordsOption, TablesOption, WorkersOption, print_json
+from benchmark.cli import options as shared
+from benchmark.cli.output import print_result
+from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
 from benchmark.report.words import counted
 
 if TYPE_CHECKING:
     from benchmark.extensions.cards.writing import CardSettings, WrittenCard
 
-ToOption = Annotated[Path, typer.Option(help="Folder for the card, its index and its metadata.")]
-TitleOption = Annotated[str | None, typer.Option(help="What it is called in public, if not by its name here.")]
+ToOption = Annotated[Path, Option("Folder for the card, its index and its metadata.", "Output")]
+TitleOption = Annotated[str | None, Option("What it is called in public, if not by its name here.", "Output")]
 LicenceOption = Annotated[
-    str | None, typer.Option(help="Identifier of its licence, such as cc-by-nc-sa-4.0; unknown if not given.")
+    str | None, Option("Identifier of its licence, such as cc-by-nc-sa-4.0; unknown if not given.", "Output")
 ]
-UrlOption = Annotated[str | None, typer.Option(help="Where it will be published.")]
-PublishedOption = Annotated[str | None, typer.Option(help="Day of that, YYYY-MM-DD.")]
-CreatorOption = Annotated[str | None, typer.Option(help="Who publishes it.")]
+UrlOption = Annotated[str | None, Option("Where it will be published.", "Output")]
+PublishedOption = Annotated[str | None, Option("Day of that, YYYY-MM-DD.", "Output")]
+CreatorOption = Annotated[str | None, Option("Who publishes it.", "Output")]
 
 
-def data_card_command(
-    root: Annotated[str, typer.Argument(help="mini, demo or the root of a data set, generated ones included.")],
-    to: ToOption,
-    title: TitleOption = None,
-    licence: LicenceOption = None,
-    url: UrlOption = None,
-    published: PublishedOption = None,
-    creator: CreatorOption = None,
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    workers: WorkersOption = 0,
-    json_output: JsonOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataCardOptions:
+    """Options of ``data card``."""
+
+    root: shared.Root
+    to: ToOption
+    title: TitleOption = None
+    licence: LicenceOption = None
+    url: UrlOption = None
+    published: PublishedOption = None
+    creator: CreatorOption = None
+    out: shared.Out = api.OUT
+    tables: shared.Tables = None
+    workers: shared.Workers = 0
+    json_output: shared.Json = False
+
+
+@command(DataCardOptions)
+def data_card_command(options: DataCardOptions) -> None:
     """Write a data-set card for a hub: README.md, a Parquet index of the scenes, and Croissant metadata."""
-    from benchmark.cli.preflight_data_sets import require_root
-    from benchmark.cli.preflight_places import require_place
     from benchmark.extensions.cards.writing import CardSettings
-    from benchmark.machine.workspace import EMBEDDED_NAMES
+    from benchmark.machine.places import require_place
 
-    settings = CardSettings(title, licence, url, published, creator)
-    api.worker_count(workers)
-    require_root(root, tables, out)
-    require_place(to, "--to")
+    settings = CardSettings(**api.named_alike(CardSettings, options))
+    data = api.DataSource.of(options)
+    data.require()
+    require_place(options.to, "--to")
     from benchmark.extensions.cards.data_card import write_data_card
 
-    data = api.open_data(root, tables=tables, workers=workers, out=out)
-    embedded = root in EMBEDDED_NAMES
-    written = write_data_card(data, to, settings, embedded=embedded)
-    _say(written, "scene", settings, json_output=json_output, named=embedded)
+    written = write_data_card(data.open(), options.to, settings, embedded=data.is_embedded)
+    _say(written, "scene", settings, json_output=options.json_output, named=data.is_embedded)
 
 
-def records_card_command(
-    to: ToOption,
-    title: TitleOption = None,
-    licence: LicenceOption = None,
-    url: UrlOption = None,
-    published: PublishedOption = None,
-    creator: CreatorOption = None,
-    out: OutOption = api.OUT,
-    records: RecordsOption = None,
-    json_output: JsonOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordsCardOptions:
+    """Options of ``leaderboard card``."""
+
+    to: ToOption
+    title: TitleOption = None
+    licence: LicenceOption = None
+    url: UrlOption = None
+    published: PublishedOption = None
+    creator: CreatorOption = None
+    out: shared.Out = api.OUT
+    records: shared.Records = None
+    json_output: shared.Json = False
+
+
+@command(RecordsCardOptions)
+def records_card_command(options: RecordsCardOptions) -> None:
     """Write a card of results for a hub: README.md, every rate as a row of a Parquet file, and Croissant metadata."""
-    from benchmark.cli.preflight_places import require_folder, require_place
     from benchmark.extensions.cards.records_card import write_records_card
     from benchmark.extensions.cards.writing import CardSettings
+    from benchmark.machine.places import require_folder, require_place
     from benchmark.records.drives import find_drives
     from benchmark.records.run import find_records
 
-    settings = CardSettings(title, licence, url, published, creator)
-    for place in records or ():
+    settings = CardSettings(**api.named_alike(CardSettings, options))
+    for place in options.records or ():
         require_folder(place, "--records")
-    require_place(to, "--to")
-    space = api.workspace(out)
-    folders = [each for each in records or (space.run_root(), space.drive_root()) if each.is_dir()]
+    require_place(options.to, "--to")
+    space = api.workspace(options.out)
+    folders = [each for each in options.records or (space.run_root(), space.drive_root()) if each.is_dir()]
     if not folders:
-        raise InputError(f"there are no records below {out}; run challenger-bench eval first, or name --records")
-    written = write_records_card(find_records(*folders), find_drives(*folders), to, settings)
-    _say(written, "rate", settings, json_output=json_output)
+        raise InputError(
+            f"there are no records below {options.out}; run challenger-bench eval first, or name --records"
+        )
+    written = write_records_card(find_records(*folders), find_drives(*folders), options.to, settings)
+    _say(written, "rate", settings, json_output=options.json_output)
 
 
 def _say(
@@ -92,7 +103,5 @@ def _say(
             "warning: the card says that its licence is not decided; --licence names one (what was made from "
             "recordings stays under their terms)"
         )
-    if json_output:
-        print_json(written.as_json())
-    else:
-        typer.echo(f"{counted(written.rows, rows)} in {written.files[1]}, beside {written.files[0].name} for a hub")
+    text = f"{counted(written.rows, rows)} in {written.files[1]}, beside {written.files[0].name} for a hub"
+    print_result(written.as_json(), text, json_output=json_output)

@@ -2,25 +2,18 @@
 
 import os
 from collections.abc import Sequence
-from enum import StrEnum
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from benchmark import api
-from benchmark.cli.options import (
-    JsonOption,
-    OutOption,
-    ScenesOption,
-    SeedOption,
-    WideOption,
-    WorkersOption,
-    name_list,
-    print_json,
-)
-from benchmark.cli.what_next import same_place, say_next
-from benchmark.cli.whole_help import WholeSummaries
+from benchmark.cli import options as shared
+from benchmark.cli.help import WholeSummaries
+from benchmark.cli.options import name_list
+from benchmark.cli.output import print_json, print_result, same_out, say_next
+from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
 from benchmark.report.words import counted
 
@@ -34,77 +27,72 @@ app = typer.Typer(
 )
 
 
-class RuleSet(StrEnum):
-    """Rules to start from (`benchmark.extensions.challenge.rules.RULE_SETS`)."""
-
-    DEFAULT = "default"
-    STRICT = "strict"
-    PAPER = "paper"
+RuleSet = Literal["default", "strict", "paper"]
+"""Rules to start from (`benchmark.extensions.challenge.rules.RULE_SETS`)."""
 
 
-class Horizon(StrEnum):
-    """Horizons of collision rates (`benchmark.metrics.rates.HORIZONS`)."""
-
-    ONE = "1s"
-    TWO = "2s"
-    THREE = "3s"
-    AVERAGE = "avg"
+Horizon = Literal["1s", "2s", "3s", "avg"]
+"""Horizons of collision rates (`benchmark.metrics.rates.HORIZONS`)."""
 
 
-BaseOption = Annotated[str, typer.Option("--base", help="mini, demo or the root of the recordings it was made from.")]
-BaseTablesOption = Annotated[
-    str | None, typer.Option("--base-tables", help="Version folder of the recordings, if there are several.")
-]
+BaseOption = Annotated[str, Option("mini, demo or the root of the recordings it was made from.", "Input")]
+BaseTablesOption = Annotated[str | None, Option("Version folder of the recordings, if there are several.", "Input")]
 EntryTablesOption = Annotated[
-    str | None, typer.Option("--tables", help="Version folder of the entry, if there are several.")
+    str | None, Option("Version folder of the entry, if there are several.", "Input", names="--tables")
 ]
-RulesOption = Annotated[Path | None, typer.Option("--rules", help="rules.toml; what it leaves out has its default.")]
+RulesOption = Annotated[Path | None, Option("rules.toml; what it leaves out has its default.", "Input")]
 
 
-@app.command("check")
-def challenge_check_command(
-    root: Annotated[Path, typer.Argument(help="Root of the entry.")],
-    base: BaseOption,
-    rules: RulesOption = None,
-    out: OutOption = api.OUT,
-    to: Annotated[Path | None, typer.Option(help="Folder of verdict and page, if not <out>/challenge/<entry>.")] = None,
-    tables: EntryTablesOption = None,
-    base_tables: BaseTablesOption = None,
-    scenes: ScenesOption = None,
-    page: Annotated[bool, typer.Option("--page/--no-page", help="Whether to write the page too.")] = True,
-    workers: WorkersOption = 0,
-    json_output: JsonOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChallengeCheckOptions:
+    """Options of ``challenge check``."""
+
+    root: Annotated[Path, Option("Root of the entry.", "Input", names="")]
+    base: BaseOption
+    rules: RulesOption = None
+    out: shared.Out = api.OUT
+    to: Annotated[Path | None, Option("Folder of verdict and page, if not <out>/challenge/<entry>.", "Output")] = None
+    tables: EntryTablesOption = None
+    base_tables: BaseTablesOption = None
+    scenes: shared.Scenes = None
+    page: Annotated[bool, Option("Whether to write the page too.", "Output", names="--page/--no-page")] = True
+    workers: shared.Workers = 0
+    json_output: shared.Json = False
+
+
+@command(ChallengeCheckOptions, app, "check")
+def challenge_check_command(options: ChallengeCheckOptions) -> None:
     """Say which scenes of an entry keep the rules; exit code 1 if one is refused, 2 if nothing can be said."""
-    from benchmark.cli.preflight_data_sets import require_root
-    from benchmark.cli.preflight_places import require_file, require_folder, require_place
     from benchmark.extensions.challenge.checking import check_entry
     from benchmark.extensions.challenge.page import write_page
     from benchmark.extensions.challenge.pictures import scenes_from_above
     from benchmark.extensions.challenge.rules import read_rules
+    from benchmark.machine.places import require_file, require_folder, require_place
     from benchmark.machine.storage import file_name
     from benchmark.machine.workers import LocalProcesses
     from benchmark.records.challenge import write_verdict
 
-    count = api.worker_count(workers)
-    require_file(rules, "--rules", (".toml",))
-    said = read_rules(rules)
-    require_folder(root, "entry")
-    require_root(base, base_tables, out)
-    require_place(to or out, "--to" if to else "--out")
-    entry, recordings = api.open_data(root, tables=tables), api.open_data(base, tables=base_tables, out=out)
-    verdict = check_entry(entry, recordings, said, name_list(scenes), LocalProcesses(count))
-    folder = to or api.workspace(out).challenge_root() / file_name(entry.name)
+    count = api.worker_count(options.workers)
+    require_file(options.rules, "--rules", (".toml",))
+    said = read_rules(options.rules)
+    require_folder(options.root, "entry")
+    base = api.DataSource.of(options, data=options.base, tables=options.base_tables)
+    base.require()
+    require_place(options.to or options.out, "--to" if options.to else "--out")
+    entry, recordings = api.open_data(options.root, tables=options.tables), base.open()
+    verdict = check_entry(entry, recordings, said, name_list(options.scenes), LocalProcesses(count))
+    folder = options.to or api.workspace(options.out).challenge_root() / file_name(entry.name)
     file = write_verdict(folder, verdict)
-    shown = write_page(folder, verdict, said, scenes_from_above(entry, recordings, verdict)) if page else file
-    if json_output:
+    shown = write_page(folder, verdict, said, scenes_from_above(entry, recordings, verdict)) if options.page else file
+    if options.json_output:
         print_json(verdict.model_dump(mode="json", by_alias=True))
     else:
         _say(verdict)
+    again = same_out(options.out)
     say_next(
-        f"verdict: {file}{f', {shown} in any browser' if page else ''}",
-        (f"challenge score {root} --base {base} --model constant-velocity{same_place('mini', out)}", "planners on it"),
-        json_output=json_output,
+        f"verdict: {file}{f', {shown} in any browser' if options.page else ''}",
+        (f"challenge score {options.root} --base {options.base} --model constant-velocity{again}", "planners on it"),
+        json_output=options.json_output,
     )
     raise typer.Exit(0 if verdict.accepted else 1)
 
@@ -145,87 +133,88 @@ def _say(verdict: "EntryVerdict") -> None:
     typer.echo(f"{accepted} of {counted(len(verdict.scenes), 'scene')} of {verdict.entry.name} accepted")
 
 
-@app.command("score")
-def challenge_score_command(
-    roots: Annotated[list[Path], typer.Argument(help="Roots of entries; names that are alike get their folders.")],
-    base: BaseOption,
-    model: Annotated[
-        list[str], typer.Option("--model", metavar="<str>", help="Planner by name or module:Class; may be repeated.")
-    ],
-    rules: RulesOption = None,
-    protocol: Annotated[str, typer.Option(help="Who judges the plans; native: each planner's own.")] = "exact",
-    horizon: Annotated[Horizon, typer.Option(help="Whose collision rate ranks; avg is the mean of the three.")] = (
-        Horizon.AVERAGE
-    ),
-    out: OutOption = api.OUT,
-    base_tables: BaseTablesOption = None,
-    device: Annotated[
-        str | None, typer.Option(help="Where a network runs: cpu, cuda, cuda:1; the first GPU if there is one.")
-    ] = None,
-    precision: Annotated[str | None, typer.Option(help="Of a network: float32 or bfloat16.")] = None,
-    seed: SeedOption = 0,
-    workers: WorkersOption = 0,
-    wide: WideOption = False,
-    json_output: JsonOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChallengeScoreOptions:
+    """Options of ``challenge score``."""
+
+    roots: Annotated[
+        tuple[Path, ...], Option("Roots of entries; names that are alike get their folders.", "Input", names="")
+    ]
+    base: BaseOption
+    model: Annotated[tuple[str, ...], Option("Planner by name or module:Class; may be repeated.", "Planner")]
+    rules: RulesOption = None
+    protocol: Annotated[str, Option("Who judges the plans; native: each planner's own.", "Output")] = "exact"
+    horizon: Annotated[Horizon, Option("Whose collision rate ranks; avg is the mean of the three.", "Output")] = "avg"
+    out: shared.Out = api.OUT
+    base_tables: BaseTablesOption = None
+    device: shared.NetworkDevice = None
+    precision: shared.Precision = None
+    seed: shared.Seed = 0
+    workers: shared.Workers = 0
+    wide: shared.Wide = False
+    json_output: shared.Json = False
+
+
+@command(ChallengeScoreOptions, app, "score")
+def challenge_score_command(options: ChallengeScoreOptions) -> None:
     """Check entries, let planners drive on them, rank them, and say which places are not told apart."""
-    from benchmark.cli.preflight_data_sets import require_root
-    from benchmark.cli.preflight_names import require_models
-    from benchmark.cli.preflight_places import require_file, require_folder, require_place
     from benchmark.extensions.challenge.rules import read_rules
     from benchmark.extensions.challenge.scoring import ScoreSettings, score_entries
+    from benchmark.machine.places import require_file, require_folder, require_place
     from benchmark.protocols import protocol as known_protocol
     from benchmark.records.challenge_scores import write_scores
     from benchmark.records.run import NATIVE
     from leaderboard.extensions.challenge.tables import challenge_tables
 
-    count = api.worker_count(workers)
-    if protocol != NATIVE:
-        known_protocol(protocol)
-    require_file(rules, "--rules", (".toml",))
-    said = read_rules(rules)
-    for root in roots:
+    count = api.worker_count(options.workers)
+    if options.protocol != NATIVE:
+        known_protocol(options.protocol)
+    require_file(options.rules, "--rules", (".toml",))
+    said = read_rules(options.rules)
+    for root in options.roots:
         require_folder(root, "entry")
-    require_models(model, None, data=base, device=device, precision=precision)
-    require_root(base, base_tables, out)
-    require_place(out, "--out")
-    planners = [api.load_planner(each, data=base, seed=seed, device=device, precision=precision) for each in model]
-    recordings = api.open_data(base, tables=base_tables, out=out)
-    entries = {name: api.open_data(root) for name, root in entry_names(roots).items()}
-    folder = api.workspace(out).challenge_root()
-    settings = ScoreSettings(folder, said, protocol, horizon.value, seed, count)
+    named = api.PlannerSource.of(options, data=options.base).require()
+    base = api.DataSource.of(options, data=options.base, tables=options.base_tables)
+    base.require()
+    require_place(options.out, "--out")
+    planners, recordings = named.load(), base.open()
+    entries = {name: api.open_data(root) for name, root in entry_names(options.roots).items()}
+    folder = api.workspace(options.out).challenge_root()
+    settings = ScoreSettings(folder, said, options.protocol, options.horizon, options.seed, count)
     scores = score_entries(entries, recordings, planners, settings)
     file = write_scores(folder, scores)
-    if json_output:
+    if options.json_output:
         print_json(scores.model_dump(mode="json", by_alias=True))
     else:
         for table in challenge_tables(scores):
-            typer.echo(table.plain(wide=wide))
+            typer.echo(table.plain(wide=options.wide))
     say_next(
         f"scores: {file}; verdicts and records of the planners: {folder}",
-        (f"leaderboard{same_place('mini', out)}", "the entries beside the planners"),
-        json_output=json_output,
+        (f"leaderboard{same_out(options.out)}", "the entries beside the planners"),
+        json_output=options.json_output,
     )
     failed = any(each.failed for entry in scores.entries for each in entry.planners.values())
     raise typer.Exit(1 if failed or not any(entry.best_place for entry in scores.entries) else 0)
 
 
-@app.command("rules")
-def challenge_rules_command(
-    rules: Annotated[Path | None, typer.Argument(help="rules.toml to read and complete.")] = None,
-    start: Annotated[
-        RuleSet,
-        typer.Option("--set", help="Without a file: the defaults, a stricter set, or one without limits of motion."),
-    ] = RuleSet.DEFAULT,
-    json_output: JsonOption = False,
-) -> None:
-    """Print a whole rules.toml, each rule with what it says."""
-    from benchmark.cli.preflight_places import require_file
-    from benchmark.extensions.challenge.rules import RULE_SETS, read_rules, rules_text
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChallengeRulesOptions:
+    """Options of ``challenge rules``."""
 
-    require_file(rules, "rules", (".toml",))
-    said = RULE_SETS[start.value] if rules is None else read_rules(rules)
-    if json_output:
-        print_json({"fingerprint": said.fingerprint, "rules": said.model_dump(mode="json", by_alias=True)})
-    else:
-        typer.echo(rules_text(said), nl=False)
+    rules: Annotated[Path | None, Option("rules.toml to read and complete.", "Input", names="")] = None
+    start: Annotated[
+        RuleSet, Option("Without a file: the defaults, a stricter set, or one without limits of motion.", names="--set")
+    ] = "default"
+    json_output: shared.Json = False
+
+
+@command(ChallengeRulesOptions, app, "rules")
+def challenge_rules_command(options: ChallengeRulesOptions) -> None:
+    """Print a whole rules.toml, each rule with what it says."""
+    from benchmark.extensions.challenge.rules import RULE_SETS, read_rules, rules_text
+    from benchmark.machine.places import require_file
+
+    require_file(options.rules, "rules", (".toml",))
+    said = RULE_SETS[options.start] if options.rules is None else read_rules(options.rules)
+    rules = {"fingerprint": said.fingerprint, "rules": said.model_dump(mode="json", by_alias=True)}
+    print_result(rules, rules_text(said), json_output=options.json_output)

@@ -1,21 +1,16 @@
 """Commands that write scenes for others: ``data export scenarionet|openscenario``."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from benchmark import api
-from benchmark.cli.options import (
-    JsonOption,
-    LimitOption,
-    OutOption,
-    ScenesOption,
-    TablesOption,
-    WorkersOption,
-    name_list,
-    print_json,
-)
+from benchmark.cli import options as shared
+from benchmark.cli.options import name_list
+from benchmark.cli.output import print_json
+from benchmark.cli.settings import Option, command
 from benchmark.report.words import counted
 
 if TYPE_CHECKING:
@@ -25,72 +20,55 @@ if TYPE_CHECKING:
     from benchmark.extensions.exchange.exporting import ExportedScene
 
 
-def export_scenarionet_command(
-    root: Annotated[str, typer.Argument(help="mini, demo or the root of a data set, generated ones included.")],
-    to: Annotated[Path, typer.Option("--to", help="Folder for the files, one a scene.")],
-    split: Annotated[str | None, typer.Option(help="Only this split; all scenes if not given.")] = None,
-    scenes: ScenesOption = None,
-    limit: LimitOption = None,
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    workers: WorkersOption = 0,
-    json_output: JsonOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportOptions:
+    """Options of ``data export scenarionet`` and ``data export openscenario``."""
+
+    root: shared.Root
+    to: Annotated[Path, Option("Folder for the files, one a scene.", "Output")]
+    split: Annotated[str | None, Option("Only this split; all scenes if not given.", "Input")] = None
+    scenes: shared.Scenes = None
+    limit: shared.Limit = None
+    out: shared.Out = api.OUT
+    tables: shared.Tables = None
+    workers: shared.Workers = 0
+    json_output: shared.Json = False
+
+
+@command(ExportOptions)
+def export_scenarionet_command(options: ExportOptions) -> None:
     """Write scenes as ScenarioNet files, which MetaDrive opens too; who is adversarial travels along."""
     from benchmark.extensions.exchange.exporting import export_scenarionet
 
-    dataset, names = _scenes_to_export(root, to, split, scenes, limit, out, tables, workers)
-    _say_exported(export_scenarionet(dataset, names, to, workers=api.worker_count(workers)), to, json_output)
+    dataset, names = _scenes_to_export(options)
+    files = export_scenarionet(dataset, names, options.to, workers=api.worker_count(options.workers))
+    _say_exported(files, options.to, options.json_output)
 
 
-def export_openscenario_command(
-    root: Annotated[str, typer.Argument(help="mini, demo or the root of a data set, generated ones included.")],
-    to: Annotated[Path, typer.Option("--to", help="Folder for the files, one a scene.")],
-    split: Annotated[str | None, typer.Option(help="Only this split; all scenes if not given.")] = None,
-    scenes: ScenesOption = None,
-    limit: LimitOption = None,
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    workers: WorkersOption = 0,
-    json_output: JsonOption = False,
-) -> None:
+@command(ExportOptions)
+def export_openscenario_command(options: ExportOptions) -> None:
     """Write scenes as OpenSCENARIO 1.2: a trajectory for every object, no road network."""
-    from benchmark.cli.preflight_names import require_package
     from benchmark.datasets.own_words import NEEDS_A_PACKAGE
+    from benchmark.machine.extension import require_package
 
     require_package("scenariogeneration", NEEDS_A_PACKAGE)
     from benchmark.extensions.exchange.openscenario import export_openscenario
 
-    dataset, names = _scenes_to_export(root, to, split, scenes, limit, out, tables, workers)
-    _say_exported(export_openscenario(dataset, names, to, workers=api.worker_count(workers)), to, json_output)
+    dataset, names = _scenes_to_export(options)
+    files = export_openscenario(dataset, names, options.to, workers=api.worker_count(options.workers))
+    _say_exported(files, options.to, options.json_output)
 
 
-def _scenes_to_export(
-    root: str,
-    to: Path,
-    split: str | None,
-    scenes: str | None,
-    limit: int | None,
-    out: Path,
-    tables: str | None,
-    workers: int,
-) -> "tuple[DataSet, tuple[str, ...]]":
+def _scenes_to_export(options: ExportOptions) -> "tuple[DataSet, tuple[str, ...]]":
     """The data set and the scenes that are exported; what cannot be is refused before anything is built."""
-    from benchmark.cli.preflight_data_sets import require_data, require_root
-    from benchmark.cli.preflight_places import require_place
+    from benchmark.machine.places import require_place
 
-    api.worker_count(workers)
-    named = name_list(scenes)
-    if split is None:
-        require_root(root, tables, out, named)
-    else:
-        require_data(root, tables, split, out, scenes=named, limit=limit)
-    require_place(to, "--to")
-    dataset = api.open_data(root, tables=tables, workers=workers, out=out)
-    if split is not None:
-        dataset = api.open_split(dataset, split, out, workers=workers)
+    data, named, split = api.DataSource.of(options), name_list(options.scenes), options.split
+    data.require(named) if split is None else data.require_split(split, named, options.limit)
+    require_place(options.to, "--to")
+    dataset = data.open() if split is None else data.open_split(split)
     known = dataset.scene_names(split)
-    return dataset, tuple(name for name in known if named is None or name in named)[:limit]
+    return dataset, tuple(name for name in known if named is None or name in named)[: options.limit]
 
 
 def _say_exported(files: "Sequence[ExportedScene]", to: Path, json_output: bool) -> None:

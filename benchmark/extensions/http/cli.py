@@ -1,13 +1,13 @@
 """``serve``: a planner as a model server for NeuroNCAP, and for whoever speaks its protocol."""
 
 import contextlib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from benchmark import api
-from benchmark.cli.options import MemoryLimitOption, SampleLimitOption, SeedOption
+from benchmark.cli import options as shared
+from benchmark.cli.settings import Option, command
 
 if TYPE_CHECKING:
     from benchmark.extensions.http.server import PlannerServer
@@ -15,49 +15,42 @@ if TYPE_CHECKING:
     from benchmark.sandbox.limits import Supervision
 
 
-def serve_command(
-    model: Annotated[str, typer.Option("--model", metavar="<str>", help="Planner name or package.module:Class.")],
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 takes a free one.")] = 9000,
-    host: Annotated[
-        str, typer.Option(help="Address to listen on; anything but 127.0.0.1 opens it to other machines.")
-    ] = "127.0.0.1",
-    accept_torch_tensors: Annotated[
-        bool, typer.Option("--accept-torch-tensors", help="Pictures may be saved tensors, as NeuroNCAP's (pickles).")
-    ] = False,
-    device: Annotated[
-        str | None, typer.Option(help="Where a network runs: cpu, cuda, cuda:1; the first GPU if there is one.")
-    ] = None,
-    precision: Annotated[str | None, typer.Option(help="Of a network: float32 or bfloat16.")] = None,
-    checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
-    sample_limit: SampleLimitOption = None,
-    memory_limit: MemoryLimitOption = None,
-    seed: SeedOption = 0,
-) -> None:
-    """Answer a simulator's requests with a planner's plans, over HTTP, until interrupted."""
-    from benchmark.cli.preflight_names import require_models, supervision_of
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServeOptions:
+    """Options of ``serve``."""
 
-    require_models([model], checkpoint, data="", device=device, precision=precision)
-    supervision = supervision_of([model], sample_limit, memory_limit)
-    _require_server(host, port)
-    server = serve_planner(
-        model,
-        checkpoint,
-        host=host,
-        port=port,
-        accept_torch_tensors=accept_torch_tensors,
-        device=device,
-        precision=precision,
-        seed=seed,
-        supervision=supervision,
-    )
+    model: Annotated[str, Option("Planner name or package.module:Class.", "Planner")]
+    port: Annotated[int, Option("Port to listen on; 0 takes a free one.", "Execution", min=0, max=65535)] = 9000
+    host: Annotated[
+        str, Option("Address to listen on; anything but 127.0.0.1 opens it to other machines.", "Execution")
+    ] = "127.0.0.1"
+    accept_torch_tensors: Annotated[
+        bool, Option("Pictures may be saved tensors, as NeuroNCAP's (pickles).", "Planner")
+    ] = False
+    device: shared.NetworkDevice = None
+    precision: shared.Precision = None
+    checkpoint: shared.Checkpoint = None
+    sample_limit: shared.SampleLimit = None
+    memory_limit: shared.MemoryLimit = None
+    seed: shared.Seed = 0
+
+
+@command(ServeOptions)
+def serve_command(options: ServeOptions) -> None:
+    """Answer a simulator's requests with a planner's plans, over HTTP, until interrupted."""
+    supervision = api.PlannerSource.of(options, data="").require().supervision
+    _require_server(options.host, options.port)
+    same = ("checkpoint", "host", "port", "accept_torch_tensors", "device", "precision", "seed")
+    named = {name: getattr(options, name) for name in same}
+    server = serve_planner(options.model, **named, supervision=supervision)
     if server.is_open:
         api.tell(
             f"warning: {server.host} is open to other machines: whoever reaches port {server.port} can use this "
             "planner, reset it and see what it answers; there is no password and nothing is encrypted"
         )
-    if accept_torch_tensors:
+    if options.accept_torch_tensors:
         api.tell("warning: saved tensors are pickles; they are read with weights_only, from whoever reaches this port")
-    api.tell(f"{model} answers at {server.url}, one scene at a time; Ctrl-C ends it")
+    api.tell(f"{options.model} answers at {server.url}, one scene at a time; Ctrl-C ends it")
     with contextlib.suppress(KeyboardInterrupt):
         server.serve()
     api.tell("ended")
@@ -113,10 +106,9 @@ def serve_planner(
 
 def _require_server(host: str, port: int) -> None:
     """Refuse to serve where nothing can listen, or without the packages that do."""
-    from benchmark.cli.preflight_names import require_package
-    from benchmark.cli.preflight_over_http import NEEDS
     from benchmark.extensions.http.listening import listening
+    from benchmark.machine.extension import require_package
 
     for package in ("uvicorn", "starlette"):
-        require_package(package, NEEDS.format(what="serving", package=package))
+        require_package(package, api.NEEDS_SERVE.format(what="serving", package=package))
     listening(host, port).close()

@@ -1,66 +1,56 @@
 """Command that writes info files: ``data export infos``."""
 
-from enum import StrEnum
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from benchmark import api
-from benchmark.cli.options import (
-    JsonOption,
-    OutOption,
-    TablesOption,
-    WorkersOption,
-    print_json,
-)
+from benchmark.cli import options as shared
+from benchmark.cli.output import print_json
+from benchmark.cli.settings import Option, command
 from benchmark.report.words import counted
 
-if TYPE_CHECKING:
-    pass
+InfoReader = Literal["uniad", "vad", "sparsedrive"]
+"""Whose info files are written."""
 
 
-class InfoReader(StrEnum):
-    """Whose info files are written."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportInfosOptions:
+    """Options of ``data export infos``."""
 
-    UNIAD = "uniad"
-    VAD = "vad"
-    SPARSEDRIVE = "sparsedrive"
-
-
-def export_infos_command(
-    root: Annotated[str, typer.Argument(help="mini, demo or the root of a data set, generated ones included.")],
-    reader: Annotated[InfoReader, typer.Option("--for", help="Whose code reads them; DiffusionDrive: sparsedrive.")],
-    to: Annotated[Path, typer.Option("--to", help="Folder for the info files and what official code needs beside.")],
+    root: shared.Root
+    reader: Annotated[
+        InfoReader, Option("Whose code reads them; DiffusionDrive: sparsedrive.", "Output", names="--for")
+    ]
+    to: Annotated[Path, Option("Folder for the info files and what official code needs beside.", "Output")]
     split: Annotated[
-        str | None, typer.Option(help="Only this split; val, or the only one of the data set, if not given.")
-    ] = None,
-    as_converted: Annotated[
-        bool,
-        typer.Option("--as-converted", help="Exactly what the official converter writes."),
-    ] = False,
-    root_as: Annotated[
-        str | None, typer.Option("--root-as", help="Where the root will be for the code that reads, if not here.")
-    ] = None,
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    workers: WorkersOption = 0,
-    json_output: JsonOption = False,
-) -> None:
-    """Write the info files with which UniAD, VAD, SparseDrive or DiffusionDrive evaluate a split."""
-    from benchmark.cli.preflight_data_sets import require_root
-    from benchmark.cli.preflight_places import require_place
-    from benchmark.extensions.infos.exporting import InfoSettings, export_infos
-    from benchmark.machine.workspace import EMBEDDED_NAMES
+        str | None, Option("Only this split; val, or the only one of the data set, if not given.", "Input")
+    ] = None
+    as_converted: Annotated[bool, Option("Exactly what the official converter writes.", "Output")] = False
+    root_as: Annotated[str | None, Option("Where the root will be for the code that reads, if not here.", "Output")] = (
+        None
+    )
+    out: shared.Out = api.OUT
+    tables: shared.Tables = None
+    workers: shared.Workers = 0
+    json_output: shared.Json = False
 
-    api.worker_count(workers)
-    require_root(root, tables, out)
-    require_place(to, "--to")
-    known = root in EMBEDDED_NAMES
-    folder = api.open_data(root, tables=tables, workers=workers, out=out).root if known else Path(root)
-    settings = InfoSettings(reader.value, tables, split, as_converted, root_as)
-    exported = export_infos(folder, to, settings)
-    if json_output:
+
+@command(ExportInfosOptions)
+def export_infos_command(options: ExportInfosOptions) -> None:
+    """Write the info files with which UniAD, VAD, SparseDrive or DiffusionDrive evaluate a split."""
+    from benchmark.extensions.infos.exporting import InfoSettings, export_infos
+    from benchmark.machine.places import require_place
+
+    data = api.DataSource.of(options)
+    data.require()
+    require_place(options.to, "--to")
+    folder = data.open().root if data.is_embedded else Path(options.root)
+    settings = InfoSettings(options.reader, options.tables, options.split, options.as_converted, options.root_as)
+    exported = export_infos(folder, options.to, settings)
+    if options.json_output:
         files = {str(path): count for path, count in exported.files.items()}
         departures = [departure.as_json() for departure in exported.departures]
         print_json({"files": files, "departures": departures, "not_cured": list(exported.not_cured)})

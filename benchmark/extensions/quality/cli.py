@@ -1,123 +1,103 @@
 """Command that measures the quality of videos: ``quality``."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import typer
-
 from benchmark import api
-from benchmark.cli.options import (
-    DataOption,
-    DryRunOption,
-    Frames,
-    FramesOption,
-    JsonOption,
-    LimitOption,
-    OutOption,
-    ScenesOption,
-    ShardOption,
-    SplitOption,
-    TablesOption,
-    WeightsFolderOption,
-    WideOption,
-    WorkersOption,
-    name_list,
-    print_json,
-    say_plan,
-)
-from benchmark.cli.shards import say_shard
-from benchmark.cli.what_next import same_place, say_next
+from benchmark.cli import options as shared
+from benchmark.cli.options import name_list
+from benchmark.cli.output import print_result, same_out, same_place, say_next, say_plan, say_shard
+from benchmark.cli.settings import Option, command
 
 if TYPE_CHECKING:
     from benchmark.extensions.quality.definition import Definition
 
 
-def quality_command(
-    split: SplitOption = "val",
-    data: DataOption = "mini",
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    masks: Annotated[
-        str, typer.Option(help="Source of masks: grounded-sam2 (the paper's), sam2-boxes, boxes (no network).")
-    ] = "grounded-sam2",
-    frames: FramesOption = Frames.KEYFRAMES,
-    lossless: Annotated[bool, typer.Option("--lossless", help="Score the PNG frames beside the split's own.")] = False,
-    weights_folder: WeightsFolderOption = None,
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QualityOptions:
+    """Options of ``quality``."""
+
+    split: shared.Split = "val"
+    data: shared.Data = "mini"
+    out: shared.Out = api.OUT
+    tables: shared.Tables = None
+    masks: Annotated[str, Option("Source of masks: grounded-sam2 (the paper's), sam2-boxes, boxes (no network).")] = (
+        "grounded-sam2"
+    )
+    frames: shared.Frames = "keyframes"
+    lossless: Annotated[bool, Option("Score the PNG frames beside the split's own.", "Output")] = False
+    weights_folder: shared.WeightsFolder = None
     device: Annotated[
-        str,
-        typer.Option(help="Where networks run: cpu, cuda, cuda:1, or several for a process on each; GPUs if any."),
-    ] = "auto",
-    batch: Annotated[int, typer.Option(min=1, help="Pictures that go through a network together.")] = 16,
-    scenes: ScenesOption = None,
-    limit: LimitOption = None,
-    shard: ShardOption = None,
-    workers: WorkersOption = 0,
-    wide: WideOption = False,
-    json_output: JsonOption = False,
-    dry_run: DryRunOption = False,
-) -> None:
+        str, Option("Where networks run: cpu, cuda, cuda:1, or several for a process on each; GPUs if any.", "Planner")
+    ] = "auto"
+    batch: Annotated[int, Option("Pictures that go through a network together.", "Execution", min=1)] = 16
+    scenes: shared.Scenes = None
+    limit: shared.Limit = None
+    shard: shared.Shard = None
+    workers: shared.Workers = 0
+    wide: shared.Wide = False
+    json_output: shared.Json = False
+    dry_run: shared.DryRun = False
+
+
+@command(QualityOptions)
+def quality_command(options: QualityOptions) -> None:
     """Measure subject consistency and imaging quality of a split's videos; the same command goes on."""
-    from benchmark.cli.preflight_data_sets import require_data
-    from benchmark.cli.preflight_names import require_devices
-    from benchmark.cli.preflight_places import require_folder, require_place
     from benchmark.extensions.quality.definition import Definition, mask_source
+    from benchmark.machine.places import require_folder, require_place
     from benchmark.machine.several_devices import workers_for
     from benchmark.runs.units import Shard
 
-    files: Literal["own", "lossless"] = "lossless" if lossless else "own"
-    definition = Definition(mask_source(masks), frames.value, files, batch=batch)
-    require_devices(device)
-    api.worker_count(workers_for(workers, device))
-    mine = None if shard is None else Shard.named(shard)
-    require_folder(weights_folder, "--weights-folder")
-    ahead = require_data(data, tables, split, out, scenes=name_list(scenes), limit=limit)
-    require_place(out, "--out")
-    if dry_run and ahead.builds:
-        then = f"score {ahead.counted()} of {split}; masks from {masks}"
-        say_plan(ahead.plan(then), json_output=json_output)
+    files: Literal["own", "lossless"] = "lossless" if options.lossless else "own"
+    definition = Definition(mask_source(options.masks), options.frames, files, batch=options.batch)
+    api.require_devices(options.device)
+    api.worker_count(workers_for(options.workers, options.device))
+    mine = None if options.shard is None else Shard.named(options.shard)
+    require_folder(options.weights_folder, "--weights-folder")
+    data, scenes = api.DataSource.of(options), name_list(options.scenes)
+    ahead = data.require_split(options.split, scenes, options.limit)
+    require_place(options.out, "--out")
+    if options.dry_run and ahead.builds:
+        then = f"score {ahead.counted()} of {options.split}; masks from {options.masks}"
+        say_plan(ahead.plan(then), json_output=options.json_output)
         return
-    if not dry_run:
-        _require_weights(definition, weights_folder)
+    if not options.dry_run:
+        _require_weights(definition, options.weights_folder)
     from benchmark.extensions.quality.measure import QualitySettings, measure_quality, measure_shard, plan_of
     from leaderboard.extensions.quality.tables import quality_tables
 
-    settings = QualitySettings(definition, weights_folder, device, name_list(scenes), limit, workers)
-    between = frames is Frames.ALL and split == "val" and not dry_run
-    source = api.open_data(data, tables=tables, workers=workers, out=out, sweeps=between)
-    dataset = api.open_split(source, split, out, workers=workers)
-    if dry_run:
-        say_plan([plan_of(dataset, split, settings)], json_output=json_output)
+    settings = QualitySettings(
+        definition, options.weights_folder, options.device, scenes, options.limit, options.workers
+    )
+    between = options.frames == "all" and options.split == "val" and not options.dry_run
+    dataset = data.open_split(options.split, data.open(sweeps=between))
+    if options.dry_run:
+        say_plan([plan_of(dataset, options.split, settings)], json_output=options.json_output)
         return
-    root = api.workspace(out).quality_root()
+    root = api.workspace(options.out).quality_root()
     if mine is not None:
-        done = measure_shard(dataset, split, root, settings, mine)
-        say_shard(
-            mine,
-            [done],
-            "scored",
-            (f"quality{same_place(data, out, tables)}", "with the same options and no --shard, when all shards are"),
-            json_output=json_output,
-        )
+        done = measure_shard(dataset, options.split, root, settings, mine)
+        step = (f"quality{same_place(options)}", "with the same options and no --shard, when all shards are")
+        say_shard(mine, [done], "scored", step, json_output=options.json_output)
         return
-    record = measure_quality(dataset, split, root, settings)
+    record = measure_quality(dataset, options.split, root, settings)
     for caveat in record.caveats:
         api.tell(f"warning: {caveat.sentence}")
-    if json_output:
-        facts = record.facts.model_dump(mode="json", by_alias=True, include={"definition", "weights", "summary"})
-        print_json({"directory": str(record.directory), **facts})
-    else:
-        typer.echo(quality_tables([record])[0].plain(wide=wide))
+    facts = record.facts.model_dump(mode="json", by_alias=True, include={"definition", "weights", "summary"})
+    table = quality_tables([record])[0].plain(wide=options.wide)
+    print_result({"directory": str(record.directory), **facts}, f"{table}\n", json_output=options.json_output)
     say_next(
         f"record: {record.directory}",
-        (f"leaderboard{same_place('mini', out)}", "all records in tables beside the paper's"),
-        json_output=json_output,
+        (f"leaderboard{same_out(options.out)}", "all records in tables beside the paper's"),
+        json_output=options.json_output,
     )
 
 
 def _require_weights(definition: "Definition", given: Path | None) -> None:
     """Refuse networks that are not here, before a split is built for them."""
-    from benchmark.cli.preflight_names import require_package
     from benchmark.extensions.quality.definition import needed_for
+    from benchmark.machine.extension import require_package
     from benchmark.weights.folders import folder_of
 
     for weights in needed_for(definition.masks):

@@ -1,24 +1,15 @@
 """The command that is run first with official weights: ``reproduce``."""
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from benchmark import api
-from benchmark.cli.options import (
-    DataOption,
-    DryRunOption,
-    JsonOption,
-    OutOption,
-    SeedOption,
-    TablesOption,
-    WideOption,
-    WorkersOption,
-    print_json,
-    say_plan,
-)
-from benchmark.cli.what_next import same_place, say_next
+from benchmark.cli import options as shared
+from benchmark.cli.output import print_result, same_place, say_next, say_plan
+from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,80 +18,76 @@ if TYPE_CHECKING:
 _SPLIT: Final = "val"
 
 
-def reproduce_command(
-    model: Annotated[str, typer.Option("--model", help="Model whose published numbers are wanted, such as uniad.")],
-    data: DataOption = "mini",
-    split: Annotated[str, typer.Option("--split", help="Split of the numbers.")] = _SPLIT,
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
-    expected: Annotated[
-        Path | None, typer.Option(help="File of numbers to compare with, if not the published ones.")
-    ] = None,
-    store: Annotated[
-        Path | None, typer.Option(help="Write what came out to this file, for --expected of a later run.")
-    ] = None,
-    plain: Annotated[
-        bool, typer.Option("--plain", help="Run as eval does by default, without --as-published all.")
-    ] = False,
-    device: Annotated[str | None, typer.Option(help="Where the network runs: cpu, cuda, cuda:1.")] = None,
-    precision: Annotated[str | None, typer.Option(help="Of the network: float32 or bfloat16.")] = None,
-    seed: SeedOption = 0,
-    workers: WorkersOption = 0,
-    wide: WideOption = False,
-    json_output: JsonOption = False,
-    dry_run: DryRunOption = False,
-) -> None:
-    """Run official weights as in their published run, and compare number by number; exit code 1 if any differs."""
-    from benchmark.cli.preflight_data_sets import require_data
-    from benchmark.cli.preflight_names import require_models, require_published_runs
-    from benchmark.cli.preflight_places import require_file, require_output_file, require_place
-    from benchmark.evaluation import require_whole_split
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReproduceOptions:
+    """Options of ``reproduce``."""
 
-    require_file(expected, "--expected", (".json",))
-    require_output_file(store, "--store", (".json",))
-    require_models([model], checkpoint, data=data, device=device, precision=precision)
-    runs = _planner_of(model, checkpoint, data, expected)
-    count, published = api.worker_count(workers), _as_published(runs, plain=plain)
-    numbers = _expected(runs, expected, split)
-    if require_published_runs([runs], checkpoint, published, data=data):
-        require_whole_split(runs, None, None, workers)
+    model: Annotated[str, Option("Model whose published numbers are wanted, such as uniad.", "Planner")]
+    data: shared.Data = "mini"
+    split: Annotated[str, Option("Split of the numbers.", "Input")] = _SPLIT
+    out: shared.Out = api.OUT
+    tables: shared.Tables = None
+    checkpoint: shared.Checkpoint = None
+    expected: Annotated[Path | None, Option("File of numbers to compare with, if not the published ones.")] = None
+    store: Annotated[
+        Path | None, Option("Write what came out to this file, for --expected of a later run.", "Output")
+    ] = None
+    plain: Annotated[bool, Option("Run as eval does by default, without --as-published all.")] = False
+    device: Annotated[str | None, Option("Where the network runs: cpu, cuda, cuda:1.", "Planner")] = None
+    precision: Annotated[str | None, Option("Of the network: float32 or bfloat16.", "Planner")] = None
+    seed: shared.Seed = 0
+    workers: shared.Workers = 0
+    wide: shared.Wide = False
+    json_output: shared.Json = False
+    dry_run: shared.DryRun = False
+
+
+@command(ReproduceOptions)
+def reproduce_command(options: ReproduceOptions) -> None:
+    """Run official weights as in their published run, and compare number by number; exit code 1 if any differs."""
+    from benchmark.evaluation import require_whole_split
+    from benchmark.machine.places import require_file, require_output_file, require_place
+
+    require_file(options.expected, "--expected", (".json",))
+    require_output_file(options.store, "--store", (".json",))
+    model = api.PlannerSource.of(options).require()
+    runs = _planner_of(options.model, options.checkpoint, options.data, options.expected)
+    count, published = api.worker_count(options.workers), _as_published(runs, plain=options.plain)
+    numbers = _expected(runs, options.expected, options.split)
+    model = replace(model, as_published=published)
+    if model.remembers_across_scenes():
+        require_whole_split(runs, None, None, options.workers)
         count = 1
-    ahead = require_data(data, tables, split, out)
-    require_place(out, "--out")
-    if dry_run:
+    data = api.DataSource.of(options)
+    ahead = data.require_split(options.split)
+    require_place(options.out, "--out")
+    if options.dry_run:
         how = f"with --as-published {' '.join(published)}" if published else "as eval does by default"
-        then = f"run {runs} on {ahead.counted()} of {split} {how}, and compare with {numbers.of}"
+        then = f"run {runs} on {ahead.counted()} of {options.split} {how}, and compare with {numbers.of}"
         said = ahead.plan(then) if ahead.builds else (f"would {then}",)
-        say_plan(said, json_output=json_output)
+        say_plan(said, json_output=options.json_output)
         return
     from benchmark.extensions.reproduce.reproducing import reproduce, store_expected
     from leaderboard.extensions.reproduction.tables import reproduction_table
 
-    factory = api.load_planner(
-        model, checkpoint, data=data, seed=seed, device=device, precision=precision, as_published=published
-    )
-    source = api.open_data(data, tables=tables, workers=workers, out=out)
-    dataset = api.open_split(source, split, out, workers=workers)
-    runs_root = api.workspace(out).run_root()
-    record, found = reproduce(dataset, split, factory, runs_root, numbers, workers=count, seed=seed)
-    if store is not None:
-        store_expected(store, record, numbers.protocol)
-    if json_output:
-        rows = [{**number.model_dump(mode="json"), "ok": number.ok} for number in found.numbers]
-        print_json({"directory": str(record.directory), "reproduced": found.reproduced, "numbers": rows})
-    else:
-        typer.echo(reproduction_table(found).plain(wide=wide), nl=False)
+    (factory,) = model.load()
+    dataset, runs_root = data.open_split(options.split), api.workspace(options.out).run_root()
+    record, found = reproduce(dataset, options.split, factory, runs_root, numbers, workers=count, seed=options.seed)
+    if options.store is not None:
+        store_expected(options.store, record, numbers.protocol)
+    rows = [{**number.model_dump(mode="json"), "ok": number.ok} for number in found.numbers]
+    result = {"directory": str(record.directory), "reproduced": found.reproduced, "numbers": rows}
+    print_result(result, reproduction_table(found).plain(wide=options.wide), json_output=options.json_output)
     if not found.reproduced:
         raise typer.Exit(1)
-    options = "".join(f" --as-published {option}" for option in published)
+    as_published = "".join(f" --as-published {option}" for option in published)
     say_next(
         f"record: {record.directory}",
         (
-            f"eval --model {model} --split adv{options}{same_place(data, out, tables)}",
+            f"eval --model {options.model} --split adv{as_published}{same_place(options)}",
             "tables mark runs of the same weights, code and options as reproduced",
         ),
-        json_output=json_output,
+        json_output=options.json_output,
     )
 
 

@@ -1,23 +1,17 @@
 """The command ``data review``: scenes looked at by hand, verdicts recorded beside the split."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from benchmark import api
-from benchmark.cli.options import (
-    JsonOption,
-    LimitOption,
-    OutOption,
-    ScenesOption,
-    SeedOption,
-    TablesOption,
-    WorkersOption,
-    name_list,
-    print_json,
-)
+from benchmark.cli import options as shared
+from benchmark.cli.options import name_list
+from benchmark.cli.output import print_json
+from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
 from benchmark.report.words import counted
 
@@ -25,50 +19,58 @@ if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
 
 
-def data_review_command(
-    root: Annotated[
-        str, typer.Argument(help="mini, demo or the root of a data set, generated ones included.")
-    ] = "mini",
-    split: Annotated[
-        str | None, typer.Option(help="Only this split; also adv or val-r that was generated from the data set.")
-    ] = None,
-    verdicts: Annotated[
-        Path | None, typer.Option(help="Record the verdicts of this .csv or .json file, without a page.")
-    ] = None,
-    show: Annotated[bool, typer.Option("--list", help="Only say which verdicts stand.")] = False,
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    scenes: ScenesOption = None,
-    limit: LimitOption = None,
-    sample: Annotated[int | None, typer.Option(min=1, help="Look at so many scenes, drawn by --seed.")] = None,
-    seed: SeedOption = 0,
-    inspector: Annotated[str, typer.Option(help="Who looks, if that shall stand beside the verdicts.")] = "",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page on 127.0.0.1; 0 takes a free one.")] = 0,
-    browser: Annotated[bool, typer.Option("--open", help="Also open the page in the browser.")] = False,
-    workers: WorkersOption = 0,
-    json_output: JsonOption = False,
-) -> None:
-    """Look at each scene on a local page and accept or reject it; rejected scenes are judged and written no more."""
-    from benchmark.cli.preflight_data_sets import require_data, require_root
-    from benchmark.cli.preflight_places import require_file
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataReviewOptions:
+    """Options of ``data review``."""
 
-    api.worker_count(workers)
-    named = name_list(scenes)
-    if verdicts is not None and (show or sample is not None or browser or named or limit):
+    root: shared.Root = "mini"
+    split: Annotated[
+        str | None, Option("Only this split; also adv or val-r that was generated from the data set.", "Input")
+    ] = None
+    verdicts: Annotated[
+        Path | None, Option("Record the verdicts of this .csv or .json file, without a page.", "Input")
+    ] = None
+    show: Annotated[bool, Option("Only say which verdicts stand.", "Output", names="--list")] = False
+    out: shared.Out = api.OUT
+    tables: shared.Tables = None
+    scenes: shared.Scenes = None
+    limit: shared.Limit = None
+    sample: Annotated[int | None, Option("Look at so many scenes, drawn by --seed.", "Input", min=1)] = None
+    seed: shared.Seed = 0
+    inspector: Annotated[str, Option("Who looks, if that shall stand beside the verdicts.")] = ""
+    port: Annotated[
+        int, Option("Port of the page on 127.0.0.1; 0 takes a free one.", "Execution", min=0, max=65535)
+    ] = 0
+    browser: Annotated[bool, Option("Also open the page in the browser.", names="--open")] = False
+    workers: shared.Workers = 0
+    json_output: shared.Json = False
+
+
+@command(DataReviewOptions)
+def data_review_command(options: DataReviewOptions) -> None:
+    """Look at each scene on a local page and accept or reject it; rejected scenes are judged and written no more."""
+    from benchmark.machine.places import require_file
+
+    data, named = api.DataSource.of(options), name_list(options.scenes)
+    of_page = options.show or options.sample is not None or options.browser or named or options.limit
+    if options.verdicts is not None and of_page:
         raise InputError("--verdicts records a whole file; leave the options of the page out")
-    require_file(verdicts, "--verdicts", (".csv", ".json"))
-    if split is None:
-        require_root(root, tables, out)
-    else:
-        require_data(root, tables, split, out)
-    dataset = api.open_data(root, tables=tables, workers=workers, out=out)
-    if split is not None:
-        dataset = api.open_split(dataset, split, out, workers=workers)
-    if verdicts is not None:
-        _record_file(dataset, verdicts)
-    elif not show:
-        _show_page(dataset, split, named, (limit, sample, seed), inspector, port, browser=browser)
-    _say(api.open_data(dataset.root, tables=dataset.version), split, json_output=json_output)
+    require_file(options.verdicts, "--verdicts", (".csv", ".json"))
+    data.require() if options.split is None else data.require_split(options.split)
+    dataset = data.open() if options.split is None else data.open_split(options.split)
+    if options.verdicts is not None:
+        _record_file(dataset, options.verdicts)
+    elif not options.show:
+        _show_page(
+            dataset,
+            options.split,
+            named,
+            (options.limit, options.sample, options.seed),
+            options.inspector,
+            options.port,
+            browser=options.browser,
+        )
+    _say(api.open_data(dataset.root, tables=dataset.version), options.split, json_output=options.json_output)
 
 
 def _record_file(dataset: "DataSet", path: Path) -> None:

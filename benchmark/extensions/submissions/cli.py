@@ -1,52 +1,48 @@
 """Command that checks records of strangers: ``leaderboard submit-check``."""
 
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from benchmark import api
-from benchmark.cli.options import (
-    DataOption,
-    JsonOption,
-    OutOption,
-    TablesOption,
-    WorkersOption,
-    print_json,
-)
+from benchmark.cli import options as shared
+from benchmark.cli.output import print_json
+from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
 from benchmark.report.words import counted
 
-if TYPE_CHECKING:
-    pass
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SubmitCheckOptions:
+    """Options of ``leaderboard submit-check``."""
+
+    folder: Annotated[Path, Option("Folder of submitted records, of runs and of drives.", names="")]
+    data: shared.Data = "mini"
+    out: shared.Out = api.OUT
+    tables: shared.Tables = None
+    workers: shared.Workers = 0
+    json_output: shared.Json = False
 
 
-def submit_check_command(
-    folder: Annotated[Path, typer.Argument(help="Folder of submitted records, of runs and of drives.")],
-    data: DataOption = "mini",
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    workers: WorkersOption = 0,
-    json_output: JsonOption = False,
-) -> None:
+@command(SubmitCheckOptions)
+def submit_check_command(options: SubmitCheckOptions) -> None:
     """Check a stranger's records of runs and drives: who planned, and every number, computed anew from the plans."""
-    from benchmark.cli.preflight_data_sets import require_root
-
-    api.worker_count(workers)
-    if not folder.is_dir():
-        raise InputError(f"there is no folder {folder}; name the one that holds the submitted records")
-    require_root(data, tables, out)
-
+    data = api.DataSource.of(options)
+    if not options.folder.is_dir():
+        raise InputError(f"there is no folder {options.folder}; name the one that holds the submitted records")
+    data.require()
     from adapters.known_planners import own_planner_like
     from benchmark.extensions.submissions.checking import check_submission, facts_of_record
     from benchmark.extensions.submissions.findings import Level
     from benchmark.records.run import RunRecord
 
-    source = api.open_data(data, tables=tables, workers=workers, out=out)
-    opener = partial(api.open_split, source, out=out, workers=workers)
-    sound, findings = check_submission(folder, source.name, opener, own_planner_like)
-    if json_output:
+    source = data.open()
+    opener = partial(data.open_split, source=source)
+    sound, findings = check_submission(options.folder, source.name, opener, own_planner_like)
+    if options.json_output:
         print_json(
             {"sound": [str(record.directory) for record in sound], "findings": [found.as_json() for found in findings]}
         )

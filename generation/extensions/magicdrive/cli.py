@@ -35,8 +35,9 @@ class Photorealistic:
 
     def require(self) -> None:
         """Raise `InputError` for a device that is none, and where weights or packages are absent that it draws with."""
-        from benchmark.cli.preflight_names import require_device, require_package
-        from benchmark.cli.preflight_places import require_folder
+        from benchmark.api import require_device
+        from benchmark.machine.extension import require_package
+        from benchmark.machine.places import require_folder
 
         require_device(self.device)
         require_folder(self.weights, "--weights-folder")

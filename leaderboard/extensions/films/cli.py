@@ -9,23 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from benchmark import api
-from benchmark.cli.options import (
-    DataOption,
-    FilmFormatName,
-    FilmFormatOption,
-    FilmLayoutName,
-    FilmLayoutOption,
-    JsonOption,
-    LimitOption,
-    OutOption,
-    RecordsOption,
-    ScenesOption,
-    SplitOption,
-    TablesOption,
-    name_list,
-    print_json,
-)
-from benchmark.cli.what_next import same_place, say_next
+from benchmark.cli import options as shared
+from benchmark.cli.options import name_list
+from benchmark.cli.output import print_json, same_out, say_next
+from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
@@ -37,69 +24,84 @@ if TYPE_CHECKING:
     from leaderboard.extensions.films.filming import Watch
 
 
-def film_command(
-    to: Annotated[Path, typer.Option(help="Folder to write to.")],
-    scenes: ScenesOption = None,
-    limit: LimitOption = None,
-    model: Annotated[
-        list[str] | None, typer.Option("--model", metavar="<str>", help="Planner to show; may be repeated.")
-    ] = None,
-    data: DataOption = "mini",
-    split: SplitOption = "adv",
-    out: OutOption = api.OUT,
-    records: RecordsOption = None,
-    layout: FilmLayoutOption = FilmLayoutName.BOTH,
-    form: FilmFormatOption = FilmFormatName.WEBM,
-    begin_s: Annotated[float, typer.Option("--from", help="First moment, seconds.")] = 0.0,
-    end_s: Annotated[float | None, typer.Option("--until", help="Last moment, seconds.")] = None,
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilmOptions:
+    """Options of ``film``."""
+
+    to: Annotated[Path, Option("Folder to write to.", "Output")]
+    scenes: shared.Scenes = None
+    limit: shared.Limit = None
+    model: Annotated[tuple[str, ...] | None, Option("Planner to show; may be repeated.", "Planner")] = None
+    data: shared.Data = "mini"
+    split: shared.Split = "adv"
+    out: shared.Out = api.OUT
+    records: shared.Records = None
+    layout: shared.FilmLayout = "both"
+    form: shared.FilmFormat = "webm"
+    begin_s: Annotated[float, Option("First moment, seconds.", names="--from")] = 0.0
+    end_s: Annotated[float | None, Option("Last moment, seconds.", names="--until")] = None
     fps: Annotated[
         float | None,
-        typer.Option(help="Frames a second, 12 of scenes and 10 of drives; the film is as fast as the scene."),
-    ] = None,
-    width: Annotated[int, typer.Option(help="Width of the frames in pixels, which are 16:9.")] = 1280,
-    extent: Annotated[float, typer.Option(help="Half the width of what is seen from above, metres.")] = 24.0,
-    north_up: Annotated[bool, typer.Option("--north-up", help="North points up, not the ego's heading.")] = False,
-    candidates: Annotated[bool, typer.Option(help="Whether to draw what the search chose from.")] = True,
-    protocol: Annotated[str, typer.Option(help="Whose verdicts are shown; native: of each planner's own.")] = "exact",
+        Option("Frames a second, 12 of scenes and 10 of drives; the film is as fast as the scene.", "Output"),
+    ] = None
+    width: Annotated[int, Option("Width of the frames in pixels, which are 16:9.", "Output")] = 1280
+    extent: Annotated[float, Option("Half the width of what is seen from above, metres.", "Output")] = 24.0
+    north_up: Annotated[bool, Option("North points up, not the ego's heading.", "Output")] = False
+    candidates: Annotated[
+        bool, Option("Whether to draw what the search chose from.", "Search", names="--candidates/--no-candidates")
+    ] = True
+    protocol: Annotated[str, Option("Whose verdicts are shown; native: of each planner's own.", "Output")] = "exact"
     drives: Annotated[
-        bool, typer.Option("--drives", help="Film drives in closed loop, of all planners unless --model names some.")
-    ] = False,
-    tables: TablesOption = None,
-    json_output: JsonOption = False,
-) -> None:
+        bool, Option("Film drives in closed loop, of all planners unless --model names some.", "Input")
+    ] = False
+    tables: shared.Tables = None
+    json_output: shared.Json = False
+
+
+@command(FilmOptions)
+def film_command(options: FilmOptions) -> None:
     """Film scenes from their sheets, or drives: cameras, view from above, plans and verdicts (docs/extensions/films.md)."""  # noqa: E501
-    from benchmark.cli.preflight_names import planners_shown
-    from benchmark.cli.preflight_places import require_folder, require_place
     from benchmark.constants import FRAME_HZ
+    from benchmark.machine.places import require_folder, require_place
     from benchmark.machine.progress import Count, progress
     from benchmark.protocols import protocol as known_protocol
     from leaderboard.extensions.films.drive_film import DRIVE_FPS
     from leaderboard.extensions.films.film import FilmLayout, FilmSettings
     from leaderboard.extensions.films.filming import FilmFormat, planner_folder, write_films
 
-    judge = protocol if protocol == "native" else known_protocol(protocol).name
-    shown, space = FilmLayout(layout.value), api.workspace(out)
-    for place in records or ():
+    judge = options.protocol if options.protocol == "native" else known_protocol(options.protocol).name
+    shown, space = FilmLayout(options.layout), api.workspace(options.out)
+    for place in options.records or ():
         require_folder(place, "--records")
-    require_place(to, "--to")
-    frame_rate = (DRIVE_FPS if drives else float(FRAME_HZ)) if fps is None else fps
-    settings = FilmSettings(shown, judge, begin_s, end_s, frame_rate, width, extent, not north_up, candidates)
+    require_place(options.to, "--to")
+    frame_rate = (DRIVE_FPS if options.drives else float(FRAME_HZ)) if options.fps is None else options.fps
+    settings = FilmSettings(
+        shown,
+        judge,
+        options.begin_s,
+        options.end_s,
+        frame_rate,
+        options.width,
+        options.extent,
+        not options.north_up,
+        options.candidates,
+    )
 
     def watch(frames: "Iterable[Picture]", total: int, label: str) -> "Iterable[Picture]":
         return progress(frames, total=total, label=label, count=Count("frame"))
 
-    if drives:
+    if options.drives:
         written = write_drive_films(
-            split,
-            to,
-            model or (),
-            data=data,
-            out=out,
-            tables=tables,
-            records=records,
-            scenes=name_list(scenes),
-            limit=limit,
-            form=form.value,
+            options.split,
+            options.to,
+            options.model or (),
+            data=options.data,
+            out=options.out,
+            tables=options.tables,
+            records=options.records,
+            scenes=name_list(options.scenes),
+            limit=options.limit,
+            form=options.form,
             settings=settings,
             watch=watch,
         )
@@ -107,28 +109,70 @@ def film_command(
         runs = space.run_root()
         written = write_films(
             space.sheet_root(),
-            records or runs,
-            data,
-            split,
-            to,
-            planners_shown(model or (), records or [planner_folder(runs, data, split)], runs),
-            scenes=name_list(scenes),
-            limit=limit,
-            form=FilmFormat(form.value),
+            options.records or runs,
+            options.data,
+            options.split,
+            options.to,
+            planners_shown(
+                options.model or (), options.records or [planner_folder(runs, options.data, options.split)], runs
+            ),
+            scenes=name_list(options.scenes),
+            limit=options.limit,
+            form=FilmFormat(options.form),
             settings=settings,
             watch=watch,
         )
     films = []
     for film in written:
         films.append(str(film))
-        typer.echo(films[-1], err=json_output)
-    if json_output:
+        typer.echo(films[-1], err=options.json_output)
+    if options.json_output:
         print_json({"films": films})
     say_next(
-        f"films: {to}",
-        (f"leaderboard{same_place('mini', out)}", "a site that plays all scenes"),
-        json_output=json_output,
+        f"films: {options.to}",
+        (f"leaderboard{same_out(options.out)}", "a site that plays all scenes"),
+        json_output=options.json_output,
     )
+
+
+def planners_shown(names: Sequence[str], records: Sequence[Path], everywhere: Path) -> list[str]:
+    """Planners as records name them: a full model that ran as its miniature, or a short name, is that which ran.
+
+    Args:
+        names: Planner names as ``--model`` takes them, or as tables show them.
+        records: Folders of the run records that will be shown.
+        everywhere: Folder of all run records, to say what there is instead.
+
+    Returns:
+        The names that the records have; a name stays as it is where they have none of it.
+
+    Raises:
+        InputError: If neither a planner nor a record has such a name, or there are no records at all.
+    """
+    from adapters.checkpoints.stand_in import miniature_of
+    from adapters.models import MODELS
+    from benchmark.records.inventory import recorded, said_of
+
+    found = recorded(records)
+    ran, shown = {each.planner for each in found}, []
+    for name in names:
+        own = MODELS[name].name if name in MODELS else name
+        small = miniature_of(own)
+        if name not in ran and own not in ran and small in ran:
+            api.say_once(
+                f"there are no records of {own}: {small}, which ran in its place, is shown (docs/miniatures.md)"
+            )
+        known = {*ran, *MODELS}
+        # Tables may show a planner with what tells its versions apart: "vad-base (seed 1)".
+        if name.partition(" (")[0] not in known and ":" not in name:
+            raise InputError(f"no planner is called {name!r}; {did_you_mean(name, known)}{said_of(found)}")
+        shown.append(next((each for each in (name, own, small) if each is not None and each in ran), name))
+    if names and not found:
+        raise InputError(
+            f"there are no run records at {', '.join(map(str, records))}; {said_of(recorded([everywhere]))}; name "
+            "these with --data and --split, or run challenger-bench eval first"
+        )
+    return shown
 
 
 @dataclass(frozen=True, slots=True)

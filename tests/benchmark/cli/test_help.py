@@ -8,7 +8,7 @@ import typer
 from typer.testing import CliRunner
 
 from benchmark.cli.app import app
-from benchmark.cli.whole_help import summary
+from benchmark.cli.help import summary
 
 
 def groups(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:

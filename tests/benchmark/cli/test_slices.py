@@ -8,8 +8,8 @@ import typer
 
 from benchmark.cli.app import app
 from benchmark.cli.evaluate import _show_runs
-from benchmark.cli.options import SliceName
 from benchmark.evaluation import evaluate
+from benchmark.metrics.slices import KINDS
 from tests.benchmark.cli.cli_runs import refusal
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Straight
@@ -30,11 +30,11 @@ def printed(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
 
 def test_all_kinds_are_printed_unless_some_are_asked_for(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     every = printed(capsys, "--records", runs)
-    assert [kind for kind in SliceName if f" by {kind.value}, protocol exact" in every] == [
-        SliceName.PLACE,
-        SliceName.LIGHT,
-        SliceName.SPEED,
-        SliceName.COMMAND,
+    assert [kind for kind in KINDS if f" by {kind}, protocol exact" in every] == [
+        "place",
+        "light",
+        "speed",
+        "command",
     ]
     by_speed = printed(capsys, "--records", runs, "--by", "speed", "--protocol", "pdm", "--protocol", "diagnosis")
     assert "5 to 10 m/s" in by_speed and "driving scores (%) by speed" in by_speed
@@ -51,10 +51,10 @@ def test_machines_get_tables_with_the_facts_behind_them(runs: Path, capsys: pyte
 def test_eval_prints_them_behind_its_tables_and_in_its_json(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record = evaluate(town_of_two(slow_leader=True), "val", Straight(), runs)
     settings = {"allow_partial": False, "wide": False}
-    assert _show_runs("fake", [record], None, [SliceName.PLACE], runs, json_output=False, **settings)
+    assert _show_runs("fake", [record], None, ["place"], runs, json_output=False, **settings)
     text = capsys.readouterr().out
     assert text.index("protocol exact (version") < text.index("by place, protocol exact")
-    assert _show_runs("fake", [record], None, [SliceName.PLACE], runs, json_output=True, **settings)
+    assert _show_runs("fake", [record], None, ["place"], runs, json_output=True, **settings)
     said = json.loads(capsys.readouterr().out)
     assert said["slices"][0]["name"] == "slices-place-exact" and said["runs"][0]["status"] == "complete"
     assert _show_runs("fake", [record], None, [], runs, json_output=True, **settings)

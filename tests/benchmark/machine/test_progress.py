@@ -17,6 +17,11 @@ from benchmark.machine.progress import Count, Watch, clock_time, progress
 ROOT = Path(__file__).resolve().parents[3]
 
 
+@pytest.fixture(autouse=True)
+def _terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+
+
 @dataclass
 class Clock:
     """A clock that somebody turns."""
@@ -45,10 +50,16 @@ def watched(watch: Watch, clock: Clock, each_s: float, units: int, count: Count 
     for _ in progress(work(), total=units, label="rendering", count=count, watch=watch):
         before = len(stream.getvalue())
         watch.tick()
-        yield stream.getvalue()[before:]
+        yield plain(stream.getvalue()[before:])
 
 
-def test_a_terminal_has_one_line_with_the_time_left_from_work_done() -> None:
+def plain(told: str) -> str:
+    """The last line of what a terminal was told, without colours and the bar."""
+    line = re.sub(r"\x1b\[[\d;?]*\w", "", told).split("\r")[-1]
+    return re.sub(r" +[━╸╺]+ +", ": ", line).rstrip("\n")
+
+
+def test_a_terminal_has_one_bar_with_the_time_left_from_work_done() -> None:
     clock, stream = Clock(), Terminal()
     lines = list(watched(Watch(stream, clock, beat=False), clock, 10.0, 3))
     assert [line.strip() for line in lines] == [
@@ -56,17 +67,26 @@ def test_a_terminal_has_one_line_with_the_time_left_from_work_done() -> None:
         "rendering: 2 of 3 scenes, 0:20, about 0:10 left",
         "rendering: 3 of 3 scenes, 0:30",
     ]
-    assert all(line.startswith("\r") for line in lines) and "\n" not in stream.getvalue()
-    assert stream.getvalue().endswith("\r") and stream.getvalue().split("\r")[-2].strip() == "", "the line is gone"
+    assert "━" in stream.getvalue() and stream.getvalue().endswith("\x1b[2K"), "the line is gone"
 
 
-def test_a_shorter_line_covers_the_longer_one_before(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "80")
+def test_a_line_fits_and_says_how_far_the_work_is_however_long_its_label(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("benchmark.machine.progress.terminal_width", lambda: 70)
     clock, stream = Clock(), Terminal()
-    lines = list(watched(Watch(stream, clock, beat=False), clock, 10.0, 3))
-    assert len(lines[2]) == len(lines[1])
-    monkeypatch.setenv("COLUMNS", "40")
-    assert all(len(line) <= 40 for line in watched(Watch(Terminal(), clock, beat=False), clock, 10.0, 3))
+    watch = Watch(stream, clock, beat=False)
+    with watch.work("a label that takes more room than there is, " * 3, 3, Count()) as work:
+        clock.seconds += 10.0
+        work.add("scene")
+        watch.tick()
+        told = plain(stream.getvalue())
+    assert told.endswith(": 1 of 3 scenes, 0:10, about 0:20 left") and told.startswith("a label") and len(told) < 60
+
+
+def test_a_terminal_without_a_cursor_has_no_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "dumb")
+    clock, stream = Clock(), Terminal()
+    list(watched(Watch(stream, clock, beat=False), clock, 50.0, 2))
+    assert stream.getvalue() == "rendering: 2 of 2 scenes, 1:40\n"
 
 
 def test_short_work_says_nothing() -> None:
@@ -122,13 +142,14 @@ def test_the_parts_of_a_unit_stand_in_brackets_and_count_for_the_time_left() -> 
         lines = [line.strip() for line in watched(watch, clock, 10.0, 4, Count("sample"))]
         scenes.add("a scene")
         watch.tick()
+        told = plain(stream.getvalue())
     assert lines == [
         "planning: 0 of 3 scenes (1 of 4 samples), 0:10, about 1:50 left",
         "planning: 0 of 3 scenes (2 of 4 samples), 0:20, about 1:40 left",
         "planning: 0 of 3 scenes (3 of 4 samples), 0:30, about 1:30 left",
         "planning: 0 of 3 scenes (4 of 4 samples), 0:40, about 1:20 left",
     ]
-    assert "planning: 1 of 3 scenes, 0:40, about 1:20 left" in stream.getvalue()
+    assert told == "planning: 1 of 3 scenes, 0:40, about 1:20 left"
 
 
 def test_a_silent_watch_says_nothing() -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.cli.caveats import warn_of_caveats
+from benchmark.cli.output import warn_of_caveats
 from benchmark.evaluation import evaluate
 from benchmark.records.caveats import Caveat, in_order
 from benchmark.records.rows import Rows

@@ -28,16 +28,6 @@ def require_file(path: Path | None, option: str, endings: Sequence[str] = ()) ->
         raise InputError(f"{option} {path} {what}; name a file that is there")
 
 
-def require_plans(plans: Path, native: str | None) -> None:
-    """Refuse a plan file that cannot be read, whatever it is for."""
-    from adapters.plan_file import read_plan_file
-    from benchmark.runs.planner_facts import known_native
-
-    known_native(native, f"plan file {plans}")
-    require_file(plans, "--plans", (".csv", ".parquet", ".json"))
-    read_plan_file(plans)
-
-
 def require_folder(path: Path | None, option: str) -> None:
     """Raise `InputError` for a folder to read from that is not there; ``None`` is none, which is fine."""
     if path is not None and not path.is_dir():

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from benchmark import api
-from benchmark.cli.preflight_names import planners_shown
 from benchmark.errors import InputError
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
+from leaderboard.extensions.films.cli import planners_shown
 from tests.hand_made import scene_on_straight_road
 
 

@@ -1,0 +1,282 @@
+"""Data sets by name: what is known of one before it is opened or built, and the data set itself when it is needed."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from benchmark.api.opening import DEFAULT_IMAGE_SIZE, OUT, open_data, open_split, worker_count, workspace
+from benchmark.api.options import named_alike
+from benchmark.errors import InputError, did_you_mean
+from benchmark.machine.places import gigabytes, require_place, require_room
+from benchmark.report.words import counted
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+    from benchmark.datasets.schema import FaultList
+    from generation.splits.packaged import NamedSplit
+
+_BYTES_OF_A_PIXEL: Final = 0.22
+"""Of the embedded town's images, with their rows in the tables: 0.36 GB for 10 scenes at 448 x 256."""
+_IMAGES_OF_A_SCENE: Final = {"all": 241 * 6, "keyframes": 41 * 6}
+"""Of 20 s, six cameras."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ahead:
+    """What a command will work on.
+
+    Attributes:
+        scenes: Names of the scenes that it will take.
+        builds: What has to be built first, for people: what, where, how long, how large.
+    """
+
+    scenes: tuple[str, ...]
+    builds: tuple[str, ...] = ()
+
+    def plan(self, then: str) -> tuple[str, ...]:
+        """What ``--dry-run`` says where something has to be built first."""
+        return (*(f"would first build {each}" for each in self.builds), f"would then {then}")
+
+    def counted(self) -> str:
+        """How many scenes, for people."""
+        return counted(len(self.scenes), "scene")
+
+
+@dataclass(frozen=True, slots=True)
+class DataSource:
+    """A data set that is checked at once and opened, or built, when it is needed.
+
+    Attributes:
+        data: ``mini``, ``demo`` or the root of a nuScenes-format data set.
+        tables: Version folder below the root, if there are several.
+        out: Folder below which generated splits lie.
+        workers: Processes that build what is absent; 0 takes all processors.
+        categories: What categories mean that are not nuScenes'.
+    """
+
+    data: str
+    tables: str | None = None
+    out: Path = OUT
+    workers: int = 0
+    categories: str | None = None
+
+    def __post_init__(self) -> None:
+        worker_count(self.workers)
+        if self.categories is not None:
+            from benchmark.datasets.categories import read_categories
+
+            read_categories(self.categories)
+
+    @classmethod
+    def of(cls, options: Any, **others: Any) -> "DataSource":
+        """The data set that options of a command name, as ``data`` or ``root``.
+
+        Args:
+            options: Those of them that are called as the attributes here count.
+            others: Attributes that the options say otherwise.
+        """
+        root = {"data": options.root} if hasattr(options, "root") else {}
+        return cls(**{**root, **named_alike(cls, options), **others})
+
+    def open(self, *, sweeps: bool = False, rates: "FaultList | None" = None) -> "DataSet":
+        """Open it; arguments and errors as in `benchmark.api.open_data`."""
+        return open_data(
+            self.data,
+            tables=self.tables,
+            workers=self.workers,
+            out=self.out,
+            rates=rates,
+            sweeps=sweeps,
+            categories=self.categories,
+        )
+
+    def open_split(self, split: str, source: "DataSet | None" = None) -> "DataSet":
+        """Open a split of it, whose data set may be open already; errors as in `benchmark.api.open_split`."""
+        return open_split(source or self.open(), split, self.out, workers=self.workers)
+
+    def require(self, scenes: Sequence[str] | None = None) -> Ahead:
+        """Refuse a data set that there is not, or scenes that are not in it; as `require_split`, whatever the split."""
+        if self._is_mini:
+            return _embedded("val", self.out, scenes, None)
+        return Ahead(_chosen(self._listed(None), None, scenes, None))
+
+    def require_source(self, split: str, scenes: Sequence[str] | None = None, limit: int | None = None) -> Ahead:
+        """Refuse what nothing can be generated from; as `require_split`, with scenes that may be of any split."""
+        if self._is_mini:
+            if split != "val":
+                raise InputError(f"the embedded data set mini has no split {split!r} of its own; the only one is val")
+            return _embedded("val", self.out, scenes, limit)
+        of_split = self._listed(split)
+        return Ahead(_chosen(of_split if scenes is None else self._listed(None), split, scenes, limit))
+
+    def require_split(self, split: str, scenes: Sequence[str] | None = None, limit: int | None = None) -> Ahead:
+        """Refuse a data set, a split or scenes that there are not and that will not be built.
+
+        Args:
+            split: The split; generated ones of the embedded data are built where they are absent.
+            scenes: Only these scenes.
+            limit: Only the first so many.
+
+        Returns:
+            What is known of the scenes, and what would be built.
+
+        Raises:
+            InputError: If there is no such data set, split or scene, or no room or right to build what is absent.
+        """
+        from benchmark.datasets.listing import listed_scenes
+        from benchmark.datasets.split_names import NoSuchSplit
+        from benchmark.machine.workspace import how_generated, is_finished, is_generated
+
+        if self._is_mini:
+            return _embedded(split, self.out, scenes, limit)
+        name = Path(self.data).resolve().name
+        made = workspace(self.out).split_root(name, split)
+        if is_generated(split) and is_finished(made):
+            _require_not_rejected(scenes, made, split)
+            return Ahead(_chosen(listed_scenes(made, split), split, scenes, limit))
+        every = self._listed(None)
+        try:
+            of_split = self._listed(split)
+            _require_not_rejected(scenes, self._root, split, self.tables)
+        except NoSuchSplit as error:
+            if not is_generated(split) or not every:
+                raise
+            raise InputError(
+                f"split {split!r} of {name} is not at {made}; make it with: challenger-bench generate --data "
+                f"{self.data} {how_generated(split)} --out {self.out}"
+            ) from error
+        return Ahead(_chosen(of_split, split, scenes, limit))
+
+    def require_room_to_draw(self, split: str, *, scenes: int, size: tuple[int, int], frames: str) -> None:
+        """Refuse a split made from it that the disk has no room for, where none of it has been made yet.
+
+        Args:
+            split: The split.
+            scenes: How many there will be, at least.
+            size: Width and height of their images, pixels.
+            frames: ``all`` or ``keyframes``.
+
+        Raises:
+            InputError: If less is free.
+        """
+        folder = workspace(self.out).split_root(Path(self.data).resolve().name, split)
+        if not folder.exists():
+            require_room(folder, town_bytes(scenes, size, frames), f"split {split}", "--out")
+
+    @property
+    def name(self) -> str:
+        """Its name in records."""
+        return self.data if self.is_embedded else Path(self.data).resolve().name
+
+    @property
+    def is_embedded(self) -> bool:
+        """Whether it is made here: ``mini`` or ``demo``."""
+        from benchmark.machine.workspace import EMBEDDED_NAMES
+
+        return self.data in EMBEDDED_NAMES
+
+    @property
+    def _is_mini(self) -> bool:
+        from benchmark.machine.workspace import EMBEDDED
+
+        return self.data == EMBEDDED
+
+    @property
+    def _root(self) -> Path:
+        from benchmark.machine.workspace import DEMONSTRATED
+
+        return workspace(self.out).demonstrated("val") if self.data == DEMONSTRATED else Path(self.data)
+
+    def _listed(self, split: str | None) -> tuple[str, ...]:
+        """Names of scenes as the tables have them, without opening the data set."""
+        from benchmark.datasets.listing import listed_scenes
+
+        return listed_scenes(self._root, split, version=self.tables)
+
+
+def town_bytes(scenes: int, size: tuple[int, int] = DEFAULT_IMAGE_SIZE, frames: str = "all") -> int:
+    """How much of a disk scenes take with schematic images of a size (width, height), about."""
+    return round(scenes * _IMAGES_OF_A_SCENE[frames] * size[0] * size[1] * _BYTES_OF_A_PIXEL)
+
+
+def _embedded(split: str, out: Path, scenes: Sequence[str] | None, limit: int | None) -> Ahead:
+    """The embedded data set, of which everything is known before it is built."""
+    from benchmark.datasets.listing import listed_scenes
+    from benchmark.machine.workspace import EMBEDDED, GENERATED_SPLITS, cache_root, how_generated, is_finished
+    from benchmark.records.seed_splits import seed_of
+    from generation.sources.mini import TownSettings
+    from generation.sources.town.scenes import town_scene_names
+    from generation.splits.packaged import newest_split
+
+    splits = ("val", *GENERATED_SPLITS)
+    if seed_of(split) is not None and not is_finished(made_by_seed := workspace(out).split_root(EMBEDDED, split)):
+        raise InputError(
+            f"split {split!r} of {EMBEDDED} is not at {made_by_seed}; make it with: challenger-bench generate "
+            f"{how_generated(split)} --out {out}"
+        )
+    if seed_of(split) is None and split not in splits:
+        raise InputError(
+            f"the embedded data set mini has no split {split!r}; {did_you_mean(split, splits)}it has "
+            f"{', '.join(splits)}"
+        )
+    settings, made = TownSettings(), workspace(out).split_root(EMBEDDED, split)
+    root, recorded = cache_root() / settings.folder_name(EMBEDDED), town_scene_names("val", settings.val_scenes)
+    builds = []
+    if not is_finished(root):
+        needed = town_bytes(settings.val_scenes, frames="keyframes")
+        require_place(root, "CHALLENGER_BENCH_CACHE")
+        require_room(root, needed, "the embedded data set", "CHALLENGER_BENCH_CACHE")
+        builds.append(f"the embedded data set in {root} (once, about a minute, {gigabytes(needed)})")
+    if split == "val":
+        return Ahead(_chosen(recorded, split, scenes, limit), tuple(builds))
+    if is_finished(made):
+        return Ahead(_chosen(listed_scenes(made, split), split, scenes, limit), tuple(builds))
+    if split == "adv":
+        frozen = newest_split(EMBEDDED)
+        builds += _frozen_ahead(frozen)
+        made_names = tuple(sorted(scene.name for scene in frozen.frozen.scenes))
+        return Ahead(_chosen(made_names, split, scenes, limit), tuple(builds))
+    needed = town_bytes(len(recorded))
+    require_place(made, "--out")
+    require_room(made, needed, f"split {split} of the embedded data set", "--out")
+    builds.append(f"split {split} of it in {made} (once, some minutes, {gigabytes(needed)})")
+    return Ahead(_chosen(recorded, split, scenes, limit), tuple(builds))
+
+
+def _frozen_ahead(newest: "NamedSplit") -> list[str]:
+    """A frozen split of the embedded data set, where it is not built yet."""
+    from benchmark.machine.workspace import cache_root, is_finished
+
+    # What else its folder's name is made of is known once the recordings are there.
+    if any(is_finished(root) for root in cache_root().glob(f"{newest.name}-*")):
+        return []
+    needed = town_bytes(len(newest.frozen.scenes), frames="keyframes")
+    require_place(cache_root(), "CHALLENGER_BENCH_CACHE")
+    require_room(cache_root(), needed, f"the frozen split {newest.name}", "CHALLENGER_BENCH_CACHE")
+    return [f"the frozen split {newest.name} in {cache_root()} (once, about two minutes, {gigabytes(needed)})"]
+
+
+def _require_not_rejected(scenes: Sequence[str] | None, where: Path, split: str, version: str | None = None) -> None:
+    from benchmark.datasets.listing import listed_review
+    from benchmark.records.review import require_not_rejected
+
+    require_not_rejected(scenes or (), listed_review(where, split, version=version).rejected, str(where))
+
+
+def _chosen(
+    known: tuple[str, ...], split: str | None, scenes: Sequence[str] | None, limit: int | None
+) -> tuple[str, ...]:
+    unknown = sorted(set(scenes or ()) - set(known))
+    if unknown:
+        where = "there is" if split is None else f"split {split!r} has"
+        raise InputError(
+            f"{where} no scene {', '.join(unknown[:3])}{' ...' if len(unknown) > 3 else ''}; "
+            f"{did_you_mean(unknown[0], known)}it has {counted(len(known), 'scene')}, among them {', '.join(known[:3])}"
+        )
+    if not known:
+        raise InputError(f"split {split!r} has no scene that could be used: inspectors rejected all, or it has none")
+    wanted = known if scenes is None else tuple(name for name in known if name in set(scenes))
+    if not wanted:
+        raise InputError("--scenes names no scene; leave it out or name one")
+    return wanted[:limit]

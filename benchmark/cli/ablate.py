@@ -1,0 +1,113 @@
+"""Command that repeats the paper's ablation: ``ablate``."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from benchmark import api
+from benchmark.cli import options as shared
+from benchmark.cli.built_splits import (
+    hyper_parameter_names,
+    require_cluster,
+    require_trajectory_model,
+    trajectory_model,
+)
+from benchmark.cli.options import executor_of, image_size, name_list
+from benchmark.cli.output import print_result, same_out, say_next, say_plan
+from benchmark.cli.settings import Option, command
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AblateOptions:
+    """Options of ``ablate``."""
+
+    model: Annotated[str, Option("Planner that has to drive.", "Planner")] = "constant-velocity"
+    checkpoint: shared.Checkpoint = None
+    sample_limit: shared.SampleLimit = None
+    memory_limit: shared.MemoryLimit = None
+    data: shared.Data = "mini"
+    out: shared.Out = api.OUT
+    tables: shared.Tables = None
+    source_split: Annotated[str, Option("Split of the data set to start from.", "Input")] = "val"
+    scenes: shared.Scenes = None
+    limit: shared.Limit = None
+    vehicles: Annotated[int | None, Option("Vehicles to try per scene, at most.", "Search", min=1)] = None
+    candidates: Annotated[int | None, Option("Candidates per planning step.", "Search", min=4, max=65536)] = None
+    preset: shared.Preset = "default"
+    changes: shared.Set = None
+    denoiser: shared.Denoiser = None
+    device: shared.Devices = "cpu"
+    together: shared.Together = 1
+    size: shared.Size = "448x256"
+    seed: shared.Seed = 0
+    workers: shared.Workers = 0
+    executor: shared.Executor = "local"
+    address: shared.Address = None
+    wide: shared.Wide = False
+    json_output: shared.Json = False
+    dry_run: shared.DryRun = False
+
+    @staticmethod
+    def reserved() -> "frozenset[str]":
+        """Names that ``--set`` leaves to the search: its hyper-parameters."""
+        return hyper_parameter_names()
+
+
+@command(AblateOptions)
+def ablate_command(options: AblateOptions) -> None:
+    """Run the paper's ablation: full search, without refinement (MTR), without scoring (TS), without both."""
+    from benchmark.machine.places import require_place
+    from benchmark.machine.several_devices import require_one_device, workers_for
+    from benchmark.machine.storage import file_name
+    from generation.search.departures import told
+    from generation.search.presets import hyper_parameters
+
+    shortcuts = {"candidate_limit": options.vehicles, "candidates": options.candidates}
+    hyper = hyper_parameters(options.preset, shortcuts, options.changes or ())
+    driver = api.PlannerSource.of(options, device=None).require()
+    require_trajectory_model(options.device, options.denoiser)
+    if options.executor != "local":
+        require_one_device(options.device, "a Ray cluster gives its tasks GPUs itself")
+    drawing, scenes = api.schematic_renderer(image_size(options.size)), name_list(options.scenes)
+    place = executor_of(options.executor, options.address, workers_for(options.workers, options.device))
+    data = api.DataSource.of(options)
+    ahead = data.require_source(options.source_split, scenes, options.limit)
+    require_place(options.out, "--out")
+    if options.dry_run and ahead.builds:
+        then = (
+            f"search {ahead.counted()} four times, with {options.model} driving; --dry-run says how long once they are "
+            "there"
+        )
+        say_plan([*ahead.plan(then), *told(options.preset, hyper)], json_output=options.json_output)
+        return
+    require_cluster(place, ahead)
+    from generation.pipeline.ablation import ablate, ablation_estimate
+    from generation.pipeline.settings import BuildSettings
+
+    planner, source, space = driver.under_test(options.workers), data.open(), api.workspace(options.out)
+    study = space.ablation_root() / source.name / file_name(planner.factory.facts.name)
+    settings = BuildSettings(
+        out=study,
+        timings=space.timings_of(study),
+        hyper=hyper,
+        prior=trajectory_model(options),
+        source_split=options.source_split,
+        scenes=scenes,
+        limit=options.limit,
+        renderer=drawing,
+        frames="keyframes",
+        seed=options.seed,
+        executor=place,
+        together=options.together,
+    )
+    if options.dry_run:
+        estimate = ablation_estimate(source, planner, settings)
+        say_plan([estimate, *told(options.preset, hyper)], json_output=options.json_output)
+        return
+    report = ablate(source, planner, settings)
+    said = report.model_dump(mode="json", by_alias=True)
+    print_result(said, report.table().plain(wide=options.wide), json_output=options.json_output)
+    say_next(
+        f"study: {settings.out}",
+        (f"leaderboard{same_out(options.out)}", "all records in tables beside the paper's"),
+        json_output=options.json_output,
+    )

@@ -1,0 +1,51 @@
+"""Help of commands and groups: options in panels, summaries in whole sentences, plain text at any width."""
+
+from typing import Any
+
+from typer.core import TyperCommand, TyperGroup
+
+
+class SettingsCommand(TyperCommand):
+    """A command whose help lists its options in panels, in the order of the first option of each."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the panels."""
+        _write_panels(self, ctx, formatter)
+
+
+class WholeSummaries(TyperGroup):
+    """A group whose list of commands shows the first sentence of each in full, not what fits on a line."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the panels, then the commands."""
+        _write_panels(self, ctx, formatter)
+        self.format_commands(ctx, formatter)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the list of commands."""
+        for command in self.commands.values():
+            command.short_help = command.short_help or summary(command.help or "")
+        super().format_commands(ctx, formatter)
+
+
+def summary(text: str) -> str:
+    """The first paragraph of a command's help on one line."""
+    return " ".join(text.strip().split("\n\n")[0].split())
+
+
+def _write_panels(command: Any, ctx: Any, formatter: Any) -> None:
+    panels: dict[str, list[tuple[str, str]]] = {}
+    for parameter in command.get_params(ctx):
+        record = parameter.get_help_record(ctx)
+        if record is not None:
+            usual = "Arguments" if parameter.param_type_name == "argument" else "Options"
+            named = usual if usual == "Arguments" else getattr(parameter, "rich_help_panel", None) or usual
+            panels.setdefault(named, []).append(record)
+    last = panels.pop("Options", [])
+    if last and panels:
+        panels.setdefault("Advanced", []).extend(last)
+    elif last:
+        panels["Options"] = last
+    for name, records in panels.items():
+        with formatter.section(name):
+            formatter.write_dl(records)

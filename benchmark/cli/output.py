@@ -1,0 +1,113 @@
+"""What commands print: JSON, plans of ``--dry-run``, caveats, where things are and what comes next."""
+
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import typer
+
+from benchmark import api
+from benchmark.report.words import counted
+
+if TYPE_CHECKING:
+    from benchmark.records.run_schema import RecordFacts
+    from benchmark.runs.units import FinishedShard, Shard
+
+
+class NamesData(Protocol):
+    """Options that say where data are and where what is made goes."""
+
+    @property
+    def data(self) -> str:
+        """What ``--data`` names."""
+
+    @property
+    def tables(self) -> str | None:
+        """Version folder."""
+
+    @property
+    def out(self) -> Path:
+        """Folder of everything that is made."""
+
+
+def print_json(value: Any) -> None:
+    """Machine-readable output: JSON and nothing else on stdout."""
+    typer.echo(json.dumps(value, indent=1, sort_keys=True, allow_nan=False))
+
+
+def print_result(value: Any, text: str, *, json_output: bool) -> None:
+    """What a command found, as JSON for a program or as text for people."""
+    if json_output:
+        print_json(value)
+    else:
+        typer.echo(text.removesuffix("\n"))
+
+
+def say_plan(sentences: Sequence[str], *, json_output: bool) -> None:
+    """What ``--dry-run`` prints."""
+    print_result({"would": list(sentences)}, "\n".join(sentences), json_output=json_output)
+
+
+def say_next(where: str, *steps: tuple[str, str], json_output: bool) -> None:
+    """Say on stderr where things are and which commands come next; nothing where a program reads.
+
+    Args:
+        where: What is where.
+        steps: Commands without the program's name, and what each is for.
+        json_output: Whether a program reads.
+    """
+    if json_output:
+        return
+    typer.echo(where, err=True)
+    for number, (command, purpose) in enumerate(steps):
+        typer.echo(f"{'next:' if number == 0 else '     '} challenger-bench {command}   # {purpose}", err=True)
+
+
+def same_place(options: NamesData) -> str:
+    """Options that name the same data and output folder again, with a space before; nothing where they are default."""
+    categories = getattr(options, "categories", None)
+    given = "" if options.data == "mini" else f" --data {options.data}"
+    given += "" if options.tables is None else f" --tables {options.tables}"
+    given += "" if categories is None else f" --categories {categories}"
+    return given + same_out(options.out)
+
+
+def same_out(out: Path) -> str:
+    """The option that names the same output folder again, with a space before; nothing where it is the default."""
+    return "" if out == api.OUT else f" --out {out}"
+
+
+def say_shard(
+    shard: "Shard", found: "Sequence[FinishedShard]", did: str, step: tuple[str, str], *, json_output: bool
+) -> None:
+    """Say what a shard did and what is left to do.
+
+    Args:
+        shard: Which.
+        found: What it did, for each record or data set.
+        did: What it did with its scenes: ``driven``, ``scored``, ``searched``, ``drawn``.
+        step: The command that comes next, and what it is for.
+        json_output: Whether a program reads.
+    """
+    if json_output:
+        print_json([{"directory": str(each.directory), did: each.done, "scenes": each.scenes} for each in found])
+    for each in found:
+        typer.echo(
+            f"{each.directory}: shard {shard}, {each.done} of {counted(each.scenes, 'scene')} {did}", err=json_output
+        )
+    say_next(f"shard {shard} is {did}", step, json_output=json_output)
+
+
+def warn_of_caveats(records: "Iterable[RecordFacts]") -> None:
+    """Print on stderr what the numbers of records needed and did not get, each sentence once with its planners.
+
+    Args:
+        records: Facts of run records or of records of drives.
+    """
+    planners: dict[str, list[str]] = {}
+    for facts in records:
+        for caveat in facts.caveats:
+            planners.setdefault(caveat.sentence, []).append(facts.planner.name)
+    for sentence, names in planners.items():
+        api.tell(f"warning: {', '.join(dict.fromkeys(names))}: {sentence}")

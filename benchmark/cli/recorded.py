@@ -1,0 +1,95 @@
+"""Settings that records hold, for ``--config``: what a record says of how it was made, as options of its command.
+
+What is not stored has its default and may be given beside: the root of a data set whose name alone is stored, weights,
+plan and result files, devices, addresses of servers, a file of categories.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+_GIB = float(1 << 30)
+
+
+def eval_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Options of ``eval`` from a run record (``run.json``); ``None`` for anything else."""
+    if "protocols" not in members or "planner" not in members:
+        return None
+    from benchmark.protocols import STANDARD
+
+    planner, config = members["planner"], members.get("config", {})
+    judges = [name for name in config.get("protocols", ()) if name not in (*STANDARD, planner.get("native_protocol"))]
+    supervision = config.get("supervision", {})
+    published = _as_published(planner.get("settings", {}))
+    return {
+        **_of_any(members),
+        "split": [members["split"]],
+        "protocol": judges or None,
+        "sample_limit": supervision.get("sample_limit_s"),
+        "as_published": published or None,
+    }
+
+
+def drive_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Options of ``drive`` from a record of drives (``drive.json``); ``None`` for anything else."""
+    if "measured" not in members or "planner" not in members:
+        return None
+    measured, config = members["measured"], members.get("config", {})
+    facts = measured.get("agents_facts", {})
+    sensor = measured["sensor"]
+    adversary = {"knows": "knows", "every": "every_s", "others": "others", "rounds": "rounds"}
+    adversary["candidates"] = "candidates"
+    searched = measured["agents"] == "adversary" and "every_s" in facts
+    return {
+        **_of_any(members),
+        "split": members["split"],
+        "baselines": False,
+        "engine": measured["engine"],
+        "agents": measured["agents"],
+        "sensor": sensor if sensor in ("none", "schematic") else None,
+        "latency": measured.get("latency_ms"),
+        "scenarios": measured.get("scenarios"),
+        "until": measured.get("until"),
+        "runs": members.get("runs"),
+        "timeout": config.get("timeout_s"),
+        **({f"adversary_{name}": facts.get(said) for name, said in adversary.items()} if searched else {}),
+    }
+
+
+def generate_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Options of ``generate`` from the search of a built split (``search.json``); ``None`` for anything else."""
+    if "hyper" not in members or "hyper_fingerprint" not in members:
+        return None
+    hyper, sampler = members["hyper"], members.get("sampler") or {}
+    return {
+        "seed": members["seed"],
+        # Every hyper-parameter is named; the preset says which trajectory model draws candidates.
+        "preset": "default" if sampler.get("conditioned", True) else "paper",
+        "set": hyper,
+        "manoeuvre": members.get("asked"),
+        "samples": sampler.get("samples"),
+        "calls": sampler.get("mutation_steps"),
+        "dropout": sampler.get("dropout"),
+    }
+
+
+def _of_any(members: Mapping[str, Any]) -> dict[str, Any]:
+    """What records of runs and of drives hold alike."""
+    from adapters.models import MODELS
+
+    planner, config = members["planner"], members.get("config", {})
+    scenes, memory = members["scenes"], config.get("supervision", {}).get("memory_limit_bytes")
+    return {
+        # Of a planner of another package its name is stored, and not where its class is.
+        "model": [planner["name"]] if planner["name"] in MODELS else None,
+        "data": members["data"]["name"],
+        "scenes": None if len(scenes) == members["scenes_in_split"] else scenes,
+        "seed": members["seed"],
+        "memory_limit": None if memory is None else memory / _GIB,
+    }
+
+
+def _as_published(settings: Mapping[str, Any]) -> list[str]:
+    from benchmark.records.run_schema import AS_PUBLISHED
+
+    said = settings.get(AS_PUBLISHED)
+    return said.split("+") if isinstance(said, str) else []
