@@ -68,13 +68,14 @@ def _fork_under_guard(lifeline: socket.socket) -> None:
             os._exit(1)
         return
     try:
-        _guard(planner, lifeline, woken)
+        _guard(planner, lifeline, woken, wake)
     finally:
         os._exit(0)
 
 
-def _guard(planner: int, lifeline: socket.socket, woken: int) -> None:
-    _close_all_but(lifeline.fileno(), woken)
+def _guard(planner: int, lifeline: socket.socket, woken: int, wake: int) -> None:
+    # A pipe without a writer is always ready: waiting for it would take a whole processor.
+    _close_all_but(lifeline.fileno(), woken, wake)
     status: int | None = None
     while status is None:
         ready, _, _ = select.select([lifeline.fileno(), woken], [], [])

@@ -29,6 +29,7 @@ from benchmark.planning import (
     Planner,
     PlannerLostError,
     PrivilegedPlanner,
+    SceneInfo,
     SupervisedPlanner,
 )
 from benchmark.records.run_schema import PlannerFacts
@@ -369,6 +370,22 @@ class _Roads:
 
     def __call__(self) -> FakeData:
         return roads(*self._names)
+
+
+def test_who_watches_takes_no_processor_time() -> None:
+    made, identity = maker("Drawing")
+    planner = supervised(made, identity, QUICK)
+    planner.reset(SceneInfo("a", "", ()))
+
+    def stat(process: int) -> list[str]:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+
+    reaper = int(stat(planner.pid or 0)[1])
+    before = [*map(int, stat(reaper)[11:13])]
+    time.sleep(1.0)
+    # Ticks of 10 ms: waiting for what is always ready would take 100 of them.
+    assert sum(map(int, stat(reaper)[11:13])) - sum(before) < 20
+    planner.close()
 
 
 KILLED = """
