@@ -7,171 +7,39 @@ whatever the number of workers.
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, cast
 
 from benchmark.closed_loop.adversary import ADVERSARY
-from benchmark.closed_loop.asking import DEFAULT_TIMEOUT_S, LONGEST_TIMEOUT_S
-from benchmark.closed_loop.default_engine import agents_facts, until_of
-from benchmark.closed_loop.riding import RideMaker
-from benchmark.closed_loop.scoring import VERSION
-from benchmark.closed_loop.sensors import NoSensor, RemoteSensor, Sensor
+from benchmark.closed_loop.asking import LONGEST_TIMEOUT_S
+from benchmark.closed_loop.sensors import RemoteSensor
 from benchmark.datasets.annotation_counts import require_annotated
-from benchmark.datasets.scene_facts import with_truth
 from benchmark.errors import InputError
-from benchmark.evaluation import EvalSettings
-from benchmark.interactions.driving import LADDER
 from benchmark.machine.pages import keep_pages_of
-from benchmark.machine.storage import content_key, file_name, only_writer, writing_to
-from benchmark.machine.workers import Executor, LocalProcesses
+from benchmark.machine.storage import content_key, file_name, only_writer
+from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Planner, RemotePlanner, remembers_across_scenes
-from benchmark.records.considered import FOLDER as CONSIDERED
-from benchmark.records.drive_schema import MOST_RUNS, Measured
-from benchmark.records.drives import DriveRecord, write_drives
-from benchmark.records.planner_cost import cost_path, gather_costs, note_cost, shard_cost_path
+from benchmark.records.drive_schema import Measured
+from benchmark.records.drives import DriveRecord
+from benchmark.records.planner_cost import cost_path, note_cost, shard_cost_path
 from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.report.words import counted
-from benchmark.runs.caveats import drive_caveats
-from benchmark.runs.drive_jobs import KEPT, Job, Task, Unit
-from benchmark.runs.drive_rows import with_labels
+from benchmark.runs.drive_jobs import Job, Task, Unit
+from benchmark.runs.drive_records import JobResults, write_record
+from benchmark.runs.drive_settings import DriveSettings as DriveSettings
 from benchmark.runs.drive_work import Planners, UnitResult, costs_of, work_here, work_in_worker
-from benchmark.runs.judges import JudgedScenes, described
-from benchmark.runs.plan_rows import PlannerFactory, supervision_said
+from benchmark.runs.plan_rows import PlannerFactory
 from benchmark.runs.planner_facts import facts_of
 from benchmark.runs.reading import truths_of
-from benchmark.runs.redriving import can_of
 from benchmark.runs.run_directory import run_directory
 from benchmark.runs.scene_work import reopening
 from benchmark.runs.units import FinishedShard, Shard, run_units
-from benchmark.untrusted.plans_beside_recording import ComparedPlans
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
-
-GROUPS_PER_WORKER: Final = 4
-_OFFICIAL: Final = ", which are for scenes of nuScenes by their names"
-
-
-@dataclass(frozen=True, slots=True)
-class DriveSettings:
-    """How to drive.
-
-    Attributes:
-        engine: Name of the engine, as tables show it.
-        maker: The engine.
-        agents: How the others behave; who makes an adversary is said by ``maker``.
-        ladder: Reference drivers that drive every encounter with an adversary too, by name.
-        keep_considered: Whether what an adversary considered is kept beside the record, for films and the site; no
-            byte of the record depends on it. Its maker keeps it too.
-        timings: Folder for notes on what planners take, one file a record; without it none are kept.
-        sensor: What cameras see.
-        runs: Runs of each scene; one where the engine draws nothing.
-        latency_ms: So much later does a plan take effect.
-        scenarios: What scenes are driven with, in NeuroNCAP's engine.
-        scenes: Only these scenes of the split.
-        limit: Only the first so many.
-        executor: Where units are driven; the result does not depend on it.
-        timeout_s: How long a plan may take.
-        seed: Seed of the intervals.
-        fresh: Drive again even where drives are kept.
-        together: So many drives at most are under way side by side in a process, of planners that a factory builds and
-            that draw nothing from a generator of the process; the result does not depend on it.
-    """
-
-    engine: str
-    maker: RideMaker
-    agents: str = "replay"
-    sensor: Sensor = field(default_factory=NoSensor)
-    runs: int = 1
-    latency_ms: int = 0
-    scenarios: str = "recorded"
-    scenes: tuple[str, ...] | None = None
-    limit: int | None = None
-    executor: Executor = field(default_factory=LocalProcesses)
-    timeout_s: float = DEFAULT_TIMEOUT_S
-    seed: int = 0
-    fresh: bool = False
-    together: int = 1
-    ladder: tuple[str, ...] = tuple(driver.value for driver in LADDER)
-    keep_considered: bool = False
-    timings: Path | None = None
-
-    @property
-    def processes(self) -> int:
-        """How many of this machine drive at the same time, as far as is known."""
-        return self.executor.workers if isinstance(self.executor, LocalProcesses) else 1
-
-    @property
-    def measured(self) -> Measured:
-        """What is measured.
-
-        Raises:
-            ValueError: If there is no such engine.
-        """
-        return Measured.model_validate(
-            {
-                "engine": self.engine,
-                "agents": self.agents,
-                "sensor": self.sensor.name,
-                "sensor_facts": dict(self.sensor.facts),
-                "latency_ms": self.latency_ms,
-                "scenarios": self.scenarios,
-                "until": until_of(self.maker),
-                "agents_facts": agents_facts(self.maker),
-            }
-        )
-
-    @property
-    def runs_made(self) -> int:
-        """Runs of each scene: what draws nothing is driven once."""
-        return self.runs if self.maker.draws else 1
-
-    def chosen(self, data: "DataSet", split: str) -> tuple[str, ...]:
-        """The scenes that are driven; raises `InputError` as for an evaluation."""
-        return EvalSettings(scenes=self.scenes, limit=self.limit).chosen(data, split)
-
-    def groups(self, tasks: "list[Task]") -> "list[list[Task]]":
-        """Tasks that are driven side by side; where there are several processes none waits for one group."""
-        workers = self.executor.workers if isinstance(self.executor, LocalProcesses) else 1
-        size = self.together if workers == 1 else min(self.together, -(-len(tasks) // (GROUPS_PER_WORKER * workers)))
-        return [tasks[first : first + size] for first in range(0, len(tasks), max(size, 1))]
-
-    def units_of(self, data: "DataSet", scenes: tuple[str, ...]) -> list[Unit]:
-        """Units of some scenes, none perhaps.
-
-        Raises:
-            InputError: If a number of runs is asked for that no record holds.
-        """
-        if not 1 <= self.runs <= MOST_RUNS:
-            raise InputError(f"--runs must be at least 1 and at most {MOST_RUNS}, got {self.runs}")
-        found = []
-        for scene in scenes:
-            families = self.maker.families(lambda: (data.scene(scene), can_of(data, scene)))  # noqa: B023 - called at once
-            found += [Unit(scene, run, family) for family in families for run in range(self.runs_made)]
-        return found
-
-    def units(self, data: "DataSet", scenes: tuple[str, ...]) -> list[Unit]:
-        """All units, scene after scene.
-
-        Raises:
-            InputError: If no scene has a scenario, or a number of runs is asked for that no record holds.
-        """
-        found = self.units_of(data, scenes)
-        if not found and self.agents == ADVERSARY:
-            raise InputError(
-                f"no vehicle of {', '.join(scenes[:3])}{' ...' if len(scenes) > 3 else ''} can become an adversary; "
-                "take other scenes (docs/extensions/reactive_adversary.md)"
-            )
-        if not found:
-            raise InputError(
-                f"none of {', '.join(scenes[:3])}{' ...' if len(scenes) > 3 else ''} has {self.scenarios} scenarios"
-                f"{_OFFICIAL if self.scenarios == 'official' else ''}; take other scenes or other scenarios "
-                "(docs/closed-loop.md)"
-            )
-        return found
 
 
 def drive_split(
@@ -328,22 +196,12 @@ def _records(
         for job in jobs:
             writing.enter_context(only_writer(job.directory))
         results = list(_results(settings.groups(tasks), partial(work_here, data, planners), elsewhere, settings, label))
-        records = []
         truths = truths_of(data, scenes)
-        for place, job in enumerate(jobs):
-            said = _described(data, split, job, scenes, settings)
-            said["scene_facts"] = with_truth(said["scene_facts"], truths)
-            own = results[place :: len(jobs)]
-            rows = with_labels([result.row for result in own], truths)
-            door = getattr(job.factory, "caveats", ())
-            compared = ComparedPlans.joined(result.compared for result in own)
-            said["caveats"] = drive_caveats(job.planner, said["scene_facts"], rows, job.measured, compared, door)
-            records.append(write_drives(job.directory, said, rows, seed=settings.seed))
-            if job.costs is not None:
-                gather_costs(job.costs, job.planner)
-                note_cost(job.costs, job.planner, costs_of(job, own, settings.processes))
-            _tidy(job, units)
-    return records
+        of_jobs = [
+            JobResults(data, split, scenes, job, units, results[place :: len(jobs)], settings, truths)
+            for place, job in enumerate(jobs)
+        ]
+        return [write_record(each) for each in of_jobs]
 
 
 def _require_drivable(planners: Sequence[Planner], settings: DriveSettings) -> None:
@@ -411,35 +269,3 @@ def _results(
     drives = sum(map(len, groups))
     for results in run_units(work, groups, where, total=len(groups), label=label, noun="drive", of=drives):
         yield from results
-
-
-def _described(
-    data: "DataSet", split: str, job: Job, scenes: tuple[str, ...], settings: DriveSettings
-) -> dict[str, Any]:
-    shared = described(JudgedScenes(data, split, scenes), "scene_facts", "frozen_split", "review", "generated")
-    return shared | {
-        "planner": job.planner,
-        "measured": settings.measured,
-        "runs": settings.runs_made,
-        "scoring": VERSION,
-        "config": {
-            "seed": settings.seed,
-            "timeout_s": settings.timeout_s,
-            **supervision_said(job.factory),
-            **({"categories": dict(data.categories)} if data.categories else {}),
-        },
-    }
-
-
-def _tidy(job: Job, units: list[Unit]) -> None:
-    """Remove what is kept of scenes that are none of this record's any more; further runs of its own stay."""
-    wanted = {_without_run(job.store.path(unit.name)) for unit in units}
-    for folder in (job.directory / KEPT, job.directory / CONSIDERED):
-        with writing_to(folder):
-            for path in folder.iterdir() if folder.is_dir() else ():
-                if _without_run(path) not in wanted:
-                    path.unlink()
-
-
-def _without_run(path: Path) -> str:
-    return path.stem.rpartition("-")[0]

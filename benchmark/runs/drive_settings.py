@@ -1,0 +1,143 @@
+"""How planners are driven in closed loop."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from benchmark.closed_loop.adversary import ADVERSARY
+from benchmark.closed_loop.asking import DEFAULT_TIMEOUT_S
+from benchmark.closed_loop.default_engine import agents_facts, until_of
+from benchmark.closed_loop.riding import RideMaker
+from benchmark.closed_loop.sensors import NoSensor, Sensor
+from benchmark.errors import InputError
+from benchmark.evaluation import EvalSettings
+from benchmark.interactions.driving import LADDER
+from benchmark.machine.workers import Executor, LocalProcesses
+from benchmark.records.drive_schema import MOST_RUNS, Measured
+from benchmark.runs.drive_jobs import Task, Unit
+from benchmark.runs.redriving import can_of
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
+GROUPS_PER_WORKER: Final = 4
+_OFFICIAL: Final = ", which are for scenes of nuScenes by their names"
+
+
+@dataclass(frozen=True, slots=True)
+class DriveSettings:
+    """How to drive.
+
+    Attributes:
+        engine: Name of the engine, as tables show it.
+        maker: The engine.
+        agents: How the others behave; who makes an adversary is said by ``maker``.
+        ladder: Reference drivers that drive every encounter with an adversary too, by name.
+        keep_considered: Whether what an adversary considered is kept beside the record, for films and the site; no
+            byte of the record depends on it. Its maker keeps it too.
+        timings: Folder for notes on what planners take, one file a record; without it none are kept.
+        sensor: What cameras see.
+        runs: Runs of each scene; one where the engine draws nothing.
+        latency_ms: So much later does a plan take effect.
+        scenarios: What scenes are driven with, in NeuroNCAP's engine.
+        scenes: Only these scenes of the split.
+        limit: Only the first so many.
+        executor: Where units are driven; the result does not depend on it.
+        timeout_s: How long a plan may take.
+        seed: Seed of the intervals.
+        fresh: Drive again even where drives are kept.
+        together: So many drives at most are under way side by side in a process, of planners that a factory builds and
+            that draw nothing from a generator of the process; the result does not depend on it.
+    """
+
+    engine: str
+    maker: RideMaker
+    agents: str = "replay"
+    sensor: Sensor = field(default_factory=NoSensor)
+    runs: int = 1
+    latency_ms: int = 0
+    scenarios: str = "recorded"
+    scenes: tuple[str, ...] | None = None
+    limit: int | None = None
+    executor: Executor = field(default_factory=LocalProcesses)
+    timeout_s: float = DEFAULT_TIMEOUT_S
+    seed: int = 0
+    fresh: bool = False
+    together: int = 1
+    ladder: tuple[str, ...] = tuple(driver.value for driver in LADDER)
+    keep_considered: bool = False
+    timings: Path | None = None
+
+    @property
+    def processes(self) -> int:
+        """How many of this machine drive at the same time, as far as is known."""
+        return self.executor.workers if isinstance(self.executor, LocalProcesses) else 1
+
+    @property
+    def measured(self) -> Measured:
+        """What is measured.
+
+        Raises:
+            ValueError: If there is no such engine.
+        """
+        return Measured.model_validate(
+            {
+                "engine": self.engine,
+                "agents": self.agents,
+                "sensor": self.sensor.name,
+                "sensor_facts": dict(self.sensor.facts),
+                "latency_ms": self.latency_ms,
+                "scenarios": self.scenarios,
+                "until": until_of(self.maker),
+                "agents_facts": agents_facts(self.maker),
+            }
+        )
+
+    @property
+    def runs_made(self) -> int:
+        """Runs of each scene: what draws nothing is driven once."""
+        return self.runs if self.maker.draws else 1
+
+    def chosen(self, data: "DataSet", split: str) -> tuple[str, ...]:
+        """The scenes that are driven; raises `InputError` as for an evaluation."""
+        return EvalSettings(scenes=self.scenes, limit=self.limit).chosen(data, split)
+
+    def groups(self, tasks: "list[Task]") -> "list[list[Task]]":
+        """Tasks that are driven side by side; where there are several processes none waits for one group."""
+        workers = self.executor.workers if isinstance(self.executor, LocalProcesses) else 1
+        size = self.together if workers == 1 else min(self.together, -(-len(tasks) // (GROUPS_PER_WORKER * workers)))
+        return [tasks[first : first + size] for first in range(0, len(tasks), max(size, 1))]
+
+    def units_of(self, data: "DataSet", scenes: tuple[str, ...]) -> list[Unit]:
+        """Units of some scenes, none perhaps.
+
+        Raises:
+            InputError: If a number of runs is asked for that no record holds.
+        """
+        if not 1 <= self.runs <= MOST_RUNS:
+            raise InputError(f"--runs must be at least 1 and at most {MOST_RUNS}, got {self.runs}")
+        found = []
+        for scene in scenes:
+            families = self.maker.families(lambda: (data.scene(scene), can_of(data, scene)))  # noqa: B023 - called at once
+            found += [Unit(scene, run, family) for family in families for run in range(self.runs_made)]
+        return found
+
+    def units(self, data: "DataSet", scenes: tuple[str, ...]) -> list[Unit]:
+        """All units, scene after scene.
+
+        Raises:
+            InputError: If no scene has a scenario, or a number of runs is asked for that no record holds.
+        """
+        found = self.units_of(data, scenes)
+        if not found and self.agents == ADVERSARY:
+            raise InputError(
+                f"no vehicle of {', '.join(scenes[:3])}{' ...' if len(scenes) > 3 else ''} can become an adversary; "
+                "take other scenes (docs/extensions/reactive_adversary.md)"
+            )
+        if not found:
+            raise InputError(
+                f"none of {', '.join(scenes[:3])}{' ...' if len(scenes) > 3 else ''} has {self.scenarios} scenarios"
+                f"{_OFFICIAL if self.scenarios == 'official' else ''}; take other scenes or other scenarios "
+                "(docs/closed-loop.md)"
+            )
+        return found
