@@ -30,8 +30,6 @@ class _Origin:
     """Where a data set comes from, in sentences.
 
     Attributes:
-        collected: How its motion came to be.
-        pictures: How its images came to be.
         kinds: What the responsible-AI extension calls that.
         town: Whether it is the procedural town of this project.
         generated: Whether vehicles were made to be adversaries.

@@ -81,17 +81,9 @@ def write_card(
     """Write the files of a card, each in place of what is there.
 
     Args:
-        to: Folder.
-        said: What is said of the data set.
         page: Lines of ``README.md`` below its head.
-        index_name: File of the index.
         rows: What a row of it is, one word in the plural.
-        columns: Its columns.
-        values: Its rows.
         tags: What hubs sort by.
-
-    Returns:
-        What was written.
 
     Raises:
         InputError: If the folder cannot be written or holds a ``README.md`` that is no card of ours.

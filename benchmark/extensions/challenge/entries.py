@@ -29,11 +29,7 @@ class CheckedEntry:
     """The accepted scenes of an entry; see `benchmark.datasets.roots.DataSet` for what each method promises.
 
     Attributes:
-        data: The entry.
-        name: Shown in tables.
         root: A folder of the organiser's: nothing that lies beside the entry's tables is looked for.
-        version: Version folder of the entry.
-        verdicts: On the accepted scenes, by name.
         judgements: What this program says of them, by name.
     """
 
@@ -46,20 +42,7 @@ class CheckedEntry:
 
     @classmethod
     def of(cls, data: DataSet, name: str, root: Path, verdict: EntryVerdict) -> Self:
-        """The accepted scenes of an entry, judged.
-
-        Args:
-            data: The entry.
-            name: Shown in tables.
-            root: A folder of the organiser's.
-            verdict: On the entry.
-
-        Returns:
-            The entry.
-
-        Raises:
-            InputError: If a scene is broken.
-        """
+        """The accepted scenes of an entry, judged."""
         accepted = {scene.scene: scene for scene in verdict.scenes if scene.accepted}
         unjudged = cls(data, name, root, data.version, accepted, {})
         judged = {scene: judge_scene(unjudged.scene(scene), unjudged.tracks(scene)) for scene in accepted}

@@ -85,19 +85,10 @@ def _write(dataset: DataSet, to: Path, name: str) -> ExportedScene:
 
 
 def openscenario_bytes(made: Exchanged) -> bytes:
-    """A scene as OpenSCENARIO.
+    """A scene as OpenSCENARIO, the same bytes for the same scene.
 
     Every object follows its track in time (polylines with the seconds of its frames, absolute). One that is not there
     at first is deleted in ``Init`` and added when it comes; it is deleted where it goes.
-
-    Args:
-        made: The scene and how it came about.
-
-    Returns:
-        The file, the same bytes for the same scene.
-
-    Raises:
-        InputError: If the package ``scenariogeneration`` is absent.
     """
     xosc, scene = require_package(), made.scene
     entities, init, act = xosc.Entities(), xosc.Init(), xosc.Act("tracks", _at(xosc, 0.0), None)

@@ -40,9 +40,6 @@ def scenario_of(made: Exchanged) -> Scenario:
     Steps are the scene's own frames (12 Hz). Positions are box centres, the ego's too; where an object is not there its
     numbers are zero. All values are plain containers, numbers, texts and arrays.
 
-    Args:
-        made: The scene and how it came about.
-
     Returns:
         The scenario: ``id``, ``version``, ``length``, ``tracks``, ``dynamic_map_states`` (none), ``map_features`` and
         ``metadata``. The metadata's ``adversaries`` names tracks, and each track's own says ``is_adversary``.
