@@ -36,24 +36,12 @@ class _Bounded(H11Protocol):
 
 
 class PlannerServer:
-    """Serves a session, here (`serve`) or in a thread (``with``).
-
-    Attributes:
-        host: Where it listens.
-        port: Where it listens.
-    """
+    """Serves a session, here (`serve`) or in a thread (``with``)."""
 
     def __init__(self, session: Session, host: str = LOOPBACK, port: int = 0, bounds: Bounds | None = None) -> None:
-        """Listen; whoever asks from now on is answered once it serves.
+        """Listen, on this machine alone by default; requests from now on are answered once it serves.
 
-        Args:
-            session: The planner.
-            host: Address; this machine alone by default.
-            port: Where; 0 takes a free one.
-            bounds: What a request may cost.
-
-        Raises:
-            InputError: If it cannot listen there.
+        Port 0 takes a free one.
         """
         self.host = host
         self._socket = listening(host, port)
