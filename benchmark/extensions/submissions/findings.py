@@ -20,12 +20,12 @@ class Level(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that is wrong with a submission, or worth knowing.
+    """One fault of a submission, or a remark on it.
 
     Attributes:
         directory: Of the record, or of the submission.
         level: Whether it keeps the record out.
-        sentence: What, and what to do.
+        sentence: The fault, and its remedy.
     """
 
     directory: Path
