@@ -29,7 +29,7 @@ class ModelAnswer:
     Attributes:
         trajectory: (N, 2) waypoints 0.5 s apart; accepted are other shapes too, of which `plan` says what is wrong.
         objects: (A, 5) x, y, length, width, yaw.
-        classes: Their classes; lists need not agree in length, nobody compares them.
+        classes: Their classes; lists need not agree in length; no reader compares them.
         futures: (A, M, T, 2) metres from each object's present centre, 0.5 s apart.
     """
 

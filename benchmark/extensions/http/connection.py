@@ -64,7 +64,7 @@ class Connection:
         """Send JSON, once; any status is an answer.
 
         Raises:
-            PlannerAwayError: If nobody listens there, or the other side went away before it had answered.
+            PlannerAwayError: If no server listens there, or the other side went away before it had answered.
             PlannerLateError: If it takes too long.
             PlannerGoneError: If what answers does not speak HTTP, or answers more than there may be.
         """
