@@ -13,7 +13,7 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class SensorFrame:
-    """Where a sensor is when it measures.
+    """Pose of a sensor when it measures.
 
     Attributes:
         mount: (3, 3) rotation and (3,) translation that take the sensor's points to the ego frame.
@@ -81,15 +81,7 @@ def roll(rotation: Floats) -> Floats:
 
 
 def turned(points: Floats, angle_rad: Floats) -> Floats:
-    """Points of a plane turned counter-clockwise.
-
-    Args:
-        points: (..., 2).
-        angle_rad: Radians, of a shape that goes with the points' leading axes.
-
-    Returns:
-        (..., 2).
-    """
+    """(..., 2) points of a plane turned counter-clockwise, by radians that go with the leading axes."""
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     x, y = points[..., 0], points[..., 1]
     return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
