@@ -27,14 +27,7 @@ _CROSSING_S: Final = 5.0
 
 
 def own_scenarios(recording: Recording) -> dict[str, Scenario]:
-    """Scenarios of a recording.
-
-    Args:
-        recording: The scene.
-
-    Returns:
-        By family; none where the recording is too short, has no car, or its ego hardly moves.
-    """
+    """Scenarios of a recording by family; none where it is too short, has no car, or its ego hardly moves."""
     meeting = START_FRAME + MEETING_FRAMES
     cars = tuple(actor.uuid for actor in recording.actors if actor.kind == "car")[:_CANDIDATES]
     if not cars or meeting + MEETING_FRAMES // 2 >= len(recording.times):
