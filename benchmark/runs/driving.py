@@ -106,11 +106,7 @@ class DriveSettings:
 
     @property
     def measured(self) -> Measured:
-        """What is measured.
-
-        Raises:
-            ValueError: If there is no such engine.
-        """
+        """The definition that a record of these drives measures."""
         return Measured.model_validate(
             {
                 "engine": self.engine,
@@ -140,11 +136,7 @@ class DriveSettings:
         return [tasks[first : first + size] for first in range(0, len(tasks), max(size, 1))]
 
     def units_of(self, data: "DataSet", scenes: tuple[str, ...]) -> list[Unit]:
-        """Units of some scenes, none perhaps.
-
-        Raises:
-            InputError: If a number of runs is asked for that no record holds.
-        """
+        """Units of some scenes, none perhaps; refuses a number of runs that no record holds."""
         if not 1 <= self.runs <= MOST_RUNS:
             raise InputError(f"--runs must be at least 1 and at most {MOST_RUNS}, got {self.runs}")
         found = []
@@ -254,23 +246,7 @@ def drive_shard(
     *,
     reopen: Callable[[], "DataSet"] | None = None,
 ) -> list[FinishedShard]:
-    """Drive the scenes of one shard and keep the drives; no record is written.
-
-    Args:
-        data: The data set.
-        split: Which of its splits.
-        planners: Who plans.
-        out: Folder of all records of drives.
-        settings: How.
-        shard: Which scenes.
-        reopen: As in `drive_split`.
-
-    Returns:
-        What was done, for each planner.
-
-    Raises:
-        InputError: As in `drive_split`.
-    """
+    """Drive the scenes of one shard as `drive_planners` does and keep the drives; no record is written."""
     jobs, settings, elsewhere = _ready(data, split, planners, out, settings, reopen)
     scenes = settings.chosen(data, split)
     mine = shard.part(scenes)

@@ -18,12 +18,7 @@ if TYPE_CHECKING:
 
 
 class SceneReading:
-    """One scene of a data set.
-
-    Args:
-        data: The data set.
-        name: Scene name.
-    """
+    """One scene of a data set."""
 
     def __init__(self, data: "DataSet", name: str) -> None:
         self._data, self.name = data, name
@@ -74,16 +69,5 @@ class SceneReading:
 
 
 def truths_of(data: "DataSet", scenes: Iterable[str]) -> dict[str, TruthFacts]:
-    """What a data set holds of the truth of scenes, for records whose units do not bring it along.
-
-    Args:
-        data: The data set.
-        scenes: Their names.
-
-    Returns:
-        The facts by name.
-
-    Raises:
-        InputError: If something in a scene is broken.
-    """
+    """Facts of a data set about the truth of scenes, by name, for records whose units do not bring them along."""
     return {name: SceneReading(data, name).truth_facts for name in scenes}

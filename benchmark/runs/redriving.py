@@ -30,16 +30,9 @@ def can_of(data: "DataSet", name: str) -> RecordedCan:
 
 
 def driven_again(maker: RideMaker, scene: Scene, data: "DataSet", row: DriveRow) -> DriveRow:
-    """Drive the stored plans of a drive and score it anew; its planner is not asked.
+    """Drive the stored plans of a drive and score it anew, without its planner.
 
-    Args:
-        maker: The engine that drove it.
-        scene: Its scene, with its map.
-        data: The data set.
-        row: The drive.
-
-    Returns:
-        The drive with new scores. A failed one stays as it is: it has none.
+    A failed one stays as it is: it has no scores.
 
     Raises:
         InputError: If the plans lead elsewhere than they did.
@@ -70,18 +63,7 @@ def _with_its_adversary(maker: RideMaker, row: DriveRow) -> RideMaker:
 def seen_again(
     maker: RideMaker, sensor: Sensor, scene: Scene, data: "DataSet", row: DriveRow, plans: "StoredPlans"
 ) -> Drive:
-    """What happened in a stored drive, everybody in it, from its plans.
-
-    Args:
-        maker: The engine that drove it.
-        sensor: What looks again.
-        scene: Its scene, with its map.
-        data: The data set.
-        row: The drive.
-        plans: Of this row.
-
-    Returns:
-        The drive; one in which the planner failed ends where it did.
+    """A stored drive with everybody in it, from its plans; one in which the planner failed ends where it did.
 
     Raises:
         InputError: If the plans lead elsewhere than they did.
@@ -90,16 +72,12 @@ def seen_again(
 
 
 def considered_again(maker: RideMaker, scene: Scene, data: "DataSet", row: DriveRow) -> AdversaryTrack:
-    """Search anew in a stored drive, from its plans: the same search finds the same track.
+    """The adversary's track of a stored drive, with its candidates, searched anew.
+
+    The same search finds the same track.
 
     Args:
         maker: The engine that drove it, with an adversary that keeps what it considers.
-        scene: Its scene, with its map.
-        data: The data set.
-        row: The drive.
-
-    Returns:
-        The adversary's track, with what it considered.
 
     Raises:
         InputError: If the plans lead elsewhere than they did, or the adversary goes elsewhere.
