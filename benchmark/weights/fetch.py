@@ -18,14 +18,9 @@ _RANGE_NOT_SATISFIABLE: Final = 416
 
 
 def fetch_files(weights: PublishedWeights, folder: Path) -> None:
-    """Fetch the files of published weights that a folder lacks; the same call goes on where it broke off.
+    """Fetch the files of published weights that a folder lacks, each whole or not at all.
 
-    Args:
-        weights: Which.
-        folder: Where to; each file is written whole or not at all.
-
-    Raises:
-        InputError: If a file cannot be fetched, broke off, or is not the one that was published.
+    The same call goes on where it broke off.
     """
     if any(file.url is None for file in weights.files):
         _fetch_from_hub(weights, folder)
