@@ -63,7 +63,7 @@ class EvalSettings:
         seed: Seed of the intervals.
         fresh: Plan again even where plans are kept.
         timings: Folder for notes on what planners cost, one file a record; without it none are kept.
-        asked: Judges whose verdicts somebody asked for by name: refused where they have none on any contact.
+        asked: Judges whose verdicts were asked for by name: refused where they have none on any contact.
         unchanged: Name of the data set that has the recordings which adversarial scenes were made from, if it is
             another one.
     """

@@ -30,7 +30,7 @@ class Ahead:
     builds: tuple[str, ...] = ()
 
     def plan(self, then: str) -> tuple[str, ...]:
-        """What ``--dry-run`` says where something has to be built first."""
+        """Text of ``--dry-run`` where something has to be built first."""
         return (*(f"would first build {each}" for each in self.builds), f"would then {then}")
 
     def counted(self) -> str:
@@ -84,7 +84,7 @@ class DataSource:
         return open_split(source or self.open(), split, self.out, workers=self.workers)
 
     def require(self, scenes: Sequence[str] | None = None) -> Ahead:
-        """Refuse a data set that there is not, or scenes that are not in it; as `require_split`, whatever the split."""
+        """Refuse an unknown data set, or scenes that are not in it; as `require_split` for any split."""
         if self._is_mini:
             return _embedded("val", self.out, scenes, None)
         return Ahead(_chosen(self._listed(None), None, scenes, None))

@@ -48,7 +48,7 @@ class SplitToBuild:
 
 @dataclass(frozen=True, slots=True)
 class Built:
-    """What came of one split: for people, and as JSON."""
+    """Outcome of one split: for people, and as JSON."""
 
     text: str
     said: Mapping[str, Any]

@@ -20,7 +20,7 @@ class NamesData(Protocol):
 
     @property
     def data(self) -> str:
-        """What ``--data`` names."""
+        """Value of ``--data``."""
 
     @property
     def tables(self) -> str | None:
@@ -37,7 +37,7 @@ def print_json(value: Any) -> None:
 
 
 def print_result(value: Any, text: str, *, json_output: bool) -> None:
-    """What a command found, as JSON for a program or as text for people."""
+    """Print the findings of a command, as JSON for a program or as text for people."""
     if json_output:
         print_json(value)
     else:
@@ -45,7 +45,7 @@ def print_result(value: Any, text: str, *, json_output: bool) -> None:
 
 
 def say_plan(sentences: Sequence[str], *, json_output: bool) -> None:
-    """What ``--dry-run`` prints."""
+    """Print the text of ``--dry-run``."""
     print_result({"would": list(sentences)}, "\n".join(sentences), json_output=json_output)
 
 

@@ -63,7 +63,7 @@ def drive_caveats(
 
 
 def _of_the_door(known: Sequence[Caveat]) -> list[Caveat]:
-    """What is kept of what is known."""
+    """Known caveats that are kept, since they cannot be found out again."""
     return [caveat for caveat in known if caveat.kind in OF_THE_DOOR]
 
 

@@ -92,7 +92,7 @@ class Job:
         return content_key("drive", FORMAT, self.fingerprint, unit.scene, unit.family, unit.run, who, what, code)
 
     def kept(self, unit: Unit) -> KeptDrive | None:
-        """What is kept of a unit, made by code as it is now."""
+        """Stored result of a unit, made by code as it is now."""
         kept = None if self.fresh else self.store.get(self.key(unit), unit.name)
         return kept if kept is not None and is_current(kept.loaded) else None
 

@@ -71,7 +71,7 @@ def adversary_row(stage: Stage, track: AdversaryTrack) -> dict[str, Any]:
 
 
 def considered_of(track: AdversaryTrack) -> tuple[ConsideredFrame, ...]:
-    """What an adversary considered at each of its planning frames, of one that was asked to keep it."""
+    """Candidates of an adversary at each of its planning frames, if it was asked to keep them."""
     return tuple(ConsideredFrame.model_validate(each.considered) for each in track.replanned)
 
 

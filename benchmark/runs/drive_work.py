@@ -111,7 +111,7 @@ def _keep(task: Task, scene: Scene, row: DriveRow, loaded: dict[str, str]) -> Co
 
 
 def _keep_considered(data: "DataSet", job: Job, row: DriveRow) -> None:
-    """Search once more in a kept drive of which nobody knows any more what its adversary considered."""
+    """Search once more in a kept drive whose adversary's candidates are lost."""
     if job.keep_considered and row.adversary is not None and read_considered(job.directory, row) is None:
         track = considered_again(job.maker, data.scene(row.scene), data, row)
         write_considered(job.directory, row, considered_of(track))
@@ -214,7 +214,7 @@ def _drives(stages: Sequence[Stage], planners: Sequence[Planner]) -> Iterable[tu
 
 
 def _stage(data: "DataSet", task: Task, cans: dict[str, RecordedCan]) -> Stage:
-    """What a task drives; what cars measured is read once for all tasks of a scene."""
+    """Stage of a task; measurements of cars are read once for all tasks of a scene."""
     job, unit = task
     scene = data.scene(unit.scene)
     require_two_hz(scene, "a drive")

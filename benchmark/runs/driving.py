@@ -271,7 +271,7 @@ def _ready(
     settings: DriveSettings,
     reopen: Callable[[], "DataSet"] | None,
 ) -> tuple[list[Job], DriveSettings, Callable[[Sequence[Task]], list[UnitResult]] | None]:
-    """What every unit needs to know, the settings that these planners allow, and how others drive units."""
+    """Job of every unit, the settings that these planners allow, and how others drive units."""
     keep_pages_of(*(factory.facts.weights_sha256 for factory in planners))
     built = [factory() for factory in planners]
     _require_drivable(built, settings)
@@ -334,7 +334,7 @@ def _require_drivable(planners: Sequence[Planner], settings: DriveSettings) -> N
 
 
 def job_of(data: "DataSet", split: str, facts: PlannerFacts, out: Path, settings: DriveSettings) -> Job:
-    """What every unit of a record needs to know; arguments as of `drive_split`, ``facts`` being the planner's."""
+    """Job of every unit of a record; arguments as of `drive_split`, ``facts`` being the planner's."""
     scenes = settings.chosen(data, split)
     part = () if len(scenes) == len(data.scene_names(split)) else scenes
     directory = drives_directory(out, data.name, split, facts, settings.measured, part)

@@ -14,7 +14,7 @@ _DERIVED, _OFFERED, _WITHOUT = '"ego_motion":"derived"', '"forecasts":{', '"fore
 
 
 def data_caveats(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
-    """What of a data set cannot be; of older records nothing is known."""
+    """Caveats about impossible values of a data set; of older records they are not known."""
     facts = inputs_of(scenes)
     on_maps = [each for each in facts.values() if each.off_road is not None]
     share = sum(each.off_road or 0 for each in on_maps) / max(sum(each.samples for each in on_maps), 1)
@@ -110,7 +110,7 @@ def drive_input_caveats(
 
 
 def inputs_of(scenes: Mapping[str, SceneFacts]) -> dict[str, InputFacts]:
-    """What the data set holds of scenes, of those of which it is known."""
+    """Inputs that the data set holds of scenes, of those for which it is known."""
     return {name: each.truth.inputs for name, each in scenes.items() if each.truth is not None and each.truth.inputs}
 
 

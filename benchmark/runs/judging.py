@@ -169,7 +169,7 @@ def _severity(samples: PlannedSamples) -> Sequence[Any]:
 
 
 def _longer(samples: PlannedSamples) -> Sequence[Any]:
-    """What ``exact`` says of plans that go on beyond 3 s, up to 6 s: `longer_verdicts` of each planner."""
+    """Verdicts of ``exact`` on plans that go on beyond 3 s, up to 6 s: `longer_verdicts` of each planner."""
     if EXACT not in samples.outcomes:
         return [None] * len(samples.places)
     found = [longer_verdicts(own, samples.scene.longer) for own in samples.by_planner(samples.whole)]
@@ -274,7 +274,7 @@ def _forecasts(row: Mapping[str, Any]) -> Forecasts:
 
 
 def _recorded(truth: SampleTruth, at: Circumstances) -> dict[str, Any]:
-    """What a row says of the recording."""
+    """Members of a row about the recording."""
     ahead = truth.by_clock
     return {
         "command": int(truth.command),

@@ -71,7 +71,7 @@ class PlannerFactory(Protocol):
 
 
 def supervision_said(factory: PlannerFactory | None) -> dict[str, Any]:
-    """What a record's configuration says of how a planner is watched over, if it is."""
+    """Limits under which a planner is watched over, for a record's configuration; empty if it is not."""
     supervision = getattr(factory, "supervision", None)
     return {} if supervision is None else {"supervision": supervision.said()}
 
@@ -186,7 +186,7 @@ def cost_so_far(planner: Planner, meter: Meter, planning_s: float) -> SceneCost:
 
 
 def seed_everything(seed: int, planner: Planner | None = None) -> None:
-    """Planners that draw from global generators draw the same whatever ran before in this process, and in theirs."""
+    """Seed global generators of this process, and of the planner's, so that earlier work changes no draw."""
     if isinstance(planner, SupervisedPlanner):
         planner.seed_generators(seed)
     random.seed(seed)
@@ -318,7 +318,7 @@ def loud(load: Callable[[], NDArray[np.uint8]]) -> Callable[[], NDArray[np.uint8
 
 
 def said_of(failure: BaseException) -> str:
-    """What is kept of a failure that is being handled: its traceback, where it was raised."""
+    """Stored text of a failure that is being handled: its traceback, where it was raised."""
     return failure.text if isinstance(failure, PlannerFailedError) else traceback_text()
 
 

@@ -30,19 +30,19 @@ class SceneReading:
         return self._data.scene(name)
 
     def observations(self, name: str) -> Iterator[Observation]:
-        """What a planner may see, one observation a sample, in time order."""
+        """Observations of a planner, one a sample, in time order."""
         if self._observations is None:
             self._observations = tuple(self._data.observations(name))
         return iter(self._observations)
 
     @cached_property
     def truth(self) -> tuple[SampleTruth, ...]:
-        """What really happened, one truth a sample."""
+        """Truths, one a sample."""
         return self._data.truth(self.name)
 
     @cached_property
     def truth_facts(self) -> TruthFacts:
-        """What the data set holds of the scene's truth."""
+        """Facts of the data set about the scene's truth."""
         return truth_facts(self._data, self.name, self.truth)
 
     def longer(self, steps: int) -> tuple[SampleTruth, ...]:
@@ -64,7 +64,7 @@ class SceneReading:
 
     @cached_property
     def recorded(self) -> RecordedScene | None:
-        """What the scene gives to judge driving by, if it has a map."""
+        """Recording of the scene to judge driving by, if it has a map."""
         return None if self.mapped is None else RecordedScene(self.mapped)
 
 

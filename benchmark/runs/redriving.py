@@ -25,7 +25,7 @@ _LONG_S: Final = 3600.0
 
 
 def can_of(data: "DataSet", name: str) -> RecordedCan:
-    """What the recorded car measured in a scene."""
+    """Measurements of the recorded car in a scene."""
     return RecordedCan.of((observation.ego for observation in data.observations(name)), data.root)
 
 
@@ -53,7 +53,7 @@ def _stage(maker: RideMaker, sensor: Sensor, scene: Scene, data: "DataSet", row:
 
 
 def _with_its_adversary(maker: RideMaker, row: DriveRow) -> RideMaker:
-    """An adversary drives its stored track again: nobody searches."""
+    """A maker whose adversary drives its stored track again, without a search."""
     track = track_of(row)
     if track is None or not isinstance(maker, DefaultRides) or maker.adversary is None:
         return maker
@@ -63,7 +63,7 @@ def _with_its_adversary(maker: RideMaker, row: DriveRow) -> RideMaker:
 def seen_again(
     maker: RideMaker, sensor: Sensor, scene: Scene, data: "DataSet", row: DriveRow, plans: "StoredPlans"
 ) -> Drive:
-    """A stored drive with everybody in it, from its plans; one in which the planner failed ends where it did.
+    """A stored drive with all objects in it, from its plans; one in which the planner failed ends where it did.
 
     Raises:
         InputError: If the plans lead elsewhere than they did.

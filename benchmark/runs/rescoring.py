@@ -171,7 +171,7 @@ def _open(
     protocols: Sequence[str],
     held: ExitStack,
 ) -> _Opened | str:
-    """A record to be judged anew, of which nobody else may write until ``held`` ends; or why it is left alone."""
+    """A record to be judged anew, locked against other writers until ``held`` ends; or why it is left alone."""
     versions = {name: protocol(name).version for name in protocols}
     if not directory.is_dir():
         raise InputError(f"there is no run record {directory}; name the folder that holds its {RUN_FILE}")
@@ -262,7 +262,7 @@ def _replaced(opened: _Opened) -> tuple[RunRecord, str]:
 
 
 def scene_facts_now(facts: RecordFacts, data: "DataSet") -> dict[str, SceneFacts]:
-    """Facts of the data set, and what a record knows of scenes that nobody judged here: the tracks are the same."""
+    """Facts of the data set, and a record's facts of scenes that are not judged here: the tracks are the same."""
     known = facts.scene_facts
     return {
         name: now.model_copy(update={"judgement": known[name].judgement})

@@ -99,7 +99,7 @@ def work_in_worker(
 
 
 def reopening(data: "DataSet") -> Callable[[], "DataSet"]:
-    """What opens a data set in a worker process."""
+    """Opener of a data set in a worker process."""
     return partial(_reopened, data.root, data.version, data.name, data.categories)
 
 

@@ -144,7 +144,7 @@ class Shard:
         return cls(number, of)
 
     def part(self, everything: Sequence[Part]) -> tuple[Part, ...]:
-        """What of a sequence is this shard's: every n-th, so that shards differ by one at most."""
+        """This shard's part of a sequence: every n-th, so that shards differ by one at most."""
         return tuple(everything[self.number - 1 :: self.of])
 
     def __str__(self) -> str:

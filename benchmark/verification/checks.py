@@ -118,7 +118,7 @@ def _apart(sizes: list[NDArray[Any]], others: list[NDArray[Any]]) -> float:
 
 @dataclass(slots=True)
 class _Tally:
-    """What is known about one quantity so far."""
+    """Known facts about one quantity so far."""
 
     tolerance: float
     error: float = 0.0
@@ -236,7 +236,7 @@ class Comparison:
         return found
 
     def _kept(self, quantity: str, sizes: NDArray[Any], tolerance: float | None) -> _Tally:
-        """What is known about a quantity, of which some more is compared now."""
+        """Tally of a quantity of which some more is compared now."""
         quantity = self._before + quantity
         if self.remembers:
             self._sizes.setdefault(quantity, []).append(np.array(sizes))

@@ -89,7 +89,7 @@ class GoldenFolder:
         return GoldenArrays.read(self.path / name)
 
     def facts(self, name: str, *, gaps: bool = False) -> Any:
-        """What a JSON file says; ``gaps`` as of `GoldenArrays.floats`."""
+        """Value of a JSON file; ``gaps`` as of `GoldenArrays.floats`."""
         value = read_json(self.path / name)
         if not value:
             raise damaged(self.path / name, "it says nothing")

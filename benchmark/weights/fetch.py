@@ -74,7 +74,7 @@ def _fetch_from_hub(weights: PublishedWeights, folder: Path) -> None:
 
 
 def _instead(weights: PublishedWeights, file: PublishedFile | None = None) -> str:
-    """What to do where there is no way to the internet."""
+    """Advice where there is no way to the internet."""
     named, page = (weights.names, weights.address) if file is None or file.page is None else (file.name, file.page)
     return f"get {named} from {page} with a browser, then run: {weights.how_to_import}"
 

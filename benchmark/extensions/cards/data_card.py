@@ -120,7 +120,7 @@ def _described(
 
 
 def _responsible(rows: Sequence[Mapping[str, Any]], origin: _Origin) -> dict[str, str | tuple[str, ...]]:
-    """What the responsible-AI extension asks, as far as the data set tells."""
+    """Answers to the responsible-AI extension, as far as the data set tells."""
     people = (
         "None: every road user is made up."
         if origin.town

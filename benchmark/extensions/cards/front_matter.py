@@ -18,5 +18,5 @@ def front_matter(fields: Mapping[str, Any]) -> str:
 
 
 def size_category(rows: int) -> str:
-    """What hubs call a number of rows."""
+    """Size category in which hubs put a number of rows."""
     return next((name for most, name in _SIZES if rows < most), "n>1M")

@@ -91,7 +91,7 @@ def _closest(made: Mapping[str, Any]) -> tuple[str | None, float | None]:
 
 
 def _of_scene(scene: "Scene") -> dict[str, Any]:
-    """What the tables say of a scene."""
+    """Index values of a scene from the tables."""
     seen = scene.annotations.valid
     kinds = [kind for kind, there in zip(scene.agents.categories, seen.any(axis=1), strict=True) if there]
     seconds = float(scene.timestamps_us[-1] - scene.timestamps_us[0]) * 1e-6

@@ -58,7 +58,7 @@ class CardSettings:
 
 @dataclass(frozen=True, slots=True)
 class WrittenCard:
-    """What was written: the files, and how many rows the index has."""
+    """Written files of a card, and the number of rows of its index."""
 
     files: tuple[Path, ...]
     rows: int
@@ -113,7 +113,7 @@ def ending() -> list[str]:
 
 
 def _require_own(page: Path) -> None:
-    """Refuse to write over a ``README.md`` that somebody wrote."""
+    """Refuse to write over a ``README.md`` that is no card of ours."""
     try:
         theirs = page.exists() and _OURS not in page.read_text(encoding="utf-8", errors="replace")
     except OSError as error:

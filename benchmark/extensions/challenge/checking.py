@@ -246,7 +246,7 @@ class _SceneCheck:
                 yield found
 
     def _vehicle(self, each: Differing) -> tuple[list[Reason], ChangedVehicle]:
-        """What is said of one changed vehicle."""
+        """Verdict on one changed vehicle."""
         rules, scene = self.rules, self.scene
         reasons = list(changed_vehicle(scene, self.recorded, each, self.common, rules))
         reasons += self._motion(each)

@@ -49,7 +49,7 @@ class CheckedEntry:
         return replace(unjudged, judgements=judged)
 
     def tracks(self, name: str) -> TracksAtHand:
-        """What was found of how the changed vehicles of a scene were made."""
+        """Findings on how the changed vehicles of a scene were made."""
         seconds = self.data.scene(name).seconds
         starts = {each.instance: int(np.argmin(np.abs(seconds - each.from_s))) for each in self.verdicts[name].changed}
         return TracksAtHand(generated=False, launches=starts)
@@ -80,7 +80,7 @@ class CheckedEntry:
         return tuple(sorted(self.verdicts))
 
     def review(self, split: str | None = None) -> SplitReview:
-        """Nobody inspected them."""
+        """All scenes wait: entries are not inspected."""
         return SplitReview(waiting=self.scene_names())
 
     def scene(self, name: str) -> Scene:
@@ -96,7 +96,7 @@ class CheckedEntry:
         return self.data.videos(name, sweeps=sweeps)
 
     def truth(self, name: str) -> tuple[SampleTruth, ...]:
-        """One truth a sample, in time order, with the changed vehicles as adversaries, whoever the entry names."""
+        """One truth a sample, in time order; the changed vehicles are the adversaries, named by the entry or not."""
         changed = frozenset(each.instance for each in self.verdicts[name].changed)
         return tuple(_with_adversaries(truth, changed) for truth in self.data.truth(name))
 
@@ -117,7 +117,7 @@ class CheckedEntry:
         return self.data.fingerprint()
 
     def provenance(self) -> dict[str, Any] | None:
-        """What was found: recording, changed vehicles and when they begin to be, by scene."""
+        """Findings by scene: recording, changed vehicles and the times from which they are changed."""
         scenes = {}
         for name, verdict in self.verdicts.items():
             starts = [{"launch_frame": start} for start in self.tracks(name).launches.values()]

@@ -126,7 +126,7 @@ def sensors_of(
 
 
 def _view_differs(mine: CameraView, theirs: CameraView, recorded: Scene, there: int, rules: Unchanged) -> str:
-    """What is wrong with a camera at one keyframe; empty if nothing is."""
+    """Fault of a camera at one keyframe; empty if there is none."""
     scaled = theirs.camera.resized(mine.camera.width, mine.camera.height)
     if _calibration_differs(mine.camera, scaled, rules):
         return "alters the calibration"

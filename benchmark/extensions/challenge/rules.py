@@ -128,7 +128,7 @@ class Rules(Stored):
 
     @property
     def fingerprint(self) -> str:
-        """Hash of all rules, whatever they are called: verdicts are comparable where it is equal."""
+        """Hash of all rules without their name: verdicts are comparable where it is equal."""
         return content_key("rules", self.model_dump(mode="json", exclude={"name"}))
 
 

@@ -121,7 +121,7 @@ def openscenario_bytes(made: Exchanged) -> bytes:
 
 
 def _said(made: Exchanged) -> dict[str, str]:
-    """What the header says of the scene."""
+    """Description of the scene for the header."""
     return {
         "scene": made.scene.name,
         "source_scene": made.source_scene,
@@ -211,7 +211,7 @@ class _Track:
             init.add_global_action(xosc.DeleteEntityAction(self.name))
 
     def maneuvers(self, xosc: Any) -> Any:
-        """What it does: for each stretch of time that it is there it comes, follows its track, and goes."""
+        """Maneuvers of an object: for each stretch of time that it is there it comes, follows its track, and goes."""
         maneuver = xosc.Maneuver(f"{self.name} maneuver")
         for number, (first, last) in enumerate(stretches(self._valid)):
             if first > 0:

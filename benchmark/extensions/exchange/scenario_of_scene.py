@@ -138,7 +138,7 @@ def _velocity(position: Floats, there: Bools, seconds: Floats) -> Floats:
 
 
 def _own(made: Exchanged) -> dict[str, Any]:
-    """What ScenarioNet has no place for; `benchmark.datasets.scene_of_own` reads it."""
+    """Facts that ScenarioNet has no place for; `benchmark.datasets.scene_of_own` reads them."""
     scene = made.scene
     sweeps = scene.sweep_poses
     return {
@@ -171,7 +171,7 @@ def _own(made: Exchanged) -> dict[str, Any]:
 
 
 def _summaries(tracks: dict[str, dict[str, Any]], features: int) -> dict[str, Any]:
-    """What ScenarioNet's filters look at."""
+    """Summaries that ScenarioNet's filters look at."""
     objects = {name: _summary(name, track) for name, track in tracks.items()}
     types = sorted({summary["type"] for summary in objects.values()})
     moving = [summary for summary in objects.values() if summary["moving_distance"] > _LEAST_MOVED_M]

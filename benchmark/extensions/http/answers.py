@@ -108,7 +108,7 @@ class ModelAnswer:
             raise WireError(str(error)) from error
 
     def _forecasts(self) -> Forecasts | None:
-        """What it expects of others, where that can be told: the wire has no probabilities, all modes count alike."""
+        """Forecasts of others, where they can be told: the wire has no probabilities, all modes count alike."""
         agents = len(self.objects)
         if not agents or len(self.futures) != agents or self.futures.shape[2] < PLAN_STEPS or not self.futures.shape[1]:
             return None

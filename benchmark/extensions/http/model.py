@@ -129,7 +129,7 @@ def http_planner(
 
 
 def _detail(reply: Reply) -> str:
-    """What a server says of an error, without the object that frameworks put around it."""
+    """A server's words about an error, without the object that frameworks put around them."""
     try:
         value = parse_json(reply.body, WIRE_ANSWER)
     except ValueError:

@@ -61,7 +61,7 @@ def camera_pose(camera: Camera) -> Floats:
 
 
 class Memory:
-    """What the wire does not say and a planner wants: number, times and places of samples since the reset."""
+    """Number, times and places of samples since the reset, which the wire does not carry and a planner wants."""
 
     def __init__(self) -> None:
         self.last_us: int | None = None

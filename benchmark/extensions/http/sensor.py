@@ -54,12 +54,12 @@ class HttpSensor:
 
     @property
     def facts(self) -> Mapping[str, Any]:
-        """What is known of its pictures: the protocol has neither a name nor a version of who draws."""
+        """Known facts about its pictures: the protocol has neither a name nor a version of the renderer."""
         form = ImageFormat.TORCH if self.tensors else ImageFormat.PNG
         return {"protocol": "neuroncap", "image_format": form.value, **self.address.settings}
 
     def require_alive(self) -> None:
-        """Refuse an address where nobody answers; raises `InputError`."""
+        """Refuse an address where no server answers; raises `InputError`."""
         _reply(lambda: self._connection.get("/alive", ALIVE_S))
 
     def look(self, scene: Scene) -> "HttpLook":

@@ -19,7 +19,7 @@ _ENDS_S: Final = 3
 
 
 class _Bounded(H11Protocol):
-    """A connection that is closed if nobody asks for anything on it."""
+    """A connection that is closed if no request comes on it."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
@@ -63,7 +63,7 @@ class PlannerServer:
 
     @property
     def url(self) -> str:
-        """What clients are given."""
+        """Address for clients."""
         return f"http://{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}"
 
     @property
@@ -79,7 +79,7 @@ class PlannerServer:
             self.close()
 
     def close(self) -> None:
-        """Stop listening; for whoever never served."""
+        """Stop listening; for servers that never served."""
         self._socket.close()
 
     def __enter__(self) -> Self:

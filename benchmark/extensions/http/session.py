@@ -109,7 +109,7 @@ class Session:
             )
 
     def _failed(self, doing: str, error: BaseException) -> Refused:
-        """What the planner raised, in a sentence, here and there."""
+        """The planner's failure in a sentence, here and for the client."""
         sentence = f"{self.planner.name} failed to {doing}: {type(error).__name__}: {one_line(error) or 'no reason'}"
         print(sentence, file=sys.stderr, flush=True)
         return Refused(FAILED, sentence)

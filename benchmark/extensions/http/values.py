@@ -15,7 +15,7 @@ _ROTATION_TOLERANCE: Final = 1e-3
 
 
 class WireError(Exception):
-    """What came over the wire is not what the protocol says; the sentence says what, and where."""
+    """A message over the wire breaks the protocol; the sentence says how, and where."""
 
 
 def numbers_of(value: Any, where: str) -> Floats:

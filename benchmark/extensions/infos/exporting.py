@@ -128,7 +128,7 @@ def info_files(root: Path, reader: Repository, settings: InfoSettings) -> InfoFi
 
 
 class _Converting:
-    """What a converter writes of a root."""
+    """A root as a converter writes it."""
 
     def __init__(self, root: Path, version: str, reader: Repository, settings: InfoSettings) -> None:
         self.root, self.reader, self.settings = root, reader, settings

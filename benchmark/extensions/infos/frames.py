@@ -68,7 +68,7 @@ def heading(rotation: Floats) -> Floats:
 
 
 def tilted_angle(rotation: Floats) -> Floats:
-    """What the info files call the angle of a box: the first of pyquaternion's yaw, pitch and roll.
+    """Angle of a box in the info files: the first of pyquaternion's yaw, pitch and roll.
 
     atan2(2 (wz - xy), 1 - 2 (yy + zz)), with a minus where the heading has a plus: the two are equal only without tilt.
     """
@@ -76,7 +76,7 @@ def tilted_angle(rotation: Floats) -> Floats:
 
 
 def roll(rotation: Floats) -> Floats:
-    """What VAD's converter takes for the heading of the ego: it reads w, x, y, z as x, y, z, w and so gets the roll."""
+    """Roll that VAD's converter takes for the heading of the ego, since it reads w, x, y, z as x, y, z, w."""
     return np.asarray(np.arctan2(rotation[..., 2, 1], rotation[..., 2, 2]))
 
 

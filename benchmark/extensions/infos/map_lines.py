@@ -41,7 +41,7 @@ class _Layer:
         self._tree = shapely.STRtree(self._shapes)
 
     def cut(self, patch: Polygon) -> Iterator[shapely.Geometry]:
-        """What lies in a patch, shape by shape."""
+        """Parts of shapes in a patch, shape by shape."""
         for number in sorted(self._tree.query(patch).tolist()):
             piece = self._shapes[number].intersection(patch)
             if not piece.is_empty:

@@ -68,7 +68,7 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class Engine:
-    """What does not change during a run.
+    """Constants of a run.
 
     Attributes:
         path: (F, 3) its path.
@@ -166,7 +166,7 @@ def begin(engine: Engine) -> World:
 
 
 def goes_on(engine: Engine, world: World) -> bool:
-    """Whether a plan is wanted: nobody was touched as far as is known, and time is left."""
+    """Whether a plan is wanted: no actor was touched as far as is known, and time is left."""
     return world.contact is None and world.state.time_us < engine.end_us
 
 

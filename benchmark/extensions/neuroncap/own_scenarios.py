@@ -48,9 +48,10 @@ def own_scenarios(recording: Recording) -> dict[str, Scenario]:
 
 
 def _oncoming(recording: Recording, seconds: Floats, meeting: int) -> tuple[Floats, Floats]:
-    """Times and places of somebody who comes the ego's way backwards, as fast as the ego came.
+    """Times and places of an actor that comes the ego's way backwards, as fast as the ego came.
 
-    Beyond the end of the recording the way goes on straight; it begins so far ahead that nobody appears out of nothing.
+    Beyond the end of the recording the way goes on straight; it begins so far ahead that it does not appear from
+    nothing.
     """
     times = seconds[START_FRAME] - 1.0 + np.arange(0.0, DURATION_S + 3.0)
     asked = 2 * seconds[meeting] - times

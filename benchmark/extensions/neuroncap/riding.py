@@ -277,7 +277,7 @@ class Crowd:
         return cls(scene, Tracks.of_scene(scene), there, tuple(agent for agent in gone if agent not in there))
 
     def around(self, motion: Motion) -> Motion:
-        """A piece of the recorded ego's motion, with everybody else as they are in this run."""
+        """A piece of the recorded ego's motion, with all other objects as they are in this run."""
         return self.motion(motion.times_us, motion.ego)
 
     def motion(self, times_us: Integers, ego: Floats) -> Motion:
@@ -322,5 +322,5 @@ def _target(engine: Engine) -> Actor | None:
 
 
 def neuroncap_rides(engine: str, scenarios: str) -> NeuroncapRides:
-    """What begins rides of the engine of a name; raises `InputError` if there is no such engine."""
+    """Maker of rides of the engine of a name; raises `InputError` if there is no such engine."""
     return NeuroncapRides(Switches.named(engine), scenarios)

@@ -106,7 +106,7 @@ def staged(
 
 @dataclass(frozen=True, slots=True)
 class _Stage:
-    """What all actors of a run share: frames, whom there is, when they have poses, and how they are drawn."""
+    """Shared facts of all actors of a run: frames, actors that exist, when they have poses, and how they are drawn."""
 
     times: Integers
     cast: Cast

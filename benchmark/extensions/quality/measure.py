@@ -141,7 +141,7 @@ def measure_shard(
 def _job_of(
     data: "DataSet", split: str, out: Path, settings: QualitySettings, chosen: tuple[str, ...]
 ) -> tuple[_Job, dict[str, WeightsFacts], dict[str, str]]:
-    """What every unit of work needs to know, which weights are used, and by which libraries."""
+    """Job of a measurement: settings of every unit of work, weights and libraries."""
     definition, needed = settings.definition, needed_for(settings.definition.masks)
     device = device_of(device_names(settings.device)[0])
     folders = {weights.name: folder_of(weights, settings.weights) for weights in needed}

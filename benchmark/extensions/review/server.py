@@ -101,7 +101,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(HTTPStatus.BAD_REQUEST, "application/json", _json({"error": str(error)}))
 
     def _place(self) -> str:
-        """The address without the secret; refuses whoever does not know it or calls the machine by another name."""
+        """Address without the secret; refuses clients that do not know it or call the machine by another name."""
         if self.headers.get("Host") not in self.server.hosts:
             raise _Refused(HTTPStatus.FORBIDDEN, "this page answers on 127.0.0.1 alone")
         _, secret, place = [*self.path.partition("?")[0].split("/", 2), "", ""][:3]

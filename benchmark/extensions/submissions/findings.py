@@ -7,10 +7,10 @@ from typing import Any
 
 
 class Level(StrEnum):
-    """What a finding means.
+    """Meaning of a finding.
 
-    An error keeps a record out. ``suspicious`` is what honest planners were never seen to do, and proves nothing. A
-    note is for the reader.
+    An error keeps a record out. ``suspicious`` marks a behaviour that honest planners were never seen to show, and
+    proves nothing. A note is for the reader.
     """
 
     ERROR = "error"

@@ -78,7 +78,7 @@ def moments_of_run(rows: Sequence[SampleRow], truths: Sequence[SampleTruth]) -> 
 
 
 def _dangerous(truths: Sequence[SampleTruth], speeds: Sequence[float]) -> Bools:
-    """(N,) whether a car that keeps its speed and direction touches somebody within 3 s."""
+    """(N,) whether a car that keeps its speed and direction touches an object within 3 s."""
     if not truths:
         return np.zeros(0, bool)
     times = PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
@@ -89,7 +89,7 @@ def _dangerous(truths: Sequence[SampleTruth], speeds: Sequence[float]) -> Bools:
 def _moments_of_drive(row: DriveRow, scene: Scene) -> list[Moment]:
     """Instants of a drive at which the car was where the recorded one was, long enough before the recording ends.
 
-    Nobody is in danger there: what others do in a drive depends on the drive.
+    None of them counts as dangerous: the actions of others in a drive depend on the drive.
     """
     found = []
     times = np.array(row.ticks.time_us[row.primed :], np.int64)

@@ -120,7 +120,7 @@ def comfort_of_pairs(scene: GoldenScene, states: Floats) -> tuple[Floats, Floats
 
 
 def surroundings(scene: GoldenScene, sample: int) -> Surroundings:
-    """What the plans of one sample of a scene are judged by."""
+    """Surroundings that the plans of one sample of a scene are judged by."""
     frames = scene.key_frames
     start, stop = int(frames.offsets[sample]), int(frames.offsets[sample + 1])
     some = slice(start, stop)
