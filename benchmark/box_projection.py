@@ -14,11 +14,9 @@ BOX_EDGES: Final = tuple((a, b) for a in range(8) for b in range(a + 1, 8) if bi
 
 
 def agents_at(scene: Scene, timestamp_us: int) -> tuple[Floats, Floats, Bools]:
-    """Where all agents are at a time; outside the scene as in its first or last frame.
+    """The N agents at a time in microseconds, between frames interpolated.
 
-    Args:
-        scene: The scene of N agents; between its frames positions are interpolated.
-        timestamp_us: The time.
+    Outside the scene as in its first or last frame.
 
     Returns:
         (N, 3) box centres, (N,) headings, (N,) whether each is there.
@@ -36,31 +34,16 @@ def agents_at(scene: Scene, timestamp_us: int) -> tuple[Floats, Floats, Bools]:
 
 
 def corners_of_box(position: Floats, yaw: float, size: Floats) -> Floats:
-    """Corners of a box that stands upright.
-
-    Args:
-        position: (3,) centre, global.
-        yaw: Heading, radians.
-        size: (3,) length, width, height.
-
-    Returns:
-        (8, 3) global; `BOX_EDGES` says which are neighbours.
-    """
+    """(8, 3) global corners of an upright box of (3,) length, width, height; `BOX_EDGES` says which are neighbours."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     turned = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray((_CORNERS * size) @ turned.T + position)
 
 
 def to_camera(points: Floats, global_T_ego: Floats, camera: Camera) -> Floats:
-    """Global points in camera axes.
+    """Global (P, 3) points in camera axes, x right, y down, z forward.
 
-    Args:
-        points: (P, 3) global.
-        global_T_ego: (4, 4) pose of the ego at the exposure.
-        camera: Calibration.
-
-    Returns:
-        (P, 3) x right, y down, z forward.
+    The ego's (4, 4) pose is that at the exposure.
     """
     in_ego = (points - global_T_ego[:3, 3]) @ global_T_ego[:3, :3]
     return np.asarray((in_ego - camera.translation) @ rotation_matrix(camera.rotation))

@@ -13,14 +13,9 @@ class InputError(Exception):
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """The question that a message asks where a name is nearly one that there is.
+    """Question of a message whose name is nearly a known one: ``did you mean uniad or uniad-mini? ``.
 
-    Args:
-        name: What was given.
-        known: What there is.
-
-    Returns:
-        ``did you mean uniad or uniad-mini? `` with the closest three at most; nothing where none is close.
+    It names the closest three at most, and is empty where none is close.
     """
     close = difflib.get_close_matches(name, sorted(set(known)))
     *others, last = close or [""]

@@ -63,7 +63,7 @@ class EvalSettings:
         seed: Seed of the intervals.
         fresh: Plan again even where plans are kept.
         timings: Folder for notes on what planners cost, one file a record; without it none are kept.
-        asked: Judges whose verdicts somebody asked for by name: refused where they have none on any contact.
+        asked: Judges whose verdicts were asked for by name: refused where they have none on any contact.
         unchanged: Name of the data set that has the recordings which adversarial scenes were made from, if it is
             another one.
     """
@@ -79,14 +79,7 @@ class EvalSettings:
     unchanged: str | None = None
 
     def chosen(self, data: "DataSet", split: str) -> tuple[str, ...]:
-        """The scenes that will run.
-
-        Args:
-            data: The data set.
-            split: The split.
-
-        Returns:
-            Scene names in the order of the split.
+        """The scenes that will run, in the order of the split.
 
         Raises:
             InputError: If the split or a scene is unknown, or nothing is left.
@@ -116,14 +109,7 @@ def _all_rejected(data: "DataSet", split: str) -> str:
 def require_whole_split(planner: str, scenes: object, limit: int | None, workers: int) -> None:
     """Refuse a part of a split, or several processes, for a planner whose memory outlives a change of scene.
 
-    Args:
-        planner: Its name.
-        scenes: What ``--scenes`` says, or ``None``.
-        limit: What ``--limit`` says.
-        workers: What ``--workers`` says.
-
-    Raises:
-        InputError: If any is given; one process is what the default means then.
+    The arguments are those of ``--scenes``, ``--limit`` and ``--workers``; the default of the latter means one process.
     """
     given = {"--scenes": scenes is not None, "--limit": limit is not None, f"--workers {workers}": workers > 1}
     wrong = next((option for option, is_given in given.items() if is_given), None)
@@ -172,20 +158,9 @@ def evaluate_together(
     *,
     reopen: Callable[[], "DataSet"] | None = None,
 ) -> list[RunRecord]:
-    """`evaluate` for several planners; those that need no network read each scene together.
+    """`evaluate` for several planners, each with its settings; those that need no network read each scene together.
 
-    Args:
-        data: The data set.
-        split: Which of its splits.
-        planners: Planners, or factories, each with its settings.
-        out: Folder of run directories.
-        reopen: As for `evaluate`.
-
-    Returns:
-        Their records, the same as one by one.
-
-    Raises:
-        InputError: As for `evaluate`.
+    The records are the same as one by one.
     """
     records: dict[int, RunRecord] = {}
     waiting: dict[int, _Planned] = {}
@@ -247,15 +222,7 @@ def plan_shard(
 
 @dataclass(frozen=True, slots=True)
 class _Planned:
-    """A run that is about to begin.
-
-    Attributes:
-        run: The run.
-        ready: Its planner.
-        factory: What builds it in another process, if anything.
-        settings: Which scenes, judged by whom, in how many processes.
-        scenes: The scenes that will run.
-    """
+    """A run that is about to begin."""
 
     run: Run
     ready: Planner

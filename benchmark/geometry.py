@@ -16,26 +16,12 @@ Bools = NDArray[np.bool_]
 
 
 def wrap_angle(angle_rad: Floats) -> Floats:
-    """Wrap angles to [-pi, pi).
-
-    Args:
-        angle_rad: Angles of any shape, radians.
-
-    Returns:
-        The same shape, radians.
-    """
+    """Wrap angles in radians, of any shape, to [-pi, pi)."""
     return np.asarray((np.asarray(angle_rad, np.float64) + np.pi) % (2 * np.pi) - np.pi)
 
 
 def box_corners(boxes: Floats) -> Floats:
-    """Corners of boxes, counter-clockwise from front left.
-
-    Args:
-        boxes: (..., 5) boxes.
-
-    Returns:
-        (..., 4, 2) corners, metres.
-    """
+    """(..., 4, 2) corners of (..., 5) boxes in metres, counter-clockwise from front left."""
     boxes = np.asarray(boxes, dtype=np.float64)
     cos, sin = np.cos(boxes[..., 4]), np.sin(boxes[..., 4])
     half_length, half_width = 0.5 * boxes[..., 2], 0.5 * boxes[..., 3]
@@ -52,13 +38,9 @@ def box_corners(boxes: Floats) -> Floats:
 
 
 def ego_footprints(lidar_poses: Floats) -> Floats:
-    """The ego's rectangle in collision checks: its centre is ahead of the lidar along the heading.
+    """The ego's (..., 5) rectangle in collision checks: its centre is ahead of the lidar along the heading.
 
-    Args:
-        lidar_poses: (..., 3) x, y of the lidar origin and heading, any frame.
-
-    Returns:
-        (..., 5) boxes.
+    Takes (..., 3) x, y of the lidar origin and heading, in any frame.
     """
     poses = np.asarray(lidar_poses, np.float64)
     yaw = poses[..., 2]
@@ -68,17 +50,10 @@ def ego_footprints(lidar_poses: Floats) -> Floats:
 
 
 def boxes_overlap(first: Floats, second: Floats) -> Bools:
-    """Whether two boxes intersect; touching counts.
+    """Whether two (..., 5) boxes, broadcast, intersect; touching counts.
 
     Separating-axis test in half-extent form: two rectangles are disjoint exactly when one of their four edge normals
     separates them.
-
-    Args:
-        first: (..., 5) boxes.
-        second: (..., 5) boxes, broadcast against ``first``.
-
-    Returns:
-        (...) verdicts.
     """
     first, second = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
     turn = second[..., 4] - first[..., 4]
@@ -108,13 +83,8 @@ def axes_overlap(
     Args:
         dx: (...) from the centre of the first box to that of the second.
         dy: (...) the same.
-        first: The first box.
-        second: The second box.
         cos: (...) of the angle between their headings; of either sign, of any turn.
         sin: (...) the same.
-
-    Returns:
-        (...) verdicts.
     """
     cos, sin = np.abs(cos), np.abs(sin)
     overlap: Bools | None = None
@@ -129,15 +99,7 @@ def axes_overlap(
 
 
 def box_gap(first: Floats, second: Floats) -> Floats:
-    """Distance between two boxes, zero where they overlap.
-
-    Args:
-        first: (..., 5) boxes.
-        second: (..., 5) boxes, broadcast against ``first``.
-
-    Returns:
-        (...) metres.
-    """
+    """Distance in metres between two (..., 5) boxes, broadcast; zero where they overlap."""
     first, second = np.broadcast_arrays(np.asarray(first, np.float64), np.asarray(second, np.float64))
     gaps = np.minimum(_corner_gap(first, second), _corner_gap(second, first))
     return np.where(boxes_overlap(first, second), 0.0, gaps)
@@ -154,30 +116,14 @@ def _corner_gap(box: Floats, other: Floats) -> Floats:
 
 
 def to_local(points: Floats, pose: Floats) -> Floats:
-    """Planar points from the global frame into the frame of a pose.
-
-    Args:
-        points: (..., 2) metres, global.
-        pose: (..., 3) x, y, yaw of the frame; broadcast against the leading axes of ``points``.
-
-    Returns:
-        (..., 2) metres; x along the pose's heading, y to its left.
-    """
+    """Planar (..., 2) points from the global frame into that of (..., 3) poses: x along the heading, y to its left."""
     offset = np.asarray(points, np.float64) - np.asarray(pose)[..., :2]
     cos, sin = np.cos(np.asarray(pose)[..., 2]), np.sin(np.asarray(pose)[..., 2])
     return np.stack([offset[..., 0] * cos + offset[..., 1] * sin, offset[..., 1] * cos - offset[..., 0] * sin], axis=-1)
 
 
 def to_global(points: Floats, pose: Floats) -> Floats:
-    """Planar points from the frame of a pose into the global frame; the inverse of `to_local`.
-
-    Args:
-        points: (..., 2) metres in the frame of ``pose``.
-        pose: (..., 3) x, y, yaw of the frame; broadcast against the leading axes of ``points``.
-
-    Returns:
-        (..., 2) metres, global.
-    """
+    """Planar (..., 2) points from the frame of (..., 3) poses into the global frame; the inverse of `to_local`."""
     points, pose = np.asarray(points, np.float64), np.asarray(pose, np.float64)
     cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     x = points[..., 0] * cos - points[..., 1] * sin
@@ -186,15 +132,9 @@ def to_global(points: Floats, pose: Floats) -> Floats:
 
 
 def poses_between(first: Floats, second: Floats, fraction: Floats) -> Floats:
-    """Poses between two poses: linear position, shortest-arc heading.
+    """(..., 3) poses between two, 0 at the first and 1 at the second: linear position, shortest-arc heading.
 
-    Args:
-        first: (..., 3) x, y, yaw.
-        second: (..., 3) x, y, yaw.
-        fraction: (...) 0 at ``first``, 1 at ``second``.
-
-    Returns:
-        (..., 3) poses; yaw is not wrapped.
+    The yaw is not wrapped.
     """
     first, second = np.asarray(first, np.float64), np.asarray(second, np.float64)
     step = second - first
@@ -203,14 +143,7 @@ def poses_between(first: Floats, second: Floats, fraction: Floats) -> Floats:
 
 
 def quaternion_of(rotation: Floats) -> Floats:
-    """Quaternion of a rotation matrix, by its largest component.
-
-    Args:
-        rotation: (3, 3).
-
-    Returns:
-        (4,) w, x, y, z; of either sign.
-    """
+    """Quaternion w, x, y, z, of either sign, of a (3, 3) rotation matrix, by its largest component."""
     # Four times the outer product of the quaternion with itself; any row is the quaternion, the largest the safest.
     xx, yy, zz = rotation[0, 0], rotation[1, 1], rotation[2, 2]
     wx, wy, wz = rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]
@@ -228,55 +161,34 @@ def quaternion_of(rotation: Floats) -> Floats:
 
 
 def quaternion_from_yaw(yaw_rad: Floats) -> Floats:
-    """Rotations about the vertical.
-
-    Args:
-        yaw_rad: (...) radians.
-
-    Returns:
-        (..., 4) quaternions w, x, y, z.
-    """
+    """Rotations about the vertical by (...) radians: (..., 4) quaternions w, x, y, z."""
     half = 0.5 * np.asarray(yaw_rad, np.float64)
     zero = np.zeros_like(half)
     return np.stack([np.cos(half), zero, zero, np.sin(half)], axis=-1)
 
 
 def directions_of(vectors: Floats) -> Floats:
-    """Which way vectors point, to the last bit the same wherever they and the result lie in memory.
+    """Directions of (..., 2) vectors in radians, [-pi, pi], to the last bit the same for any layout in memory.
 
     numpy has two ways to an arc tangent, whose last bits differ. Of a view it takes the one or the other by whether the
     result happens to follow it in memory; of what lies together it always takes the same one.
-
-    Args:
-        vectors: (..., 2) x, y.
-
-    Returns:
-        (...) radians in [-pi, pi].
     """
     return np.asarray(np.arctan2(np.ascontiguousarray(vectors[..., 1]), np.ascontiguousarray(vectors[..., 0])))
 
 
 def yaw_of_quaternion(quaternion: Floats) -> Floats:
-    """Heading of the rotated x axis, seen from above.
+    """Heading of the rotated x axis, seen from above, in radians, [-pi, pi].
 
-    Args:
-        quaternion: (..., 4) w, x, y, z; need not be normalised.
-
-    Returns:
-        (...) radians in [-pi, pi].
+    Quaternions are (..., 4) w, x, y, z and need not be normalised.
     """
     w, x, y, z = np.moveaxis(np.asarray(quaternion, np.float64), -1, 0)
     return np.asarray(np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
 
 
 def rotation_matrix(quaternion: Floats) -> Floats:
-    """Rotation matrices of quaternions.
+    """(..., 3, 3) matrices of quaternions (..., 4) w, x, y, z, normalised here.
 
-    Args:
-        quaternion: (..., 4) w, x, y, z; normalised here.
-
-    Returns:
-        (..., 3, 3) matrices that turn local vectors into the parent frame.
+    They turn local vectors into the parent frame.
     """
     quaternion = np.asarray(quaternion, np.float64)
     w, x, y, z = np.moveaxis(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True), -1, 0)
@@ -289,14 +201,9 @@ def rotation_matrix(quaternion: Floats) -> Floats:
 
 
 def transform_matrix(rotation: ArrayLike, translation: ArrayLike) -> Floats:
-    """Rigid motion as a matrix.
+    """Rigid motion as a (4, 4) matrix that takes local points (x, y, z, 1) to the parent frame.
 
-    Args:
-        rotation: (4,) quaternion; normalised here.
-        translation: (3,) metres.
-
-    Returns:
-        (4, 4) matrix that takes local points (x, y, z, 1) to the parent frame.
+    The rotation is a (4,) quaternion, normalised here; the translation is in metres.
     """
     matrix = np.eye(4)
     matrix[:3, :3] = rotation_matrix(np.asarray(rotation, np.float64))

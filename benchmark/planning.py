@@ -221,7 +221,7 @@ class Planner(Protocol):
 
 
 class PlannerGoneError(InputError):
-    """A planner elsewhere cannot be asked: nobody's failure, nothing is recorded, and the command ends."""
+    """A planner elsewhere cannot be asked: not a failure of the planner, nothing is recorded, and the command ends."""
 
 
 class PlannerAwayError(PlannerGoneError):
@@ -260,7 +260,7 @@ class PlannerLostError(PlannerFailedError):
 
 @runtime_checkable
 class SupervisedPlanner(Protocol):
-    """A planner in a process of its own, which is watched over there: nobody else needs to look at the clock."""
+    """A planner in a process of its own, which is watched over there: no caller needs to look at the clock."""
 
     @property
     def pid(self) -> int | None:

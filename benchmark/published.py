@@ -48,9 +48,7 @@ class PublishedRate:
     """One row of the paper's Table 1.
 
     Attributes:
-        model: Model name.
         protocol: Protocol of the model's own repository, which the row quotes.
-        data_set: Name in the paper.
         percent: Collision rate at 1 s, 2 s, 3 s and their average, per cent, as printed.
     """
 
@@ -120,17 +118,14 @@ how many nuScenes-val-R has."""
 
 @dataclass(frozen=True, slots=True)
 class StandingValue:
-    """A planning result that somebody prints, wherever it is printed.
+    """A planning result in print, by any publication.
 
     Attributes:
-        planner: As printed.
         ours: Names of the planner here; empty where it is not known which of them it is.
-        split: Split here, by `DATA_SET_OF_SPLIT`.
         protocol: Protocol here that it was computed by, or None.
         by: The same in words.
         column: ``collision`` in per cent or ``l2`` in metres.
         values: At 1 s, 2 s, 3 s and their average as printed; empty where it is not printed.
-        source: Where.
     """
 
     planner: str
@@ -197,14 +192,9 @@ STANDING: Final[tuple[StandingValue, ...]] = (
 
 
 def published_planning(model: str, protocol: str) -> tuple[StandingValue, ...]:
-    """What is printed of a published checkpoint on the nuScenes validation split, under one protocol.
+    """Printed values of a published checkpoint on the nuScenes validation split, under one protocol.
 
-    Args:
-        model: Name of our model that loads the checkpoint.
-        protocol: Its own protocol.
-
-    Returns:
-        The values; where one number is printed twice it was measured twice.
+    A number that is printed twice was measured twice. ``model`` is our model that loads the checkpoint.
     """
     return tuple(each for each in STANDING if model in each.ours and (each.split, each.protocol) == ("val", protocol))
 
@@ -214,11 +204,9 @@ class NeuroncapValue:
     """A result in NeuroNCAP's closed loop.
 
     Attributes:
-        planner: As printed.
         scores: NeuroNCAP score of all, stationary, frontal and side encounters; empty where it is not printed.
         collision: Collision rate of all encounters, per cent; empty where it is not printed.
         renderer: Which NeuRAD drew the images: it is part of what was measured.
-        source: Where.
     """
 
     planner: str

@@ -123,11 +123,7 @@ class RoadMap:
     def near(self, bounds: tuple[float, float, float, float]) -> Self:
         """The part of the map that touches a rectangle; geometries are kept whole, the drivable area is clipped.
 
-        Args:
-            bounds: x_min, y_min, x_max, y_max, metres.
-
-        Returns:
-            A smaller map with the same identifiers.
+        ``bounds`` are x_min, y_min, x_max, y_max in metres; identifiers stay.
         """
         window = shapely.box(*bounds)
 
@@ -157,14 +153,7 @@ class RoadMap:
 
 
 def as_multipolygon(shape: shapely.Geometry) -> MultiPolygon:
-    """The polygons of any geometry; lines and points are dropped.
-
-    Args:
-        shape: Any shapely geometry.
-
-    Returns:
-        A multipolygon, possibly empty.
-    """
+    """The polygons of any geometry; lines and points are dropped."""
     parts = [part for part in shapely.get_parts(shape) if isinstance(part, Polygon) and not part.is_empty]
     return MultiPolygon(parts)
 
@@ -190,16 +179,10 @@ class DrivableRaster:
     def around(
         cls, road_map: RoadMap, pose: Floats, *, half_extent_m: float = 50.0, resolution_m: float = 0.5
     ) -> "DrivableRaster":
-        """Rasterise the map around a pose.
+        """Rasterise the map around a (3,) global pose; a cell is drivable when its centre node is.
 
         Args:
-            road_map: Where to look.
-            pose: (3,) x, y, yaw of the centre, global.
             half_extent_m: Half the side of the square.
-            resolution_m: Cell size.
-
-        Returns:
-            The raster; a cell is drivable when its centre node is.
         """
         count = round(2 * half_extent_m / resolution_m)
         steps = (np.arange(count) * resolution_m) - half_extent_m
@@ -212,14 +195,7 @@ class DrivableRaster:
         return cls(_drivable_nodes(local, steps, pose, resolution_m), pose, resolution_m)
 
     def look_up(self, points: Floats) -> Bools:
-        """Whether points are drivable.
-
-        Args:
-            points: (..., 2) metres, global.
-
-        Returns:
-            (...) verdicts.
-        """
+        """Whether (..., 2) global points in metres are drivable."""
         cos, sin = np.cos(self.pose[2]), np.sin(self.pose[2])
         dx, dy = points[..., 0] - self.pose[0], points[..., 1] - self.pose[1]
         count = len(self.cells)

@@ -30,26 +30,13 @@ def waypoints_in_lidar(waypoints: Floats, frame: str, lidar_ahead_m: float | Flo
 def points_in_lidar(points_ego: Floats, lidar_ahead_m: float | Floats) -> Floats:
     """Points of the ego frame in the lidar frame: a rigid motion, unlike that of a plan, which moves its own point.
 
-    Args:
-        points_ego: (..., 2) x forward, y left of the rear axle, metres.
-        lidar_ahead_m: Lidar origin ahead of the rear axle; what is broadcast against (...).
-
-    Returns:
-        (..., 2) x right, y forward of the lidar origin.
+    (..., 2) x forward, y left of the rear axle become x right, y forward of the lidar origin, in metres.
     """
     return np.stack([-points_ego[..., 1], points_ego[..., 0] - lidar_ahead_m], axis=-1)
 
 
 def points_in_ego(points_lidar: Floats, lidar_ahead_m: float) -> Floats:
-    """The way back from `points_in_lidar`.
-
-    Args:
-        points_lidar: (..., 2) x right, y forward of the lidar origin, metres.
-        lidar_ahead_m: Lidar origin ahead of the rear axle.
-
-    Returns:
-        (..., 2) x forward, y left of the rear axle.
-    """
+    """The way back from `points_in_lidar`."""
     return np.stack([points_lidar[..., 1] + lidar_ahead_m, -points_lidar[..., 0]], axis=-1)
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def looks_at_images(name: str) -> bool | None:
-    """Whether a planner looks at images: built-in ones say so, HTTP carries some, of others nobody knows (``None``)."""
+    """Whether a planner looks at images: built-in ones say so, HTTP carries some, others are unknown (``None``)."""
     from adapters.models import MODELS
     from benchmark.machine.address import is_address
 
@@ -59,7 +59,7 @@ def drive_settings(
         adversary_knows: What it expects of the ego: ``plan``, ``motion`` (that it keeps its speed and its turn), or
             ``nothing``.
         adversary_every_s: Seconds between its plans.
-        adversary_others: Everybody else beside an adversary: ``replay`` or ``idm``.
+        adversary_others: All other agents beside an adversary: ``replay`` or ``idm``.
         adversary_rounds: Refinement rounds of its search; those of open loop by default.
         adversary_candidates: Candidates of each round; those of open loop by default.
         adversary_tracks: A record of drives against an adversary: its tracks are driven again, and nothing is planned.
@@ -69,8 +69,8 @@ def drive_settings(
         accept_torch_tensors: Whether a renderer's pictures may be saved tensors, which are pickles.
         latency_ms: So much later does a plan take effect; a multiple of 100, 0 in NeuroNCAP's engine.
         scenarios: In NeuroNCAP's engine: scenes as they are (``recorded``), with ``own`` or ``official`` scenarios.
-        until: What ends a drive before its time: ``contact``, any; ``fault``, one that is the ego's fault, and whoever
-            touches it otherwise is gone from the next planning instant on. NeuroNCAP's engine ends at any.
+        until: What ends a drive before its time: ``contact``, any; ``fault``, one that is the ego's fault, and another
+            object that touches it otherwise is gone from the next planning instant on. NeuroNCAP's engine ends at any.
         runs: Runs of each scene; one where nothing is drawn.
         scenes: Only these scenes.
         limit: Only the first so many.
@@ -152,7 +152,7 @@ def _given_tracks(directory: "Path", split: str) -> "tuple[AdversaryMaker, int]"
 
 
 def require_sensor(sensor: str) -> None:
-    """Raise `InputError` for what names no sensor; nobody is asked whether a server answers."""
+    """Raise `InputError` for a name of no sensor; no server is asked whether it answers."""
     from benchmark.closed_loop.sensors import NO_SENSOR
     from benchmark.machine.address import Address, is_address
 

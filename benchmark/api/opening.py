@@ -59,7 +59,7 @@ def open_data(
         rates: Gets scenes whose keyframes are not half a second apart: `evaluate` takes them, a drive and the search
             refuse them.
         sweeps: Whether the embedded data set, or the demo's town, is to have its images between samples too, for films
-            at 12 Hz; they are drawn when somebody asks for them, and no table changes by it.
+            at 12 Hz; they are drawn when they are asked for, and no table changes by it.
         categories: What categories mean that are not nuScenes': ``short``, ``lyft``, ``t4``, ``argoverse2``, or a JSON
             file ``{"name": "nuscenes.category"}`` (docs/data.md).
 

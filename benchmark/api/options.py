@@ -5,13 +5,5 @@ from typing import Any
 
 
 def named_alike(target: type, options: Any) -> dict[str, Any]:
-    """Values of those options that are called as fields of a dataclass.
-
-    Args:
-        target: The dataclass.
-        options: Options of a command.
-
-    Returns:
-        Values by name.
-    """
+    """Values of those options that are called as fields of a dataclass."""
     return {each.name: getattr(options, each.name) for each in fields(target) if hasattr(options, each.name)}

@@ -73,18 +73,12 @@ def load_planner(
 
 
 def model_that_runs(name: str, checkpoint: Path | None = None, *, data: str | Path = "mini") -> str:
-    """What `load_planner` builds: a miniature on embedded data where the full model has no weights.
+    """Planner that `load_planner` builds: a miniature on embedded data where the full model has no weights.
 
-    Args:
-        name: Planner name or ``package.module:Class``.
-        checkpoint: Its weights, if not its own.
-        data: What it will drive on.
-
-    Returns:
-        The planner's name.
+    Nothing is loaded.
 
     Raises:
-        InputError: If there is no such planner, or it is a network that has no weights; nothing is loaded.
+        InputError: If there is no such planner, or it is a network that has no weights.
     """
     from adapters.checkpoints.stand_in import require_weights, stand_in
     from adapters.registry import require_known
@@ -131,17 +125,9 @@ class PlannerSource:
     """Planners by name that are checked before anything is built, and loaded when they are needed.
 
     Attributes:
-        names: Planner names, ``package.module:Class``, or addresses of model servers.
-        data: What they will drive on.
-        checkpoint: Their weights, if not their own.
-        seed: For planners that take one.
-        device: Where a network runs.
-        precision: Of a network.
-        as_published: What networks do as in their published runs.
         sample_limit: Seconds that a planner of another package may take for a plan.
         memory_limit: GiB that one may hold.
         frame: In which a model server, or a file, plans.
-        image_format: How a model server is sent pictures.
         deadline_s: How long a model server may take; its own limit by default.
     """
 
@@ -160,24 +146,17 @@ class PlannerSource:
 
     @classmethod
     def of(cls, options: Any, **others: Any) -> "PlannerSource":
-        """The planners that options of a command name.
+        """Planners that options of a command name, not checked yet; ``others`` take the place of options.
 
         Args:
             options: Those of them that are called as the attributes here count; ``model`` is one name or several.
-            others: Attributes that the options say otherwise.
-
-        Returns:
-            The planners, not checked yet.
         """
         named = getattr(options, "model", ())
         said = {**named_alike(cls, options), "names": (named,) if isinstance(named, str) else named}
         return cls(**{**said, "as_published": said.get("as_published") or (), **others})
 
     def require(self) -> "PlannerSource":
-        """Refuse planners that there are not, that have no weights, or that cannot run so.
-
-        Returns:
-            Itself.
+        """Itself, once all planners are known, have weights, and can run so.
 
         Raises:
             InputError: If one is unknown, weights are absent, there is no such device or precision, or a limit is no
@@ -207,10 +186,6 @@ class PlannerSource:
     def require_servers(self, sensor: str = "none", *, tensors: bool = False) -> None:
         """Refuse servers that do not answer, and options that are about servers where none is named.
 
-        Args:
-            sensor: As ``--sensor`` takes it.
-            tensors: Whether ``--accept-torch-tensors`` was given.
-
         Raises:
             InputError: If one is no address, does not answer, or a model behind HTTP would be sent no pictures.
         """
@@ -231,7 +206,7 @@ class PlannerSource:
             from_extension("sensor", "http")(Address.of(sensor, "--sensor")).require_alive()
 
     def remembers_across_scenes(self) -> bool:
-        """Whether any planner does as published what makes plans depend on the scenes before.
+        """Whether any planner repeats a habit of published runs that makes plans depend on the scenes before.
 
         Raises:
             InputError: If a planner does nothing of the kind that is asked for.

@@ -69,14 +69,14 @@ def write_leaderboard(
 def stale_leaderboard(
     out: Path = OUT, to: Path | None = None, records: "Sequence[Path] | None" = None, *, site: bool = True
 ) -> list[str]:
-    """What of a written leaderboard is not what `write_leaderboard` would write now, as paths below it."""
+    """Paths, below a written leaderboard, of all that `write_leaderboard` would write otherwise now."""
     from leaderboard.build import stale_files
 
     return stale_files(_shown(out, records), to or out / "leaderboard", site=site)
 
 
 def _shown(out: Path, folders: "Sequence[Path] | None") -> "Results":
-    """What a leaderboard is made from; without run records it may be made from the rest."""
+    """Sources of a leaderboard; without run records it may be made from the rest."""
     from benchmark.records.ablation import find_ablations
     from benchmark.records.challenge_scores import find_scores
     from benchmark.records.drives import find_drives

@@ -24,18 +24,13 @@ _IMAGES_OF_A_SCENE: Final = {"all": 241 * 6, "keyframes": 41 * 6}
 
 @dataclass(frozen=True, slots=True)
 class Ahead:
-    """What a command will work on.
-
-    Attributes:
-        scenes: Names of the scenes that it will take.
-        builds: What has to be built first, for people: what, where, how long, how large.
-    """
+    """Scenes that a command will take, and what has to be built first, for people: what, where, how long, how large."""
 
     scenes: tuple[str, ...]
     builds: tuple[str, ...] = ()
 
     def plan(self, then: str) -> tuple[str, ...]:
-        """What ``--dry-run`` says where something has to be built first."""
+        """Text of ``--dry-run`` where something has to be built first."""
         return (*(f"would first build {each}" for each in self.builds), f"would then {then}")
 
     def counted(self) -> str:
@@ -49,8 +44,6 @@ class DataSource:
 
     Attributes:
         data: ``mini``, ``demo`` or the root of a nuScenes-format data set.
-        tables: Version folder below the root, if there are several.
-        out: Folder below which generated splits lie.
         workers: Processes that build what is absent; 0 takes all processors.
         categories: What categories mean that are not nuScenes'.
     """
@@ -70,12 +63,7 @@ class DataSource:
 
     @classmethod
     def of(cls, options: Any, **others: Any) -> "DataSource":
-        """The data set that options of a command name, as ``data`` or ``root``.
-
-        Args:
-            options: Those of them that are called as the attributes here count.
-            others: Attributes that the options say otherwise.
-        """
+        """Data set that options of a command name, as ``data`` or ``root``; ``others`` take the place of options."""
         root = {"data": options.root} if hasattr(options, "root") else {}
         return cls(**{**root, **named_alike(cls, options), **others})
 
@@ -96,7 +84,7 @@ class DataSource:
         return open_split(source or self.open(), split, self.out, workers=self.workers)
 
     def require(self, scenes: Sequence[str] | None = None) -> Ahead:
-        """Refuse a data set that there is not, or scenes that are not in it; as `require_split`, whatever the split."""
+        """Refuse an unknown data set, or scenes that are not in it; as `require_split` for any split."""
         if self._is_mini:
             return _embedded("val", self.out, scenes, None)
         return Ahead(_chosen(self._listed(None), None, scenes, None))
@@ -111,15 +99,11 @@ class DataSource:
         return Ahead(_chosen(of_split if scenes is None else self._listed(None), split, scenes, limit))
 
     def require_split(self, split: str, scenes: Sequence[str] | None = None, limit: int | None = None) -> Ahead:
-        """Refuse a data set, a split or scenes that there are not and that will not be built.
+        """Scenes of a split that is there or will be built, and the builds.
 
-        Args:
-            split: The split; generated ones of the embedded data are built where they are absent.
-            scenes: Only these scenes.
-            limit: Only the first so many.
+        A missing data set, split or scene is refused.
 
-        Returns:
-            What is known of the scenes, and what would be built.
+        Generated splits of the embedded data are built where they are absent.
 
         Raises:
             InputError: If there is no such data set, split or scene, or no room or right to build what is absent.
@@ -152,13 +136,7 @@ class DataSource:
         """Refuse a split made from it that the disk has no room for, where none of it has been made yet.
 
         Args:
-            split: The split.
             scenes: How many there will be, at least.
-            size: Width and height of their images, pixels.
-            frames: ``all`` or ``keyframes``.
-
-        Raises:
-            InputError: If less is free.
         """
         folder = workspace(self.out).split_root(Path(self.data).resolve().name, split)
         if not folder.exists():

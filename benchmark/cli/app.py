@@ -132,7 +132,7 @@ def _fail(sentence: str) -> int:
 
 
 def _fit_to_show(sentence: str) -> str:
-    """A sentence in one line that a terminal can show and somebody can read, whatever was given."""
+    """Any text as a sentence in one line that a terminal can show and a person can read."""
     shown = "".join(each if each.isprintable() else ascii(each)[1:-1] for each in sentence)
     if len(shown) <= _LONGEST_SENTENCE:
         return shown

@@ -36,8 +36,6 @@ class SplitToBuild:
     """One split of a command.
 
     Attributes:
-        split: Its name.
-        seed: Seed of its search.
         freeze: File to freeze it to.
         frozen: What it is built from, without a search.
     """
@@ -50,24 +48,16 @@ class SplitToBuild:
 
 @dataclass(frozen=True, slots=True)
 class Built:
-    """What came of one split: for people, and as JSON."""
+    """Outcome of one split: for people, and as JSON."""
 
     text: str
     said: Mapping[str, Any]
 
 
 def splits_to_build(options: "GenerateOptions", data: "DataSource") -> tuple[SplitToBuild, ...]:
-    """The splits that a command builds.
+    """Splits that a command builds, one without ``--seeds``.
 
-    Args:
-        options: Of the command.
-        data: The recordings; opened only for edited scenes, which are compared with them.
-
-    Returns:
-        They; one without ``--seeds``.
-
-    Raises:
-        InputError: If options contradict each other, or there is no frozen split of that name.
+    The recordings are opened only for edited scenes, which are compared with them.
     """
     from generation.splits.format import require_freezable
     from generation.splits.packaged import frozen_split
@@ -201,12 +191,7 @@ def build_shards(
     """Do one shard of each split and say what comes next.
 
     Args:
-        source: The recordings.
-        wanted: The splits.
-        settings: With which each is built.
-        shard: Which shard.
         again: Options that lead another command to the same place.
-        json_output: Whether a program reads.
     """
     from generation.pipeline.sharded import build_shard, draw_frozen_shard
 
@@ -226,16 +211,7 @@ def build_shards(
 
 
 def require_shardable(shard: "Shard | None", surrogate: str | None, executor: "Executor") -> None:
-    """Refuse what a shard cannot do.
-
-    Args:
-        shard: Which shard, if any.
-        surrogate: Planner under test, if any.
-        executor: Where the work would be done.
-
-    Raises:
-        InputError: If all scenes have to be together, or a cluster shares work out itself.
-    """
+    """Refuse a shard where all scenes have to be together, or a cluster shares work out itself."""
     if shard is None:
         return
     if surrogate is not None:
@@ -255,10 +231,7 @@ def say_built(
     """Say where the built splits are, and what comes next.
 
     Args:
-        wanted: The splits.
-        settings: With which each was built.
         again: Options that lead another command to them.
-        json_output: Whether nobody reads it.
     """
     roots, files = (", ".join(map(str, places)) for places in zip(*((each.out, each.freeze) for each in settings)))
     say_next(

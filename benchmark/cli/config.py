@@ -51,7 +51,7 @@ def taking_settings(settings: type) -> Callable[..., Any]:
 
 
 def _defaults(context: typer.Context) -> MutableMapping[str, Any]:
-    """What stands for options that are not given on the command line."""
+    """Values of options that are not given on the command line."""
     if context.default_map is None:
         context.default_map = {}
     return context.default_map
@@ -81,7 +81,7 @@ def _of_file(context: typer.Context, settings: type, path: Path) -> dict[str, An
 
 
 def _of_record(context: typer.Context, settings: type, path: Path, members: Mapping[str, Any]) -> Mapping[str, Any]:
-    """What a record says as settings; of a file of settings what it holds."""
+    """Settings of a record; a file of settings gives its members as they are."""
     from_record = getattr(settings, "from_record", None)
     try:
         recorded: Mapping[str, Any] | None = None if from_record is None else from_record(members)

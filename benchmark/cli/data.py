@@ -109,7 +109,7 @@ def data_stats_command(options: DataStatsOptions) -> None:
 
 
 def _judged(root: Path, options: DataStatsOptions, recordings: api.DataSource | None) -> "SplitJudgement | None":
-    """What is said of the scenes of a root; nothing where there is none to judge."""
+    """Judgements of the scenes of a root; nothing where there is none to judge."""
     from benchmark.datasets.roots import open_data
     from benchmark.fairness.splits import adversarial_names, judge_split
     from benchmark.machine.workers import LocalProcesses

@@ -147,7 +147,7 @@ def stale_demo(to: Path = RESULTS) -> list[str]:
 
 
 def _results_from() -> dict[str, Any]:
-    """What the measured results depend on: miniatures, town, frozen split, renderer, search and protocols."""
+    """Sources that the measured results depend on: miniatures, town, frozen split, renderer, search and protocols."""
     from dataclasses import asdict
 
     from adapters.models import miniatures

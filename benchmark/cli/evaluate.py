@@ -257,7 +257,10 @@ def _also_by_its_own(settings: "EvalSettings", factory: "PlannerFactory") -> "Ev
 
 
 def _protocols_to_show(names: tuple[str, ...] | None) -> tuple[str, ...] | None:
-    """What ``--protocol`` asks for; ``None`` is the default: exact, and the planners' own where they have one."""
+    """Protocols that ``--protocol`` asks for.
+
+    By default (``None``) exact, and the planners' own where they have one.
+    """
     from benchmark.pdm.definition import PDM
     from benchmark.protocols import PROTOCOLS, protocol
     from benchmark.records.run import NATIVE

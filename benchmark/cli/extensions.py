@@ -24,11 +24,9 @@ ENTRY_POINTS: Final = "challenger_bench.extensions"
 
 
 def add_command_of_extension(words: str, groups: Groups) -> None:
-    """Add a command of one of our extensions, or one that says that the extension is not there.
+    """Add a command of one of our extensions, or one that says that the extension is absent.
 
-    Args:
-        words: As the table of offers has it, ``data card``.
-        groups: Where it goes.
+    ``words`` are as the table of offers has them, ``data card``.
     """
     try:
         _add(words, from_extension("command", words), groups)
@@ -37,11 +35,7 @@ def add_command_of_extension(words: str, groups: Groups) -> None:
 
 
 def add_commands_of_others(groups: Groups) -> None:
-    """Add the commands of other packages; one that fails is named on standard error.
-
-    Args:
-        groups: Where its commands go.
-    """
+    """Add the commands of other packages; one that fails is named on standard error."""
     for entry in entry_points(group=ENTRY_POINTS):
         try:
             offered: Offered = entry.load()

@@ -18,15 +18,11 @@ SETTINGS_PAGE: Final = "docs/settings.md"
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """What the command line says of a field.
+    """Presentation of a field on the command line.
 
     Attributes:
-        help: One sentence or two.
-        panel: Group in the help.
         names: ``--format`` or ``--site/--no-site``; the field's name by default, empty for an argument.
         separated: Whether several values are one text, separated by commas; a file may give a list.
-        min: Least value of a number.
-        max: Largest value.
         metavar: Shown for the value, if not its type.
     """
 
@@ -54,15 +50,7 @@ class Option:
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A field of settings.
-
-    Attributes:
-        name: Its name.
-        kind: Its type.
-        option: What the command line says of it.
-        default: Its default, or ``...`` where it has to be given.
-        rare: Whether help leaves it out.
-    """
+    """A field of settings; the default is ``...`` where it has to be given, and help leaves out rare ones."""
 
     name: str
     kind: Any

@@ -20,7 +20,7 @@ class NamesData(Protocol):
 
     @property
     def data(self) -> str:
-        """What ``--data`` names."""
+        """Value of ``--data``."""
 
     @property
     def tables(self) -> str | None:
@@ -37,7 +37,7 @@ def print_json(value: Any) -> None:
 
 
 def print_result(value: Any, text: str, *, json_output: bool) -> None:
-    """What a command found, as JSON for a program or as text for people."""
+    """Print the findings of a command, as JSON for a program or as text for people."""
     if json_output:
         print_json(value)
     else:
@@ -45,7 +45,7 @@ def print_result(value: Any, text: str, *, json_output: bool) -> None:
 
 
 def say_plan(sentences: Sequence[str], *, json_output: bool) -> None:
-    """What ``--dry-run`` prints."""
+    """Print the text of ``--dry-run``."""
     print_result({"would": list(sentences)}, "\n".join(sentences), json_output=json_output)
 
 
@@ -53,9 +53,7 @@ def say_next(where: str, *steps: tuple[str, str], json_output: bool) -> None:
     """Say on stderr where things are and which commands come next; nothing where a program reads.
 
     Args:
-        where: What is where.
         steps: Commands without the program's name, and what each is for.
-        json_output: Whether a program reads.
     """
     if json_output:
         return
@@ -84,11 +82,8 @@ def say_shard(
     """Say what a shard did and what is left to do.
 
     Args:
-        shard: Which.
-        found: What it did, for each record or data set.
         did: What it did with its scenes: ``driven``, ``scored``, ``searched``, ``drawn``.
         step: The command that comes next, and what it is for.
-        json_output: Whether a program reads.
     """
     if json_output:
         print_json([{"directory": str(each.directory), did: each.done, "scenes": each.scenes} for each in found])
@@ -100,11 +95,7 @@ def say_shard(
 
 
 def warn_of_caveats(records: "Iterable[RecordFacts]") -> None:
-    """Print on stderr what the numbers of records needed and did not get, each sentence once with its planners.
-
-    Args:
-        records: Facts of run records or of records of drives.
-    """
+    """Print on stderr what the numbers of records needed and did not get, each sentence once with its planners."""
     planners: dict[str, list[str]] = {}
     for facts in records:
         for caveat in facts.caveats:

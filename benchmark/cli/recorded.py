@@ -73,7 +73,7 @@ def generate_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
 
 
 def _of_any(members: Mapping[str, Any]) -> dict[str, Any]:
-    """What records of runs and of drives hold alike."""
+    """Settings that records of runs and of drives hold alike."""
     from adapters.models import MODELS
 
     planner, config = members["planner"], members.get("config", {})

@@ -17,16 +17,9 @@ if TYPE_CHECKING:
 
 
 def opened_results(options: "EvalOptions") -> "list[Recognised]":
-    """Open the files that ``--results`` names, and check that of ``--plans``, before anything is built.
+    """Result files of ``--results`` with their formats.
 
-    Args:
-        options: Of the command.
-
-    Returns:
-        The result files with their formats.
-
-    Raises:
-        InputError: If a file is broken, options contradict each other, or there is no such format or protocol.
+    The file of ``--plans`` is checked too, before anything is built.
     """
     from adapters.plan_file import read_plan_file
     from adapters.result_files.recognition import AUTO, recognise, require_format

@@ -106,7 +106,7 @@ def rare_settings(settings: type) -> list[str]:
 
 
 def rare_sentence(settings: type) -> str | None:
-    """What help says of them at its end."""
+    """Sentence at the end of help about rare settings."""
     count = len(rare_settings(settings))
     each = "one rare setting is" if count == 1 else f"{count} rare settings are"
     return f"{each.capitalize()} not listed: --set and --config take them ({SETTINGS_PAGE})." if count else None

@@ -11,16 +11,10 @@ Outcome = TypeVar("Outcome")
 
 
 def begun_again(work: Callable[[], Outcome], planner: Planner) -> Outcome:
-    """Do what begins with `Planner.reset`, from its beginning each time that the planner goes away half-way.
+    """Outcome of work that begins with `Planner.reset`, begun again each time the planner goes away half-way.
 
-    Nothing is asked twice in between: what came before is forgotten on both sides.
-
-    Args:
-        work: A scene's; leaves nothing behind where it raises.
-        planner: Who is asked.
-
-    Returns:
-        What comes of it.
+    Nothing is asked twice in between: what came before is forgotten on both sides. The work of a scene leaves nothing
+    behind where it raises.
 
     Raises:
         PlannerGoneError: If the planner does not come back, or goes away again and again.

@@ -32,17 +32,12 @@ _OF_DRIVES: Final[tuple[Callable[[PlannerFacts, _Scenes, Measured], Iterable[Cav
 def run_caveats(
     planner: PlannerFacts, scenes: Mapping[str, SceneFacts], rows: Rows, known: Sequence[Caveat] = ()
 ) -> list[Caveat]:
-    """What the numbers of a run needed and did not get.
+    """Caveats of a run, in order: inputs that its numbers needed and did not get.
 
     Args:
-        planner: Whose plans they are.
         scenes: Facts of the scenes that ran, with what the data set holds of their truth.
-        rows: One for each sample.
         known: What the command that took the plans in knows, or what a stored record says: only what cannot be found
             out again is taken from it.
-
-    Returns:
-        The caveats, in order.
     """
     columns = rows.columns
     compared = ComparedPlans.of(columns.in_lidar, columns.recorded)
@@ -61,22 +56,14 @@ def drive_caveats(
     """`run_caveats` of a record of drives.
 
     Args:
-        planner: Who drove.
-        scenes: As there.
-        rows: One for each drive.
-        measured: Engine, agents and sensor.
         compared: Its plans of the instants at which the ego was still where it was recorded.
-        known: As there.
-
-    Returns:
-        The caveats, in order.
     """
     found = (find(planner, scenes, measured) for find in _OF_DRIVES)
     return in_order(chain(_of_the_door(known), *found, _of_plans(compared, known)))
 
 
 def _of_the_door(known: Sequence[Caveat]) -> list[Caveat]:
-    """What is kept of what is known."""
+    """Known caveats that are kept, since they cannot be found out again."""
     return [caveat for caveat in known if caveat.kind in OF_THE_DOOR]
 
 

@@ -44,15 +44,13 @@ _SAYS_NOTHING: Final = frozenset({"ctx", "kind", "type_comment", "type_ignores"}
 
 
 def code_sha256(made: type, *, made_by: str | None = None, parts: frozenset[type] = frozenset()) -> str | None:
-    """Hash of the code that what a planner (or an engine) does depends on.
+    """Hash of the code that the actions of a planner (or an engine) depend on, 64 hexadecimal digits.
+
+    ``None`` if the class has no source file, as in a notebook.
 
     Args:
-        made: Its class.
         made_by: The function or class that made it, as ``package.module:name``.
         parts: Classes of what it was given, such as its network.
-
-    Returns:
-        The hash, 64 hexadecimal digits; ``None`` if the class has no source file, as in a notebook.
     """
     if _source_of(made) is None:
         return None
@@ -105,14 +103,10 @@ def is_current(loaded: Mapping[str, str]) -> bool:
 
 
 def code_of_modules(start: Iterable[str], made: type | None = None) -> dict[str, str]:
-    """Hashes of modules and of all that they import, directly and through others, and that counts.
+    """Hashes by name of modules and of all that they import, directly and through others, and that counts.
 
     Args:
-        start: Names of modules.
         made: A class whose top-level package counts wherever it is installed.
-
-    Returns:
-        Hashes by name of the module.
     """
     own = "" if made is None else made.__module__.partition(".")[0]
     found: dict[str, str] = {}

@@ -23,13 +23,6 @@ def compared_drive(scene: Scene, row: DriveRow) -> ComparedPlans:
     """Plans of a drive that were made where the recorded car was, as fast as it was, with 3 s of recording ahead.
 
     The planner sees nothing of this: it is done with rows that are finished.
-
-    Args:
-        scene: The scene.
-        row: The drive.
-
-    Returns:
-        The plans and the recording.
     """
     count = len(row.plans)
     if not count:

@@ -23,20 +23,9 @@ _SCORING_S: Final = 0.5
 
 
 def estimate(data: "DataSet", split: str, planner: PlannerFactory, settings: DriveSettings, out: Path) -> str:
-    """How much there is to drive, and about how long it takes at most.
+    """Sentence on how much there is to drive, and about how long it takes.
 
-    Args:
-        data: The data set.
-        split: The split.
-        planner: Builds the planner.
-        settings: How it would be driven.
-        out: Folder of all records of drives.
-
-    Returns:
-        A sentence; drives that end in a contact take less.
-
-    Raises:
-        InputError: If the split or a scene is unknown, or a scene cannot be driven.
+    It takes so long at most, since drives that end in a contact take less.
     """
     scenes = settings.chosen(data, split)
     units = settings.units(data, scenes)

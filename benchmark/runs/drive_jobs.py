@@ -41,10 +41,9 @@ Paths = list[list[list[float]]]
 
 @dataclass(frozen=True, slots=True)
 class KeptDrive:
-    """What is kept of a unit.
+    """Stored result of a unit.
 
     Attributes:
-        row: Of the record.
         scoring: Version of its scores: drives that were scored by earlier definitions are scored again.
         plan: Its plans of the instants at which the ego was still where it was recorded.
         recorded: What was recorded there.
@@ -60,17 +59,9 @@ class KeptDrive:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What every unit of work needs to know; picklable.
+    """Settings that every unit of work needs; picklable.
 
     Attributes:
-        directory: The record's directory.
-        fingerprint: Of the data set.
-        planner: Identity of the planner.
-        measured: What is measured.
-        maker: The engine.
-        sensor: What cameras see.
-        timeout_s: How long a plan may take.
-        fresh: Drive again even where drives are kept.
         factory: Builds the planner; ``None`` where there is one object alone.
         ladder: Reference drivers that drive the same encounters.
         keep_considered: Whether what an adversary considered is kept beside the record.
@@ -101,7 +92,7 @@ class Job:
         return content_key("drive", FORMAT, self.fingerprint, unit.scene, unit.family, unit.run, who, what, code)
 
     def kept(self, unit: Unit) -> KeptDrive | None:
-        """What is kept of a unit, made by code as it is now."""
+        """Stored result of a unit, made by code as it is now."""
         kept = None if self.fresh else self.store.get(self.key(unit), unit.name)
         return kept if kept is not None and is_current(kept.loaded) else None
 

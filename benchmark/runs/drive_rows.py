@@ -18,16 +18,7 @@ DECIMALS: Final = 6
 
 
 def row_of(stage: Stage, drive: Drive, scores: DriveScores | None) -> DriveRow:
-    """The row of a drive.
-
-    Args:
-        stage: What was driven.
-        drive: The drive.
-        scores: What is said of it; ``None`` of a failed one.
-
-    Returns:
-        The row.
-    """
+    """Row of a drive; a failed one has no scores."""
     motion, failure = drive.motion, drive.failure
     contact = None if scores is None or scores.contact is None else _rounded(asdict(scores.contact))
     return DriveRow.model_validate(
@@ -58,15 +49,7 @@ def row_of(stage: Stage, drive: Drive, scores: DriveScores | None) -> DriveRow:
 
 
 def with_labels(rows: Sequence[DriveRow], scenes: Mapping[str, TruthFacts]) -> list[DriveRow]:
-    """Rows that say whether their scenes are labelled throughout.
-
-    Args:
-        rows: One for each drive.
-        scenes: What the data set holds of the truth of their scenes.
-
-    Returns:
-        The rows.
-    """
+    """Rows that say whether their scenes are labelled throughout."""
     missing = {name for name, truth in scenes.items() if truth.unlabelled}
     return [
         row if row.unlabelled == (row.scene in missing) else row.model_copy(update={"unlabelled": not row.unlabelled})
@@ -88,7 +71,7 @@ def adversary_row(stage: Stage, track: AdversaryTrack) -> dict[str, Any]:
 
 
 def considered_of(track: AdversaryTrack) -> tuple[ConsideredFrame, ...]:
-    """What an adversary considered at each of its planning frames, of one that was asked to keep it."""
+    """Candidates of an adversary at each of its planning frames, if it was asked to keep them."""
     return tuple(ConsideredFrame.model_validate(each.considered) for each in track.replanned)
 
 

@@ -75,11 +75,7 @@ class DriveSettings:
 
     @property
     def measured(self) -> Measured:
-        """What is measured.
-
-        Raises:
-            ValueError: If there is no such engine.
-        """
+        """The definition that a record of these drives measures."""
         return Measured.model_validate(
             {
                 "engine": self.engine,
@@ -109,11 +105,7 @@ class DriveSettings:
         return [tasks[first : first + size] for first in range(0, len(tasks), max(size, 1))]
 
     def units_of(self, data: "DataSet", scenes: tuple[str, ...]) -> list[Unit]:
-        """Units of some scenes, none perhaps.
-
-        Raises:
-            InputError: If a number of runs is asked for that no record holds.
-        """
+        """Units of some scenes, none perhaps; refuses a number of runs that no record holds."""
         if not 1 <= self.runs <= MOST_RUNS:
             raise InputError(f"--runs must be at least 1 and at most {MOST_RUNS}, got {self.runs}")
         found = []

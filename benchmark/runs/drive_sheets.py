@@ -50,18 +50,10 @@ class WatchedPlans(StoredPlans):
 def driven_sheet(
     folder: Path, data: "DataSet", record: DriveRecord, row: DriveRow, maker: RideMaker, sensor: Sensor | None
 ) -> DrivenSheet:
-    """Drive stored plans again and write down what is shown of it.
+    """Drive stored plans again and write their sheet, with pictures in a folder.
 
     Args:
-        folder: Pictures are written here.
-        data: The data set that was driven on.
-        record: The record.
-        row: Which of its drives.
-        maker: The engine that drove it.
-        sensor: What drew for the planner; ``None`` where nothing did, or something else than there is now.
-
-    Returns:
-        The sheet.
+        sensor: The sensor that drew for the planner; ``None`` where none did, or not the present one.
 
     Raises:
         InputError: If the data set is another one, the plans lead elsewhere than they did, or a picture cannot be

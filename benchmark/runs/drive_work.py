@@ -44,11 +44,9 @@ _TRIED_AGAIN: Final = (Reason.TIMEOUT.value, Reason.DIED.value)
 
 @dataclass(frozen=True, slots=True)
 class UnitResult:
-    """What came of a unit.
+    """Result of a unit.
 
     Attributes:
-        unit: Which.
-        row: Of the record.
         seconds: How long it took with those beside it, or ``None`` where it was kept from before.
         cost: What its planner took, likewise.
         compared: Its plans of the instants at which the ego was still where it was recorded.
@@ -70,12 +68,7 @@ def work_here(data: "DataSet", planners: "Planners", tasks: Sequence[Task]) -> l
     """Drive units side by side, or take the drives that are kept.
 
     Args:
-        data: The data set.
-        planners: Who plans.
         tasks: What is driven; several only of planners that draw nothing.
-
-    Returns:
-        Their results.
 
     Raises:
         InputError: If the data is broken or a drive cannot be written; the other units are kept then.
@@ -118,22 +111,16 @@ def _keep(task: Task, scene: Scene, row: DriveRow, loaded: dict[str, str]) -> Co
 
 
 def _keep_considered(data: "DataSet", job: Job, row: DriveRow) -> None:
-    """Search once more in a kept drive of which nobody knows any more what its adversary considered."""
+    """Search once more in a kept drive whose adversary's candidates are lost."""
     if job.keep_considered and row.adversary is not None and read_considered(job.directory, row) is None:
         track = considered_again(job.maker, data.scene(row.scene), data, row)
         write_considered(job.directory, row, considered_of(track))
 
 
 def costs_of(job: Job, results: Sequence[UnitResult], workers: int) -> dict[str, SceneCost | None]:
-    """What a planner took in each drive of a job.
+    """Cost of the planner in each drive of a job, by the name of the drive's file.
 
-    Args:
-        job: The job.
-        results: Of its units.
-        workers: How many processes drove at the same time.
-
-    Returns:
-        By the name of the drive's file; ``None`` for those that were kept from before.
+    ``None`` for drives that were kept from before. ``workers`` processes drove at the same time.
     """
     beside = {"workers": workers}
     return {job.store.path(each.unit.name).stem: each.cost and each.cost.model_copy(update=beside) for each in results}
@@ -149,22 +136,14 @@ def with_ladder(data: "DataSet", task: Task, result: UnitResult) -> UnitResult:
 
 
 class Planners:
-    """Planners of a process: one for each drive that is under way, built when it is wanted.
-
-    Args:
-        one: The only planner that there is, or nothing where they are built.
-    """
+    """Planners of a process: one for each drive that is under way, built when it is wanted."""
 
     def __init__(self, one: Planner | None = None) -> None:
         self._one = one
         self._built: dict[str, list[Planner]] = {}
 
     def of(self, jobs: Sequence[Job]) -> list[Planner]:
-        """A planner for each job, no two the same object.
-
-        Raises:
-            ValueError: If there is one planner, and several jobs.
-        """
+        """A planner for each job, no two the same object; one given object serves one job alone."""
         if self._one is not None:
             if len(jobs) != 1:
                 raise ValueError("one planner drives one scene at a time")
@@ -235,7 +214,7 @@ def _drives(stages: Sequence[Stage], planners: Sequence[Planner]) -> Iterable[tu
 
 
 def _stage(data: "DataSet", task: Task, cans: dict[str, RecordedCan]) -> Stage:
-    """What a task drives; what cars measured is read once for all tasks of a scene."""
+    """Stage of a task; measurements of cars are read once for all tasks of a scene."""
     job, unit = task
     scene = data.scene(unit.scene)
     require_two_hz(scene, "a drive")

@@ -122,23 +122,7 @@ def drive_shard(
     *,
     reopen: Callable[[], "DataSet"] | None = None,
 ) -> list[FinishedShard]:
-    """Drive the scenes of one shard and keep the drives; no record is written.
-
-    Args:
-        data: The data set.
-        split: Which of its splits.
-        planners: Who plans.
-        out: Folder of all records of drives.
-        settings: How.
-        shard: Which scenes.
-        reopen: As in `drive_split`.
-
-    Returns:
-        What was done, for each planner.
-
-    Raises:
-        InputError: As in `drive_split`.
-    """
+    """Drive the scenes of one shard as `drive_planners` does and keep the drives; no record is written."""
     jobs, settings, elsewhere = _ready(data, split, planners, out, settings, reopen)
     scenes = settings.chosen(data, split)
     mine = shard.part(scenes)
@@ -163,7 +147,7 @@ def _ready(
     settings: DriveSettings,
     reopen: Callable[[], "DataSet"] | None,
 ) -> tuple[list[Job], DriveSettings, Callable[[Sequence[Task]], list[UnitResult]] | None]:
-    """What every unit needs to know, the settings that these planners allow, and how others drive units."""
+    """Job of every unit, the settings that these planners allow, and how others drive units."""
     keep_pages_of(*(factory.facts.weights_sha256 for factory in planners))
     built = [factory() for factory in planners]
     _require_drivable(built, settings)
@@ -216,7 +200,7 @@ def _require_drivable(planners: Sequence[Planner], settings: DriveSettings) -> N
 
 
 def job_of(data: "DataSet", split: str, facts: PlannerFacts, out: Path, settings: DriveSettings) -> Job:
-    """What every unit of a record needs to know; arguments as of `drive_split`, ``facts`` being the planner's."""
+    """Job of every unit of a record; arguments as of `drive_split`, ``facts`` being the planner's."""
     scenes = settings.chosen(data, split)
     part = () if len(scenes) == len(data.scene_names(split)) else scenes
     directory = drives_directory(out, data.name, split, facts, settings.measured, part)

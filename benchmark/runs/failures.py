@@ -12,15 +12,7 @@ FAILURES_FILE: Final = "failures.txt"
 
 
 def write_failures(directory: Path, rows: Sequence[SampleRow]) -> None:
-    """Write every traceback below the scene and the sample that it is of; remove the file where there is none.
-
-    Args:
-        directory: Run directory.
-        rows: One for each sample.
-
-    Raises:
-        InputError: If the file cannot be written.
-    """
+    """Write every traceback below the scene and the sample that it is of; remove the file where there is none."""
     path = directory / FAILURES_FILE
     # Of a compressed record the scenes without a failure are not unpacked.
     some = rows.of_failed_scenes() if isinstance(rows, Rows) else rows

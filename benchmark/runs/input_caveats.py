@@ -14,7 +14,7 @@ _DERIVED, _OFFERED, _WITHOUT = '"ego_motion":"derived"', '"forecasts":{', '"fore
 
 
 def data_caveats(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
-    """What of a data set cannot be; of older records nothing is known."""
+    """Caveats about impossible values of a data set; of older records they are not known."""
     facts = inputs_of(scenes)
     on_maps = [each for each in facts.values() if each.off_road is not None]
     share = sum(each.off_road or 0 for each in on_maps) / max(sum(each.samples for each in on_maps), 1)
@@ -52,14 +52,10 @@ def data_caveats(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
 
 
 def map_caveats(scenes: Mapping[str, SceneFacts], goes_without: Sequence[str]) -> Iterator[Caveat]:
-    """Which scenes have no map with lanes.
+    """Caveat about scenes that have no map with lanes, one at most.
 
     Args:
-        scenes: Facts of the scenes that ran.
         goes_without: What happens without lanes, in words; nothing is said if nothing does.
-
-    Yields:
-        One caveat at most.
     """
     facts = inputs_of(scenes)
     without = [name for name, each in facts.items() if not each.lanes]
@@ -71,16 +67,7 @@ def map_caveats(scenes: Mapping[str, SceneFacts], goes_without: Sequence[str]) -
 
 
 def planner_caveats(planner: PlannerFacts, scenes: Mapping[str, SceneFacts], rows: Rows) -> Iterator[Caveat]:
-    """What a planner wanted and did not get, and which of its plans lack what the others have.
-
-    Args:
-        planner: Whose plans they are.
-        scenes: Facts of the scenes that ran.
-        rows: One for each sample.
-
-    Yields:
-        The caveats.
-    """
+    """Caveats about inputs that a planner wanted and did not get, and about plans that lack what the others have."""
     lanes = ["it drives straight on where it would follow a lane"] if "map" in planner.wants else []
     yield from map_caveats(scenes, [*lanes, "there are no driving scores (pdm)"])
     facts = inputs_of(scenes)
@@ -111,16 +98,7 @@ def planner_caveats(planner: PlannerFacts, scenes: Mapping[str, SceneFacts], row
 def drive_input_caveats(
     planner: PlannerFacts, scenes: Mapping[str, SceneFacts], measured: Measured
 ) -> Iterator[Caveat]:
-    """What a planner, the engine, its agents and the sensor wanted of the map and did not get.
-
-    Args:
-        planner: Who drove.
-        scenes: Facts of the scenes that were driven.
-        measured: Engine, agents and sensor.
-
-    Yields:
-        The caveats.
-    """
+    """Caveats about map inputs that a planner, the engine, its agents and the sensor wanted and did not get."""
     goes_without = ["it drives straight on where it would follow a lane"] if "map" in planner.wants else []
     if measured.agents == "idm":
         goes_without.append("agents drive straight on where their recorded way ends")
@@ -132,7 +110,7 @@ def drive_input_caveats(
 
 
 def inputs_of(scenes: Mapping[str, SceneFacts]) -> dict[str, InputFacts]:
-    """What the data set holds of scenes, of those of which it is known."""
+    """Inputs that the data set holds of scenes, of those for which it is known."""
     return {name: each.truth.inputs for name, each in scenes.items() if each.truth is not None and each.truth.inputs}
 
 

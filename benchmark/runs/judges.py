@@ -18,12 +18,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class JudgedScenes:
-    """Scenes of a data set.
+    """Scenes of a data set that are judged.
 
     Attributes:
-        data: The data set.
-        split: Which of its splits.
-        scenes: Which scenes of it.
         kept: Folder of runs, where judgements of encounters are kept and found again; ``None`` asks for none.
         executor: Where those are judged that are not kept; nothing depends on it.
     """
@@ -53,18 +50,7 @@ JUDGES: Final[Mapping[str, Callable[[JudgedScenes], Any]]] = {
 
 
 def described(of: JudgedScenes, *fields: str) -> dict[str, Any]:
-    """What a record says of its data and of the machine.
-
-    Args:
-        of: The scenes.
-        fields: Of `JUDGES`; all by default.
-
-    Returns:
-        Fields of the record.
-
-    Raises:
-        InputError: If a scene is broken, or something that is kept is damaged or cannot be written.
-    """
+    """Fields of a record about its data and the machine, those named of `JUDGES` or all."""
     data = of.data
     return {
         "data": {"name": data.name, "version": data.version, "fingerprint": data.fingerprint()},

@@ -40,13 +40,10 @@ class PlannedSamples:
     """Samples of a scene that planners have a plan for, P in all: what judges are asked about.
 
     Attributes:
-        scene: The scene.
-        planners: How many planners there are.
         places: (P) planner and sample of each plan.
         whole: (P) plans as they were given.
         plans: (P) their first 3 s.
         in_lidar: (P, 6, 2) waypoints of the lidar origin.
-        truths: (P) what happened at the sample.
         outcomes: Verdicts of each protocol on all P.
         unjudged: Protocols, and perhaps ``pdm``, that cannot tell whom a plan could touch because the data have other
             categories than they know (`benchmark.runs.vocabulary`).
@@ -78,20 +75,10 @@ def judge_plans(
 ) -> list[list[SampleRow]]:
     """Put what really happened and the verdicts beside the plans of a scene.
 
-    Args:
-        rows_of: Of each planner one JSON object for each sample, as `benchmark.runs.plan_rows` writes them.
-        scene: The scene.
-        protocols: Who judges.
-        unjudged: As of `PlannedSamples`.
-
     Returns:
         Of each planner one row for each sample. A sample without a plan has no outcome, no diagnosis and no
         disagreement. Nothing is diagnosed or compared without ``exact`` among the protocols. Where objects were not
         labelled there is L2 alone.
-
-    Raises:
-        InputError: If the data is broken, a protocol is unknown or a plan cannot be read.
-        ValueError: If rows and truths are not of the same samples.
     """
     if len(rows_of) > PLANNERS_AT_ONCE:
         first, rest = rows_of[:PLANNERS_AT_ONCE], rows_of[PLANNERS_AT_ONCE:]
@@ -182,7 +169,7 @@ def _severity(samples: PlannedSamples) -> Sequence[Any]:
 
 
 def _longer(samples: PlannedSamples) -> Sequence[Any]:
-    """What ``exact`` says of plans that go on beyond 3 s, up to 6 s: `longer_verdicts` of each planner."""
+    """Verdicts of ``exact`` on plans that go on beyond 3 s, up to 6 s: `longer_verdicts` of each planner."""
     if EXACT not in samples.outcomes:
         return [None] * len(samples.places)
     found = [longer_verdicts(own, samples.scene.longer) for own in samples.by_planner(samples.whole)]
@@ -230,10 +217,9 @@ def _in_lidar(plans: Sequence[Plan], truths: Sequence[SampleTruth]) -> Floats:
 def longer_verdicts(
     plans: Mapping[int, Plan], longer: Callable[[int], Sequence[SampleTruth]]
 ) -> dict[int, dict[str, Any]]:
-    """What ``exact`` says of plans that go on beyond 3 s, up to 6 s.
+    """Verdicts of ``exact`` on plans that go on beyond 3 s, up to 6 s, by number of the sample.
 
     Args:
-        plans: By number of the sample.
         longer: The truths of all samples with so many steps.
 
     Returns:
@@ -259,17 +245,7 @@ def longer_verdicts(
 
 
 def plan_of(row: Mapping[str, Any]) -> Plan:
-    """A plan from its JSON object, the inverse of what `benchmark.runs.plan_rows` writes.
-
-    Args:
-        row: Its JSON object.
-
-    Returns:
-        The plan as the planner gave it.
-
-    Raises:
-        InputError: If its lists are not of the lengths that a plan has.
-    """
+    """The plan that a planner gave, from the JSON object that `benchmark.runs.plan_rows` writes."""
     parts, forecasts = ("modes", "mode_scores"), row["forecasts"]
     try:
         return Plan(
@@ -298,7 +274,7 @@ def _forecasts(row: Mapping[str, Any]) -> Forecasts:
 
 
 def _recorded(truth: SampleTruth, at: Circumstances) -> dict[str, Any]:
-    """What a row says of the recording."""
+    """Members of a row about the recording."""
     ahead = truth.by_clock
     return {
         "command": int(truth.command),

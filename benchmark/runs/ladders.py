@@ -26,19 +26,7 @@ _LOOP: Final = "benchmark.closed_loop.ladder:climbed"
 
 
 def ladder_rows(data: "DataSet", job: Job, unit: Unit) -> dict[str, LadderRow]:
-    """What comes of reference drivers in an encounter.
-
-    Args:
-        data: The data set.
-        job: What is driven, and which reference drivers drive too.
-        unit: The encounter.
-
-    Returns:
-        A row for each driver, by name.
-
-    Raises:
-        InputError: If the engine has no such encounters, or what was found cannot be written.
-    """
+    """Rows of reference drivers in an encounter, by name."""
     store: ResultStore[dict[str, LadderRow]] = ResultStore(job.directory.parent / FOLDER, dict[str, LadderRow])
     measured = job.measured.model_dump(mode="json", exclude={"sensor", "sensor_facts"})
     code = code_sha256(type(job.maker), made_by=_LOOP)

@@ -10,18 +10,11 @@ from benchmark.records.store import ROWS_FILE
 
 
 def with_partner(record: RunRecord, out: Path, elsewhere: str | None = None) -> RunRecord:
-    """Note the record of the same planner on the unchanged recordings, if there is one.
+    """Name in a record its partner: the record of the same planner on the unchanged recordings, if there is one.
 
-    Args:
-        record: A record; nobody else may write to its directory (`benchmark.machine.storage.only_writer`).
-        out: Folder of run directories.
-        elsewhere: Name of the data set that has the unchanged recordings, if it is another one.
-
-    Returns:
-        The record, which names its partner; of recordings and without a partner as it is.
-
-    Raises:
-        InputError: If it cannot be written.
+    Records of recordings and those without a partner stay as they are. The caller must be the only writer of the
+    record's directory (`benchmark.machine.storage.only_writer`). ``elsewhere`` names the data set that has the
+    unchanged recordings, if it is another one.
     """
     if not has_adversaries(record):
         return record

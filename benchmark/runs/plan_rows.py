@@ -71,7 +71,7 @@ class PlannerFactory(Protocol):
 
 
 def supervision_said(factory: PlannerFactory | None) -> dict[str, Any]:
-    """What a record's configuration says of how a planner is watched over, if it is."""
+    """Limits under which a planner is watched over, for a record's configuration; empty if it is not."""
     supervision = getattr(factory, "supervision", None)
     return {} if supervision is None else {"supervision": supervision.said()}
 
@@ -96,29 +96,14 @@ _NOBODYS_FAULT = (BrokenImageError, PlannerGoneError, PlannerLateError)
 
 @dataclass(frozen=True, slots=True)
 class PlannedScene:
-    """Rows of one scene.
-
-    Attributes:
-        rows: One JSON object for each sample.
-        cost: What it took, or ``None`` where the rows were kept from before.
-    """
+    """Rows of one scene, a JSON object for each sample, and their cost, ``None`` where they were kept from before."""
 
     rows: list[dict[str, Any]]
     cost: SceneCost | None
 
 
 def scene_key(fingerprint: str, split: str, scene: str, facts: PlannerFacts) -> str:
-    """Content key of one scene's plan rows. No protocol is part of it: protocols judge kept plans again.
-
-    Args:
-        fingerprint: Of the data set.
-        split: Name of the split.
-        scene: Scene name.
-        facts: Identity of the planner.
-
-    Returns:
-        The key.
-    """
+    """Content key of one scene's plan rows. No protocol is part of it: protocols judge kept plans again."""
     # What a planner is called elsewhere changes no plan.
     who = facts.model_dump(mode="json", exclude=LABELS)
     return content_key("plan rows", ROW_FORMAT, fingerprint, split, scene, who)
@@ -126,10 +111,9 @@ def scene_key(fingerprint: str, split: str, scene: str, facts: PlannerFacts) -> 
 
 @dataclass(frozen=True, slots=True)
 class KeptPlans:
-    """What is kept of a scene.
+    """Stored plans of a scene, a JSON object for each sample.
 
     Attributes:
-        rows: One JSON object for each sample.
         loaded: Code that had been loaded when they were made (`benchmark.runs.code_identity.loaded_code`).
     """
 
@@ -159,10 +143,6 @@ def plan_scene(
     """Plan every sample of a scene, or take the rows that are there already.
 
     Args:
-        planner: The planner.
-        source: Where the scene comes from.
-        name: Scene name.
-        directory: Run directory.
         key: Their content key; rows of another key are made again.
         fresh: Make them again in any case.
 
@@ -189,15 +169,10 @@ def plan_scene(
 
 
 def cost_so_far(planner: Planner, meter: Meter, planning_s: float) -> SceneCost:
-    """What a scene took; of a planner elsewhere only the time is known.
+    """Cost of a scene as of one process; of a planner elsewhere only the time is known.
 
     Args:
-        planner: Who planned.
         meter: Made before, in this process.
-        planning_s: By the clock.
-
-    Returns:
-        The cost, as of one process.
     """
     elsewhere = isinstance(planner, RemotePlanner)
     pid = planner.pid if isinstance(planner, SupervisedPlanner) else None
@@ -211,7 +186,7 @@ def cost_so_far(planner: Planner, meter: Meter, planning_s: float) -> SceneCost:
 
 
 def seed_everything(seed: int, planner: Planner | None = None) -> None:
-    """Planners that draw from global generators draw the same whatever ran before in this process, and in theirs."""
+    """Seed global generators of this process, and of the planner's, so that earlier work changes no draw."""
     if isinstance(planner, SupervisedPlanner):
         planner.seed_generators(seed)
     random.seed(seed)
@@ -242,13 +217,7 @@ def _rows(
 
 @dataclass(slots=True)
 class _Asked:
-    """A planner in a scene.
-
-    Attributes:
-        planner: The planner.
-        meter: Times it.
-        lost: Why nobody can be asked for the rest of the scene.
-    """
+    """A planner in a scene; ``lost`` says why it cannot be asked for the rest of the scene."""
 
     planner: Planner
     meter: Meter
@@ -349,7 +318,7 @@ def loud(load: Callable[[], NDArray[np.uint8]]) -> Callable[[], NDArray[np.uint8
 
 
 def said_of(failure: BaseException) -> str:
-    """What is kept of a failure that is being handled: its traceback, where it was raised."""
+    """Stored text of a failure that is being handled: its traceback, where it was raised."""
     return failure.text if isinstance(failure, PlannerFailedError) else traceback_text()
 
 

@@ -22,18 +22,12 @@ _LENGTH: Final = 64
 
 
 def facts_of(planner: Planner, made_by: str | None = None) -> PlannerFacts:
-    """Identity of a planner.
+    """Identity of a planner, with the hash of the code that its plans depend on (`benchmark.runs.code_identity`).
 
     Args:
         planner: The planner; optional attributes ``weights_sha256``, ``settings``, ``seed`` and ``native_protocol`` are
             taken over.
         made_by: The function or class that made it, as ``package.module:name``, if it was not built by hand.
-
-    Returns:
-        Its identity, with the hash of the code that its plans depend on (`benchmark.runs.code_identity`).
-
-    Raises:
-        InputError: If its settings are not plain values, its seed, its weights' hash or its native protocol is none.
     """
     whose = f"planner {planner.name!r}"
     settings = _settings(_said(planner, "settings", {}), whose)
@@ -54,18 +48,7 @@ def facts_of(planner: Planner, made_by: str | None = None) -> PlannerFacts:
 
 
 def known_native(name: str | None, whose: str) -> str | None:
-    """Check the name of a planner's native protocol.
-
-    Args:
-        name: Protocol of the repository that the planner comes from, if there is one.
-        whose: The planner, as the message names it.
-
-    Returns:
-        The name.
-
-    Raises:
-        InputError: If there is no such protocol.
-    """
+    """Name of a planner's native protocol, once it is known to exist."""
     if name is not None and (not isinstance(name, str) or name not in PROTOCOLS):
         raise InputError(f"{whose} has the unknown native protocol {name!r}; known are {', '.join(PROTOCOLS)}")
     return name

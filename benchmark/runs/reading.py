@@ -18,12 +18,7 @@ if TYPE_CHECKING:
 
 
 class SceneReading:
-    """One scene of a data set.
-
-    Args:
-        data: The data set.
-        name: Scene name.
-    """
+    """One scene of a data set."""
 
     def __init__(self, data: "DataSet", name: str) -> None:
         self._data, self.name = data, name
@@ -35,19 +30,19 @@ class SceneReading:
         return self._data.scene(name)
 
     def observations(self, name: str) -> Iterator[Observation]:
-        """What a planner may see, one observation a sample, in time order."""
+        """Observations of a planner, one a sample, in time order."""
         if self._observations is None:
             self._observations = tuple(self._data.observations(name))
         return iter(self._observations)
 
     @cached_property
     def truth(self) -> tuple[SampleTruth, ...]:
-        """What really happened, one truth a sample."""
+        """Truths, one a sample."""
         return self._data.truth(self.name)
 
     @cached_property
     def truth_facts(self) -> TruthFacts:
-        """What the data set holds of the scene's truth."""
+        """Facts of the data set about the scene's truth."""
         return truth_facts(self._data, self.name, self.truth)
 
     def longer(self, steps: int) -> tuple[SampleTruth, ...]:
@@ -69,21 +64,10 @@ class SceneReading:
 
     @cached_property
     def recorded(self) -> RecordedScene | None:
-        """What the scene gives to judge driving by, if it has a map."""
+        """Recording of the scene to judge driving by, if it has a map."""
         return None if self.mapped is None else RecordedScene(self.mapped)
 
 
 def truths_of(data: "DataSet", scenes: Iterable[str]) -> dict[str, TruthFacts]:
-    """What a data set holds of the truth of scenes, for records whose units do not bring it along.
-
-    Args:
-        data: The data set.
-        scenes: Their names.
-
-    Returns:
-        The facts by name.
-
-    Raises:
-        InputError: If something in a scene is broken.
-    """
+    """Facts of a data set about the truth of scenes, by name, for records whose units do not bring them along."""
     return {name: SceneReading(data, name).truth_facts for name in scenes}

@@ -25,21 +25,14 @@ _LONG_S: Final = 3600.0
 
 
 def can_of(data: "DataSet", name: str) -> RecordedCan:
-    """What the recorded car measured in a scene."""
+    """Measurements of the recorded car in a scene."""
     return RecordedCan.of((observation.ego for observation in data.observations(name)), data.root)
 
 
 def driven_again(maker: RideMaker, scene: Scene, data: "DataSet", row: DriveRow) -> DriveRow:
-    """Drive the stored plans of a drive and score it anew; its planner is not asked.
+    """Drive the stored plans of a drive and score it anew, without its planner.
 
-    Args:
-        maker: The engine that drove it.
-        scene: Its scene, with its map.
-        data: The data set.
-        row: The drive.
-
-    Returns:
-        The drive with new scores. A failed one stays as it is: it has none.
+    A failed one stays as it is: it has no scores.
 
     Raises:
         InputError: If the plans lead elsewhere than they did.
@@ -60,7 +53,7 @@ def _stage(maker: RideMaker, sensor: Sensor, scene: Scene, data: "DataSet", row:
 
 
 def _with_its_adversary(maker: RideMaker, row: DriveRow) -> RideMaker:
-    """An adversary drives its stored track again: nobody searches."""
+    """A maker whose adversary drives its stored track again, without a search."""
     track = track_of(row)
     if track is None or not isinstance(maker, DefaultRides) or maker.adversary is None:
         return maker
@@ -70,18 +63,7 @@ def _with_its_adversary(maker: RideMaker, row: DriveRow) -> RideMaker:
 def seen_again(
     maker: RideMaker, sensor: Sensor, scene: Scene, data: "DataSet", row: DriveRow, plans: "StoredPlans"
 ) -> Drive:
-    """What happened in a stored drive, everybody in it, from its plans.
-
-    Args:
-        maker: The engine that drove it.
-        sensor: What looks again.
-        scene: Its scene, with its map.
-        data: The data set.
-        row: The drive.
-        plans: Of this row.
-
-    Returns:
-        The drive; one in which the planner failed ends where it did.
+    """A stored drive with all objects in it, from its plans; one in which the planner failed ends where it did.
 
     Raises:
         InputError: If the plans lead elsewhere than they did.
@@ -90,16 +72,12 @@ def seen_again(
 
 
 def considered_again(maker: RideMaker, scene: Scene, data: "DataSet", row: DriveRow) -> AdversaryTrack:
-    """Search anew in a stored drive, from its plans: the same search finds the same track.
+    """The adversary's track of a stored drive, with its candidates, searched anew.
+
+    The same search finds the same track.
 
     Args:
         maker: The engine that drove it, with an adversary that keeps what it considers.
-        scene: Its scene, with its map.
-        data: The data set.
-        row: The drive.
-
-    Returns:
-        The adversary's track, with what it considered.
 
     Raises:
         InputError: If the plans lead elsewhere than they did, or the adversary goes elsewhere.

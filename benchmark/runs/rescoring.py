@@ -35,10 +35,9 @@ _OF_THE_VERDICTS = {"schema_version", "status", "protocols", "seed", "files"}
 
 @dataclass(frozen=True, slots=True)
 class Rescored:
-    """What became of one record.
+    """Result of rescoring one record.
 
     Attributes:
-        directory: Run directory.
         sentence: ``rescored``, ``current``, that it was left alone, or why it could not be rescored.
         failed: Whether it could not.
     """
@@ -128,16 +127,7 @@ Opened = dict[tuple[str, CategoryNames], "DataSet"]
 def opened_as(facts: RecordFacts, opened: Opened, open_split: Callable[[str], "DataSet"]) -> "DataSet":
     """The data set that a record ran on, with the names of categories that were replaced then.
 
-    Args:
-        facts: What the record says.
-        opened: Data sets that are open; gets those that are opened.
-        open_split: Opens the data set that holds a split.
-
-    Returns:
-        The data set.
-
-    Raises:
-        InputError: If it cannot be opened.
+    ``opened`` holds the data sets that are open, and gets those that are opened here.
     """
     names = replaced_categories(facts)
     as_it_is = (facts.split, ())
@@ -159,12 +149,7 @@ class _Opened:
     """A record that is being judged anew.
 
     Attributes:
-        old: As it is stored.
-        data: What it ran on.
-        versions: Who judges.
         silent: Those of them that say nothing of contacts here (`benchmark.runs.vocabulary`).
-        rows: Judged so far.
-        truths: What the data set holds of the truth of their scenes.
     """
 
     old: RunRecord
@@ -186,7 +171,7 @@ def _open(
     protocols: Sequence[str],
     held: ExitStack,
 ) -> _Opened | str:
-    """A record to be judged anew, of which nobody else may write until ``held`` ends; or why it is left alone."""
+    """A record to be judged anew, locked against other writers until ``held`` ends; or why it is left alone."""
     versions = {name: protocol(name).version for name in protocols}
     if not directory.is_dir():
         raise InputError(f"there is no run record {directory}; name the folder that holds its {RUN_FILE}")
@@ -277,7 +262,7 @@ def _replaced(opened: _Opened) -> tuple[RunRecord, str]:
 
 
 def scene_facts_now(facts: RecordFacts, data: "DataSet") -> dict[str, SceneFacts]:
-    """Facts of the data set, and what a record knows of scenes that nobody judged here: the tracks are the same."""
+    """Facts of the data set, and a record's facts of scenes that are not judged here: the tracks are the same."""
     known = facts.scene_facts
     return {
         name: now.model_copy(update={"judgement": known[name].judgement})
@@ -288,16 +273,10 @@ def scene_facts_now(facts: RecordFacts, data: "DataSet") -> dict[str, SceneFacts
 
 
 def require_same_data(directory: Path, facts: RecordFacts, data: "DataSet", *, again: str = "eval") -> None:
-    """Whether a data set is the one that a planner ran on.
+    """Refuse a data set whose content is not the one that a planner ran on, or of which inspectors said otherwise then.
 
     Args:
-        directory: Of the record.
-        facts: What it says.
-        data: The data set.
         again: The command that makes such records.
-
-    Raises:
-        InputError: If its content is another, or inspectors said otherwise of it then.
     """
     if facts.data.fingerprint != data.fingerprint():
         raise InputError(
@@ -315,36 +294,16 @@ def require_same_data(directory: Path, facts: RecordFacts, data: "DataSet", *, a
 def rows_judged_anew(
     record: RunRecord, reading: SceneReading, protocols: tuple[str, ...], silent: Collection[str] = ()
 ) -> list[SampleRow]:
-    """Rows of one scene, computed from the stored plans and the data set.
+    """Rows of one scene, a row for each sample, computed from the stored plans and the data set.
 
     Args:
-        record: Holds the plans.
-        reading: One of the record's scenes, in the data set that the planner ran on.
-        protocols: Who judges.
         silent: Those of them that say nothing of contacts here (`benchmark.runs.vocabulary`).
-
-    Returns:
-        One row for each sample.
-
-    Raises:
-        InputError: If the record does not hold the samples of the scene, or a protocol is unknown.
     """
     return judge_plans([stored_plans(record, reading)], reading, protocols, silent)[0]
 
 
 def stored_plans(record: RunRecord, reading: SceneReading) -> list[dict[str, Any]]:
-    """What a record says of its planner's plans of a scene.
-
-    Args:
-        record: Holds the plans.
-        reading: The scene.
-
-    Returns:
-        One JSON object for each sample.
-
-    Raises:
-        InputError: If the record does not hold the samples of the scene.
-    """
+    """A record's plans of a scene, a JSON object for each sample; the record must hold the samples of the scene."""
     plans = [row.model_dump(mode="json", include=_OF_THE_PLAN) for row in record.rows_of(reading.name)]
     if [plan["sample_token"] for plan in plans] != [truth.sample_token for truth in reading.truth]:
         raise InputError(

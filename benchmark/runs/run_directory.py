@@ -8,20 +8,10 @@ from benchmark.records.run_schema import AS_PUBLISHED, PlannerFacts
 
 
 def run_directory(out: Path, data_name: str, split: str, planner: PlannerFacts, part: Sequence[str] = ()) -> Path:
-    """Directory of a run.
+    """Directory of a run, ``<out>/<data>/<split>/<planner>``.
 
     One planner on one split of one data set has one directory, so that a repeated run replaces its record. Another
     checkpoint or seed, what is done as published, and a part of the scenes are told apart by a short hash.
-
-    Args:
-        out: Folder of run directories.
-        data_name: Name of the data set.
-        split: Name of the split.
-        planner: Identity of the planner.
-        part: Scenes, if not the whole split runs.
-
-    Returns:
-        ``<out>/<data>/<split>/<planner>``.
     """
     special = {
         "checkpoint": planner.settings.get("checkpoint_sha256"),

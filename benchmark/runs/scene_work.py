@@ -23,14 +23,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What every unit of work needs to know; picklable.
+    """Settings that every unit of work needs; picklable.
 
     Attributes:
-        directory: Run directory.
-        fingerprint: Of the data set.
-        split: Name of the split.
-        planner: Identity of the planner.
-        protocols: Who judges.
         fresh: Plan again even where rows are kept.
         unjudged: Those of them, and ``pdm``, that say nothing of contacts here because the categories are not
             nuScenes' (`benchmark.runs.vocabulary`).
@@ -47,14 +42,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class SceneResult:
-    """Rows of one scene.
-
-    Attributes:
-        scene: Its name.
-        rows: One for each sample.
-        cost: What planning took, or ``None`` where the plans were kept from before.
-        truth: What the data set holds of its truth.
-    """
+    """Rows of one scene, one for each sample; no cost where the plans were kept from before."""
 
     scene: str
     rows: list[SampleRow]
@@ -68,20 +56,7 @@ class SceneResult:
 
 
 def work_here(runs: Sequence[Run], data: "DataSet", planners: Sequence[Planner], scene: str) -> list[SceneResult]:
-    """Plan a scene with every planner, or take the plans that are kept, and judge them; the scene is read once.
-
-    Args:
-        runs: A run for each planner.
-        data: The data set.
-        planners: The planners.
-        scene: Scene name.
-
-    Returns:
-        The rows of each run.
-
-    Raises:
-        InputError: If the data is broken or rows cannot be written.
-    """
+    """Plan a scene with every planner, or take the plans that are kept, and judge them; the scene is read once."""
     reading, planned = SceneReading(data, scene), []
     for run, planner in zip(runs, planners, strict=True):
         key = scene_key(run.fingerprint, run.split, scene, run.planner)
@@ -90,19 +65,7 @@ def work_here(runs: Sequence[Run], data: "DataSet", planners: Sequence[Planner],
 
 
 def judged_scenes(runs: Sequence[Run], reading: SceneReading, planned: Sequence[PlannedScene]) -> list[SceneResult]:
-    """Judge the plans of a scene, those of runs with the same protocols together.
-
-    Args:
-        runs: The runs.
-        reading: The scene.
-        planned: Plans of each run.
-
-    Returns:
-        The rows of each run.
-
-    Raises:
-        InputError: If the data is broken.
-    """
+    """Judge the plans of a scene, those of runs with the same protocols together."""
     found: dict[int, SceneResult] = {}
     for protocols in dict.fromkeys(run.protocols for run in runs):
         those = [place for place, run in enumerate(runs) if run.protocols == protocols]
@@ -116,19 +79,7 @@ def judged_scenes(runs: Sequence[Run], reading: SceneReading, planned: Sequence[
 
 
 def judged_scene(run: Run, reading: SceneReading, planned: PlannedScene) -> SceneResult:
-    """Judge the plans of a scene.
-
-    Args:
-        run: The run.
-        reading: The scene.
-        planned: Its plans.
-
-    Returns:
-        The rows.
-
-    Raises:
-        InputError: If the data is broken.
-    """
+    """Judge the plans of a scene."""
     return judged_scenes([run], reading, [planned])[0]
 
 
@@ -139,17 +90,7 @@ _in_this_process: dict[str, tuple["DataSet", tuple[Planner, ...]]] = {}
 def work_in_worker(
     runs: Sequence[Run], reopen: Callable[[], "DataSet"], factories: Sequence[PlannerFactory], scene: str
 ) -> list[SceneResult]:
-    """`work_here` in a worker process, which opens the data set and builds the planners the first time.
-
-    Args:
-        runs: A run for each planner.
-        reopen: Opens the data set.
-        factories: Build the planners.
-        scene: Scene name.
-
-    Returns:
-        The rows of each run.
-    """
+    """`work_here` in a worker process, which opens the data set and builds the planners the first time."""
     key = content_key([(run.fingerprint, run.planner.model_dump(mode="json")) for run in runs])
     if key not in _in_this_process:
         keep_pages_of(*(run.planner.weights_sha256 for run in runs))
@@ -158,7 +99,7 @@ def work_in_worker(
 
 
 def reopening(data: "DataSet") -> Callable[[], "DataSet"]:
-    """What opens a data set in a worker process."""
+    """Opener of a data set in a worker process."""
     return partial(_reopened, data.root, data.version, data.name, data.categories)
 
 

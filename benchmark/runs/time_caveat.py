@@ -8,13 +8,9 @@ from benchmark.report.words import counted
 
 
 def time_caveats(scenes: Mapping[str, SceneFacts]) -> list[Caveat]:
-    """Caveats about the times of samples.
+    """Caveats about times: one of scenes at another rate, one of gaps in scenes at 2 Hz.
 
-    Args:
-        scenes: Facts of the scenes that ran.
-
-    Returns:
-        One about scenes at another rate, one about gaps in scenes at 2 Hz; none where key frames are steps.
+    None where key frames are steps.
     """
     truths = [facts.truth for facts in scenes.values() if facts.truth is not None]
     found = []

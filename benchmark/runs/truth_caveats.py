@@ -14,15 +14,7 @@ _DRIVES: Final = "drives there are in no rate of contacts and in no score that c
 
 
 def run_truth(scenes: Mapping[str, SceneFacts], rows: Rows) -> Iterator[Caveat]:
-    """Caveats of a run record.
-
-    Args:
-        scenes: Facts of the scenes that ran.
-        rows: One for each sample.
-
-    Yields:
-        The caveats.
-    """
+    """Caveats of a run record about the truth of its scenes."""
     known = _known(scenes)
     yield from _labels(known, "collision rates and counts of failed scenes leave them out")
     partly = [name for name, truth in known.items() if truth.annotations and truth.unlabelled]

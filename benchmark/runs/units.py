@@ -34,7 +34,6 @@ class ResultStore(Generic[Value]):
     """Results of units of one kind, a file each: its first line is the content key and the hash of the second.
 
     Attributes:
-        folder: Where.
         form: What pydantic checks a result to be: a model, or a type of JSON values.
     """
 
@@ -46,15 +45,9 @@ class ResultStore(Generic[Value]):
         return self.folder / f"{file_name(name)}.json"
 
     def get(self, key: str, name: str | None = None) -> Value | None:
-        """The result that is kept under a content key.
+        """The result that is kept under a content key, in the file of that name or of the key.
 
-        Args:
-            key: Of everything that the result depends on.
-            name: Of the unit's file; the key if it has no other.
-
-        Returns:
-            The result; ``None`` where there is none, another one, or a damaged one: that is unfinished work, and is
-            done again.
+        ``None`` where there is none, another one, or a damaged one: that is unfinished work, and is done again.
         """
         try:
             head, _, body = read_file(self.path(name or key), JSON).partition(b"\n")
@@ -66,12 +59,7 @@ class ResultStore(Generic[Value]):
         return value
 
     def put(self, key: str, value: Value, name: str | None = None) -> None:
-        """Keep a result, whole or not at all; arguments as of `get`.
-
-        Raises:
-            InputError: If it cannot be written.
-            ValueError: If a number in it is not finite.
-        """
+        """Keep a result, whole or not at all, as `get` finds it; its numbers must be finite."""
         body = (canonical_json(_adapter(self.form).dump_python(value, mode="json", by_alias=True)) + "\n").encode()
         write_parts(self.path(name or key), (_header(key, body), body))
 
@@ -107,24 +95,16 @@ def run_units(
     before: int = 0,
     of: int | None = None,
 ) -> Iterator[Result]:
-    """Do units of work, or find what is kept of them, saying how far it is.
+    """Do units of work, or find what is kept of them, saying how far it is; results are in the order of the units.
 
     Args:
         work: Does one, or several side by side, which it returns as a list; importable, as it is sent to workers.
             Results may say that they are ``kept``: there before, they make the rest look no quicker than it is.
         units: What it is given; made lazily, a little ahead of the results.
-        executor: Where; no result depends on it.
-        total: How many ``units`` there are.
         label: What is done, for people.
         noun: What is counted of it.
         before: How many were found finished already and are not among the units.
         of: How many there are in all, where ``units`` are several each.
-
-    Returns:
-        Results in the order of the units.
-
-    Raises:
-        InputError: If workers are lost for good.
     """
     count = Count(noun, before, of, each=_units_in, kept=_were_kept)
     return executor.map(work, units, total=total, label=label, count=count)
@@ -156,17 +136,7 @@ class Shard:
 
     @classmethod
     def named(cls, text: str) -> Self:
-        """The shard that a user asks for.
-
-        Args:
-            text: For example ``3/40``.
-
-        Returns:
-            The shard.
-
-        Raises:
-            InputError: If it is none.
-        """
+        """The shard that a user asks for, for example ``3/40``."""
         found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
         number, of = map(int, found.groups()) if found else (0, 0)
         if not 1 <= number <= of:
@@ -174,7 +144,7 @@ class Shard:
         return cls(number, of)
 
     def part(self, everything: Sequence[Part]) -> tuple[Part, ...]:
-        """What of a sequence is this shard's: every n-th, so that shards differ by one at most."""
+        """This shard's part of a sequence: every n-th, so that shards differ by one at most."""
         return tuple(everything[self.number - 1 :: self.of])
 
     def __str__(self) -> str:
@@ -183,12 +153,9 @@ class Shard:
 
 @dataclass(frozen=True, slots=True)
 class FinishedShard:
-    """What a shard did.
+    """Number of scenes that a shard did or found done, and of all; where they are kept.
 
-    Attributes:
-        directory: Folder of the record, or root of the data set.
-        done: How many scenes it did or found done.
-        scenes: How many there are altogether.
+    ``directory`` is the folder of the record, or the root of the data set.
     """
 
     directory: Path

@@ -9,30 +9,15 @@ from benchmark.protocols import using_categories
 
 
 def unjudged(counts: AnnotationCount, protocols: Sequence[str]) -> tuple[str, ...]:
-    """Judges that say nothing of contacts.
+    """Judges that cannot judge contacts here, since too many categories are unknown.
 
-    Args:
-        counts: Annotations of the scenes that are judged.
-        protocols: Who judges.
-
-    Returns:
-        Those of the protocols that go by categories, and ``pdm``, if too many categories are unknown; else none.
+    These are ``pdm`` and those of the protocols that go by categories; without unknown ones there are none.
     """
     return (*using_categories(protocols), PDM) if counts.foreign else ()
 
 
 def require_vocabulary(counts: AnnotationCount, asked: Iterable[str], protocols: Sequence[str], where: str) -> None:
-    """Refuse judges that were asked for and that say nothing of contacts.
-
-    Args:
-        counts: Annotations of the scenes that are judged.
-        asked: Judges that were named, or that are the planner's own.
-        protocols: Who judges.
-        where: The data set.
-
-    Raises:
-        InputError: If there is one.
-    """
+    """Refuse judges that were asked for by name, or are the planner's own, and say nothing of contacts."""
     silent = unjudged(counts, protocols)
     wrong = next((name for name in asked if name in silent), None)
     if wrong is not None:

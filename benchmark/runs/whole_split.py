@@ -19,16 +19,6 @@ def published_order(data: "DataSet", scenes: Sequence[str]) -> tuple[str, ...]:
 
     Scenes that were made from one recording share its times; official code would mix their samples, and the authors of
     Adv-nuSc have it sort by the scene's token first.
-
-    Args:
-        data: The data set.
-        scenes: Scenes of a split.
-
-    Returns:
-        The same scenes.
-
-    Raises:
-        InputError: If one of them is broken.
     """
     spans = {}
     for name in scenes:
@@ -40,22 +30,10 @@ def published_order(data: "DataSet", scenes: Sequence[str]) -> tuple[str, ...]:
 
 
 def work_through(run: Run, data: "DataSet", planner: ContinuousPlanner, scenes: Sequence[str]) -> Iterator[SceneResult]:
-    """Plan and judge all scenes of a split, one after the other, with the memory that the one before left.
+    """Plan and judge all scenes of a split in the published order, with the memory that the one before left.
 
-    Plans are taken from before where those of all scenes are kept; where any is not, all are made again, because nobody
-    knows what was remembered.
-
-    Args:
-        run: The run.
-        data: The data set.
-        planner: The planner.
-        scenes: All scenes of the split.
-
-    Yields:
-        Results in the published order.
-
-    Raises:
-        InputError: If the data is broken or rows cannot be written.
+    Plans are taken from before where those of all scenes are kept; where any is not, all are made again, because it is
+    not known what was remembered.
     """
     order = published_order(data, scenes)
     keys = {

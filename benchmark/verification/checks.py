@@ -23,10 +23,8 @@ class Check:
     """One quantity compared with its golden values.
 
     Attributes:
-        quantity: Name, with unit where it has one.
         error: Largest difference; for verdicts, the number of wrong ones.
         tolerance: Largest difference that is allowed.
-        count: Values compared.
         note: What else a reader should know, for example what was left out and why.
         moved: By how much our own rounding moves it, where that was measured (`Comparison.moved_by`).
     """
@@ -82,14 +80,7 @@ def _finite(number: float) -> float | None:
 
 
 def report(checks: Sequence[Check]) -> str:
-    """One row a quantity, notes on them, and a closing sentence; with how far rounding moves each, where it is known.
-
-    Args:
-        checks: In the order to print.
-
-    Returns:
-        Lines of text.
-    """
+    """Table of a row a quantity, with notes, how far rounding moves each where it is known, and a closing sentence."""
     told = any(check.moved is not None for check in checks)
     rows = [
         (
@@ -127,7 +118,7 @@ def _apart(sizes: list[NDArray[Any]], others: list[NDArray[Any]]) -> float:
 
 @dataclass(slots=True)
 class _Tally:
-    """What is known about one quantity so far."""
+    """Known facts about one quantity so far."""
 
     tolerance: float
     error: float = 0.0
@@ -172,15 +163,11 @@ class Comparison:
         angle: bool = False,
         where: str = "",
     ) -> None:
-        """Compare numbers.
+        """Compare numbers of one shape.
 
         Args:
-            quantity: Name, with unit.
-            ours: Any shape.
-            golden: The same shape.
             tolerance: Largest difference that is allowed, where the table does not have the quantity.
             angle: Whether they are radians and a full turn makes no difference.
-            where: As of `at`.
         """
         if np.shape(ours) != np.shape(golden):
             raise ValueError(f"{quantity}: shapes {np.shape(ours)} and {np.shape(golden)}")
@@ -204,27 +191,14 @@ class Comparison:
             tally.error, tally.worst_in = error, where or self.where
 
     def same(self, quantity: str, ours: ArrayLike, golden: ArrayLike, of: Bools | None = None) -> None:
-        """Compare what must be equal.
-
-        Args:
-            quantity: Name.
-            ours: Any shape.
-            golden: The same shape.
-            of: Which are compared, along the first axes.
-        """
+        """Compare values that must be equal, of all entries or of those that ``of`` flags along the first axes."""
         if np.shape(ours) != np.shape(golden):
             raise ValueError(f"{quantity}: shapes {np.shape(ours)} and {np.shape(golden)}")
         wrong = np.asarray(np.asarray(ours) != np.asarray(golden))
         self.verdicts(quantity, wrong if of is None else wrong[of])
 
     def verdicts(self, quantity: str, wrong: Bools | bool | list[bool], *, where: str = "") -> None:
-        """Count wrong verdicts; none is allowed.
-
-        Args:
-            quantity: Name.
-            wrong: Any shape, one for each verdict compared.
-            where: As of `at`; told if it is the last one with wrong verdicts.
-        """
+        """Count wrong verdicts of any shape; none is allowed, and the note tells the last ``where`` with any."""
         wrong = np.asarray(wrong, np.bool_)
         count, tally = int(np.count_nonzero(wrong)), self._kept(quantity, wrong, 0.0)
         tally.error += count
@@ -234,10 +208,8 @@ class Comparison:
         """How far apart two comparisons of the same network are that differ by rounding alone.
 
         An error of one and the error of the other differ by no more than the two values do, and sorting keeps that, so
-        this is never more than how far rounding really moves a quantity.
-
-        Args:
-            other: Of the same golden numbers, in the same order; both remember.
+        this is never more than how far rounding really moves a quantity. Both must be of the same golden numbers in the
+        same order.
 
         Returns:
             By quantity the largest difference of two errors; of verdicts, how many differ. It is infinite where another
@@ -264,7 +236,7 @@ class Comparison:
         return found
 
     def _kept(self, quantity: str, sizes: NDArray[Any], tolerance: float | None) -> _Tally:
-        """What is known about a quantity, of which some more is compared now."""
+        """Tally of a quantity of which some more is compared now."""
         quantity = self._before + quantity
         if self.remembers:
             self._sizes.setdefault(quantity, []).append(np.array(sizes))

@@ -20,17 +20,12 @@ def same_names_and_shapes(
     quantity: str = NAMES,
     said: str = "{elements:,} numbers, {order}",
 ) -> bool:
-    """Compare a network with the list of its official checkpoint.
+    """Whether a strict load of the official checkpoint's list of tensors would work.
+
+    The comparison gets the differences.
 
     Args:
-        comparison: Gets the number of tensors that differ.
-        network: The network.
-        shapes: Shapes by name.
-        quantity: What is compared.
         said: Note where nothing differs; ``elements`` and ``order`` are filled in.
-
-    Returns:
-        Whether a strict load would work.
     """
     own = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
     names = sorted(own.keys() | shapes.keys())
@@ -53,9 +48,6 @@ def fill(
 
     Args:
         comparison: Gets whether they are the ones that the set was made with, where it says.
-        network: Is changed.
-        recipe: How they are made.
-        shapes: Shapes by name, those of the network.
         recorded: SHA-256 of names and bytes of all weights, where the set says.
     """
     digest = hashlib.sha256()

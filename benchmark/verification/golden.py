@@ -22,12 +22,7 @@ _DAMAGED: Final = (LookupError, ValueError, TypeError, AttributeError, Arithmeti
 
 
 class GoldenArrays:
-    """The arrays of one npz file, each of the kind and the shape that is asked for, or an `InputError`.
-
-    Attributes:
-        path: The file.
-        names: All arrays in it.
-    """
+    """The arrays of one npz file, each of the kind and the shape that is asked for, or an `InputError`."""
 
     def __init__(self, path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
         self.path, self._arrays = path, arrays
@@ -48,7 +43,6 @@ class GoldenArrays:
         """Numbers in double precision, of which verdicts are 0 and 1.
 
         Args:
-            name: Of the array.
             shape: Length of each axis, ``None`` for any.
             gaps: Whether NaN and infinity may be among them.
         """
@@ -86,11 +80,7 @@ class GoldenArrays:
 
 @dataclass(frozen=True, slots=True)
 class GoldenFolder:
-    """The files of a set.
-
-    Attributes:
-        path: The folder.
-    """
+    """The files of a set."""
 
     path: Path
 
@@ -99,7 +89,7 @@ class GoldenFolder:
         return GoldenArrays.read(self.path / name)
 
     def facts(self, name: str, *, gaps: bool = False) -> Any:
-        """What a JSON file says; ``gaps`` as of `GoldenArrays.floats`."""
+        """Value of a JSON file; ``gaps`` as of `GoldenArrays.floats`."""
         value = read_json(self.path / name)
         if not value:
             raise damaged(self.path / name, "it says nothing")
@@ -147,17 +137,7 @@ class GoldenSet:
     holds: str = "golden numbers"
 
     def verify(self, golden: Path | None = None) -> list[Check]:
-        """Compare our values with a set.
-
-        Args:
-            golden: Its folder; the set in the package by default.
-
-        Returns:
-            One check for each quantity, over all files.
-
-        Raises:
-            InputError: If the folder holds no such set, or a damaged one.
-        """
+        """Compare our values with a set in a folder or in the package: one check for each quantity, over all files."""
         comparison, folder = Comparison(self.quantities), golden or self.built_in
         if folder is None and self.made_here is not None:
             self.made_here(comparison)
@@ -178,15 +158,7 @@ def damaged(path: Path, what: str) -> InputError:
 
 @contextmanager
 def one_sentence(path: Path, kind: str) -> Iterator[None]:
-    """Whatever fails within the context because a set is damaged, or of another kind, ends as one sentence.
-
-    Args:
-        path: Of the set.
-        kind: What the set should be about.
-
-    Yields:
-        Nothing.
-    """
+    """Context in which any failure of a damaged set, or one of another kind, ends as one sentence."""
     try:
         yield
     except _DAMAGED as error:
@@ -195,18 +167,9 @@ def one_sentence(path: Path, kind: str) -> Iterator[None]:
 
 
 def golden_directory(golden: Path, kind: str, *names: str) -> Path:
-    """A directory that holds certain files.
+    """Directory that holds all files of these names or patterns.
 
-    Args:
-        golden: The directory.
-        kind: What the set is about, which is also the usual name of its directory.
-        names: Files that must be in it; a name may be a pattern.
-
-    Returns:
-        The directory.
-
-    Raises:
-        InputError: If it is absent or lacks a file.
+    ``kind`` is also the usual name of such a directory.
     """
     if not golden.is_dir():
         raise InputError(f"no golden set at {golden}: it is not a directory; pass one that holds {', '.join(names)}")

@@ -54,7 +54,6 @@ class WeightsRecipe(BaseModel):
         """All entries of a state dict.
 
         Args:
-            shapes: Shape of every entry.
             kept: Values of the kept buffers, where the recipe has their names only.
 
         Returns:
@@ -77,13 +76,9 @@ class WeightsRecipe(BaseModel):
 
 
 def read_shapes(stored: Any) -> dict[str, tuple[int, ...]]:
-    """Names and shapes of a network's tensors.
+    """Shapes of a network's tensors by name, in the order of a ``keys.json``.
 
-    Args:
-        stored: What a ``keys.json`` says: ``{name: {"shape": [...]}}``, or ``[[name, shape, type], ...]``.
-
-    Returns:
-        Shapes by name, in the order of the file.
+    It holds ``{name: {"shape": [...]}}``, or ``[[name, shape, type], ...]``.
     """
     pairs = [(name, entry["shape"]) for name, entry in stored.items()] if isinstance(stored, dict) else stored
     return {str(name): tuple(int(length) for length in shape) for name, shape, *_ in pairs}
@@ -91,11 +86,6 @@ def read_shapes(stored: Any) -> dict[str, tuple[int, ...]]:
 
 def seeded_normal(name: str, shape: Sequence[int], salt: str) -> NDArray[np.float64]:
     """Standard normal numbers that depend on nothing but the arguments.
-
-    Args:
-        name: Any text, for example a tensor's name.
-        shape: Of the result.
-        salt: Tells one set from another.
 
     Returns:
         Numbers of a Philox stream whose key is the first eight bytes, little-endian, of SHA-256 of ``salt:name``.
@@ -112,8 +102,6 @@ def synthetic_tensor(
 
     Args:
         name: Its name; the last part says what it is.
-        shape: Its shape.
-        salt: Tells one set of weights from another.
         std_rules: Regular expression, searched for in the name, to a standard deviation that wins over the scaling by
             fan-in and over what vectors get; the first that is found counts.
 

@@ -17,11 +17,10 @@ HUB: Final = "https://huggingface.co"
 
 @dataclass(frozen=True, slots=True)
 class PublishedFile:
-    """One file. ``None`` means that its authors do not say and nobody here has measured it.
+    """One file. ``None`` means that its authors do not say and it has not been measured here.
 
     Attributes:
         name: Path in the repository and in the folder, with ``/``.
-        size_bytes: Its size.
         sha256: Its hash, or the first digits that its authors put into its name.
         url: Where the bytes are, if not in the repository on the hub.
         page: Where a person gets it with a browser, if not where all files are.
@@ -41,7 +40,6 @@ class PublishedWeights:
     Attributes:
         name: How they are called here: the model that a checkpoint is for, or the folder in the cache.
         files: What is needed of it; of a checkpoint the file itself, and what it is of no use without.
-        licence: Of the weights, as far as their authors say.
         repository: Of a folder: ``owner/name`` on the hub (or on GitHub, where files have addresses of their own).
         revision: Of a folder: commit, branch or release tag.
         used_by: Of a folder: which command needs it for what.
@@ -102,17 +100,7 @@ class PublishedWeights:
 
 
 def checkpoint_of(name: str) -> PublishedWeights:
-    """The published checkpoint of a planner, by the name of the file or of the model.
-
-    Args:
-        name: For example ``VAD_tiny.pth`` or ``vad-tiny``.
-
-    Returns:
-        The checkpoint.
-
-    Raises:
-        InputError: If there is none.
-    """
+    """The published checkpoint of a planner, by file (``VAD_tiny.pth``) or by model (``vad-tiny``)."""
     found = next((entry for entry in CHECKPOINTS if name in (entry.name, entry.files[0].name)), None)
     if found is None:
         known = ", ".join(f"{entry.name} ({entry.files[0].name})" for entry in CHECKPOINTS)

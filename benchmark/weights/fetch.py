@@ -18,14 +18,9 @@ _RANGE_NOT_SATISFIABLE: Final = 416
 
 
 def fetch_files(weights: PublishedWeights, folder: Path) -> None:
-    """Fetch the files of published weights that a folder lacks; the same call goes on where it broke off.
+    """Fetch the files of published weights that a folder lacks, each whole or not at all.
 
-    Args:
-        weights: Which.
-        folder: Where to; each file is written whole or not at all.
-
-    Raises:
-        InputError: If a file cannot be fetched, broke off, or is not the one that was published.
+    The same call goes on where it broke off.
     """
     if any(file.url is None for file in weights.files):
         _fetch_from_hub(weights, folder)
@@ -79,7 +74,7 @@ def _fetch_from_hub(weights: PublishedWeights, folder: Path) -> None:
 
 
 def _instead(weights: PublishedWeights, file: PublishedFile | None = None) -> str:
-    """What to do where there is no way to the internet."""
+    """Advice where there is no way to the internet."""
     named, page = (weights.names, weights.address) if file is None or file.page is None else (file.name, file.page)
     return f"get {named} from {page} with a browser, then run: {weights.how_to_import}"
 

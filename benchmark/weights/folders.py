@@ -22,14 +22,7 @@ _BLOCKS: Final = 16
 
 
 def hub_folder(cache: Path | None = None) -> Path:
-    """Where folders of weights are kept.
-
-    Args:
-        cache: Folder of all weights; the user's by default.
-
-    Returns:
-        A folder that need not exist.
-    """
+    """Folder of all folders of weights, by default in the user's cache; it need not exist."""
     return (cache or weights_root()) / "hub"
 
 
@@ -45,16 +38,10 @@ def kept_folder(weights: PublishedWeights, cache: Path | None = None) -> Path | 
 
 
 def folder_of(weights: PublishedWeights, given: Path | None, cache: Path | None = None) -> Path:
-    """The folder in which weights lie.
+    """Folder in which weights lie, with every file that is needed.
 
     Args:
-        weights: Which.
-        given: What the user says: their folder, or one that holds it under their name here or in the hub; or ``None``
-            for the cache.
-        cache: Folder of all weights; the user's by default.
-
-    Returns:
-        A folder with every file that is needed.
+        given: The user's folder, or one that holds it under its name here or in the hub; ``None`` for the cache.
 
     Raises:
         InputError: If there is none: what to get, where, how big, and with which command.
@@ -76,17 +63,9 @@ def folder_of(weights: PublishedWeights, given: Path | None, cache: Path | None 
 
 
 def fetch_folder(weights: PublishedWeights, cache: Path | None = None) -> Path:
-    """Fetch weights from the internet into the cache; the same command goes on where it broke off.
+    """Fetch weights from the internet into the cache; their folder is there whole or not at all.
 
-    Args:
-        weights: Which.
-        cache: Folder of all weights; the user's by default.
-
-    Returns:
-        Their folder, which is there whole or not at all.
-
-    Raises:
-        InputError: If a file cannot be fetched or is not the published one.
+    The same command goes on where it broke off.
     """
     target = hub_folder(cache) / weights.name
     if not missing_in(target, weights):
@@ -102,15 +81,7 @@ def import_folder(weights: PublishedWeights, path: Path, cache: Path | None = No
     """Copy weights that the user has into the cache, checked as far as anything is known of them.
 
     Args:
-        weights: Which.
         path: Their folder; where they are one file, that file is enough.
-        cache: Folder of all weights; the user's by default.
-
-    Returns:
-        Their folder in the cache.
-
-    Raises:
-        InputError: If a file is missing, has another size or hash than the published one, or cannot be copied.
     """
     source = path.parent if path.is_file() and [path.name] == [file.name for file in weights.files] else path
     if not source.is_dir():
@@ -135,15 +106,11 @@ def import_folder(weights: PublishedWeights, path: Path, cache: Path | None = No
 def weights_at(
     path: Path, name: str | None, entries: tuple[PublishedWeights, ...] = FOLDERS
 ) -> PublishedWeights | None:
-    """Which weights a user means.
+    """Weights that a user means, or ``None`` if these are others than folders of published files.
 
     Args:
         path: A folder, or the one file of weights that are one file.
         name: What the user calls them, or ``None`` to go by names of folder and files.
-        entries: All weights that are kept as folders.
-
-    Returns:
-        The weights, or ``None`` if these are others than folders of published files.
 
     Raises:
         InputError: If the path is a folder and does not tell which weights it holds.
@@ -164,16 +131,9 @@ def weights_at(
 def content_hash(weights: PublishedWeights, folder: Path) -> str:
     """A hash for records that tells weights apart without reading gigabytes.
 
-    Args:
-        weights: Which.
-        folder: Where they lie (`folder_of`).
-
     Returns:
         64 hexadecimal digits: of names, sizes, small files whole, and of large ones sixteen blocks of 256 KiB spread
         evenly from the first byte to the last.
-
-    Raises:
-        InputError: If a file cannot be read.
     """
     found = hashlib.sha256()
     for file in sorted(weights.files, key=lambda file: file.name):

@@ -16,31 +16,19 @@ from benchmark.untrusted.tensor_headers import require_sound_header
 
 @dataclass(frozen=True, slots=True)
 class Library:
-    """A library that only some commands need.
-
-    Attributes:
-        name: What is imported: ``transformers`` or ``diffusers``.
-        extra: The extra of this project that installs it.
-        needed_by: Who needs it, for people.
-    """
+    """A library that only some commands need."""
 
     name: str
     extra: str
     needed_by: str
 
     def load(self, kind: str, folder: Path, **settings: Any) -> Any:
-        """A network or a processor with what a folder holds.
+        """An object of a class of the library with the files of a folder.
+
+        A network is in evaluation mode on the processor.
 
         Args:
-            kind: Name of a class of the library.
-            folder: Its files.
             settings: Arguments of ``from_pretrained``; a network is loaded in single precision if they say nothing.
-
-        Returns:
-            The network in evaluation mode on the processor, or whatever else the class is.
-
-        Raises:
-            InputError: If the library is not installed, or the folder does not hold what the class needs.
         """
         made = getattr(self.imported(), kind)
         # What `torch.device` concerns is listed once, at its first use. Transformers replaces one of these functions

@@ -24,13 +24,8 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], facts: Any, *, entr
     """Write tensors and facts, whole or not at all; the same content gives the same bytes.
 
     Args:
-        path: A .safetensors file.
-        tensors: By name, on any device.
         facts: JSON values; one entry of the header, because the order of several is not fixed.
         entry: Its name, which tells kinds of files apart.
-
-    Raises:
-        InputError: If it cannot be written.
     """
     # Each on its own: safetensors refuses tensors that share memory, as slices of one storage do.
     held = {
@@ -42,19 +37,13 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], facts: Any, *, entr
 def read_tensors(
     path: Path, *, entry: str = FACTS, what: str = "weights from ", instead: str = "fetch or make the file again"
 ) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Read what `write_tensors` wrote, or any other safetensors file.
+    """Tensors by name and facts that `write_tensors` wrote, or those of any other safetensors file.
+
+    Facts are empty where there is no such entry.
 
     Args:
-        path: A .safetensors file.
-        entry: Name of the header's entry with the facts.
         what: What the file would hold, for the message.
         instead: What to do if it is broken, for the message.
-
-    Returns:
-        Tensors by name; the facts, none where there is no such entry.
-
-    Raises:
-        InputError: If it is absent or broken.
     """
     try:
         require_sound_header(path)
@@ -66,18 +55,7 @@ def read_tensors(
 
 
 def read_header(path: Path, *, instead: str) -> tuple[dict[str, tuple[int, ...]], dict[str, Any]]:
-    """What a file of weights says of itself; the tensors are not read.
-
-    Args:
-        path: A .safetensors file.
-        instead: What to do if it is broken, for the message.
-
-    Returns:
-        Shapes by name; the facts.
-
-    Raises:
-        InputError: If it is absent or broken.
-    """
+    """Shapes by name and facts of a file of weights; the tensors are not read."""
     try:
         require_sound_header(path)
         with safetensors.safe_open(path, framework="pt") as stream:

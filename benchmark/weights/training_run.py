@@ -17,15 +17,7 @@ Network = TypeVar("Network", bound=nn.Module)
 
 @dataclass(slots=True)
 class TrainingRun(Generic[Network]):
-    """A run after ``step`` steps.
-
-    Attributes:
-        network: What is trained.
-        optimiser: Its state.
-        average: Averaged weights by name.
-        log: Rows so far.
-        step: Steps done.
-    """
+    """A run after ``step`` steps: its network and state of the optimiser, averaged weights by name, and log rows."""
 
     network: Network
     optimiser: torch.optim.AdamW
@@ -44,16 +36,11 @@ def tensors_key(tensors: Mapping[str, Tensor]) -> str:
 
 
 def write_run(run: TrainingRun[Any], path: Path, identity: str, *, entry: str = FACTS) -> None:
-    """Write a run, whole or not at all.
+    """Write a run, whole or not at all, as a .safetensors file.
 
     Args:
-        run: The run.
-        path: A .safetensors file.
         identity: Key of what it depends on.
         entry: Of the header: what the run says of itself.
-
-    Raises:
-        InputError: If it cannot be written.
     """
     tensors = {f"weights.{name}": tensor for name, tensor in run.network.state_dict().items()}
     tensors |= {f"average.{name}": tensor for name, tensor in run.average.items()}
@@ -63,17 +50,11 @@ def write_run(run: TrainingRun[Any], path: Path, identity: str, *, entry: str = 
 
 
 def read_run(run: TrainingRun[Any], path: Path, identity: str, differs: str, *, entry: str = FACTS) -> None:
-    """Bring a run to where a file left it.
+    """Bring a fresh run to where a file left it.
 
     Args:
-        run: A fresh run.
-        path: A .safetensors file.
         identity: Key of what the run depends on.
         differs: What may be different in a file of another run, for the message.
-        entry: As in `write_run`.
-
-    Raises:
-        InputError: If the file is broken, or belongs to another run.
     """
     tensors, facts = read_tensors(path, entry=entry, what="", instead="remove it to train from the beginning")
     if not facts:

@@ -19,12 +19,9 @@ CROISSANT_TYPE: Final[Mapping[Kind, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column of an index.
+    """One column of an index: its name, with the unit where it has one, the kind of its values, and a phrase.
 
-    Attributes:
-        name: Its name, with the unit where it has one.
-        kind: What its values are; any may be null.
-        meaning: One phrase.
+    Any value may be null.
     """
 
     name: str
@@ -33,16 +30,7 @@ class Column:
 
 
 def write_index(path: Path, columns: Sequence[Column], rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write rows as a Parquet file, in place of what is there.
-
-    Args:
-        path: The file.
-        columns: Its columns, in order.
-        rows: A value or ``None`` for each column.
-
-    Raises:
-        InputError: If the file cannot be written.
-    """
+    """Write rows as a Parquet file, in place of the present one; a row has a value or ``None`` for each column."""
     import pyarrow
     from pyarrow import parquet
 

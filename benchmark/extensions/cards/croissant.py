@@ -53,18 +53,12 @@ CONTEXT: Final[Mapping[str, Any]] = {
 
 @dataclass(frozen=True, slots=True)
 class Described:
-    """What is said of a data set whole.
+    """Statements about a data set as a whole.
 
     Attributes:
-        name: Its title.
-        description: In a few sentences.
         licence: Identifier of its licence, or ``unknown``.
-        url: Where it is published, if it is.
         published: Day of that, ``YYYY-MM-DD``.
         version: Of its content.
-        cite: What to cite.
-        creator: Who publishes it, if that is known.
-        keywords: For search engines.
         responsible: Fields of the responsible-AI extension by name without prefix, one text or several.
     """
 
@@ -81,16 +75,11 @@ class Described:
 
 
 def croissant(said: Described, index: Path, rows: str, columns: Sequence[Column]) -> dict[str, Any]:
-    """Metadata of a data set whose index is one Parquet file.
+    """Croissant metadata (JSON-LD) of a data set whose index is one Parquet file.
 
     Args:
-        said: What is said of it.
         index: The file, which must be there; it is named relative to the metadata beside it.
         rows: What a row is, one word in the plural.
-        columns: Its columns.
-
-    Returns:
-        JSON-LD.
     """
     fields = [
         {

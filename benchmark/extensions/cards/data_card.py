@@ -30,8 +30,6 @@ class _Origin:
     """Where a data set comes from, in sentences.
 
     Attributes:
-        collected: How its motion came to be.
-        pictures: How its images came to be.
         kinds: What the responsible-AI extension calls that.
         town: Whether it is the procedural town of this project.
         generated: Whether vehicles were made to be adversaries.
@@ -122,7 +120,7 @@ def _described(
 
 
 def _responsible(rows: Sequence[Mapping[str, Any]], origin: _Origin) -> dict[str, str | tuple[str, ...]]:
-    """What the responsible-AI extension asks, as far as the data set tells."""
+    """Answers to the responsible-AI extension, as far as the data set tells."""
     people = (
         "None: every road user is made up."
         if origin.town

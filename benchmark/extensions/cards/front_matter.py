@@ -8,14 +8,7 @@ _SIZES: Final = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"),
 
 
 def front_matter(fields: Mapping[str, Any]) -> str:
-    """The head of a card.
-
-    Args:
-        fields: JSON values by name, in their order; fields that are ``None`` or empty are left out.
-
-    Returns:
-        Lines with the dashes.
-    """
+    """Front matter of a card, dashes included, in the given order; fields that are ``None`` or empty are left out."""
     lines = [
         f"{name}: {json.dumps(value, ensure_ascii=False, allow_nan=False)}"
         for name, value in fields.items()
@@ -25,5 +18,5 @@ def front_matter(fields: Mapping[str, Any]) -> str:
 
 
 def size_category(rows: int) -> str:
-    """What hubs call a number of rows."""
+    """Size category in which hubs put a number of rows."""
     return next((name for most, name in _SIZES if rows < most), "n>1M")

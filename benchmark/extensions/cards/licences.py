@@ -21,11 +21,7 @@ _IDENTIFIER: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9.+-]{0,99}")
 
 
 def licence_named(text: str | None) -> str:
-    """The identifier that a user means; ``unknown`` where none is given.
-
-    Raises:
-        InputError: If it is no identifier.
-    """
+    """Identifier of the licence that a user means; ``unknown`` where none is given."""
     if text is None:
         return UNKNOWN
     if not _IDENTIFIER.fullmatch(text):

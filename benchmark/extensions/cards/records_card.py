@@ -46,15 +46,7 @@ RATE_COLUMNS: Final = (
 
 
 def rate_rows(records: Sequence[RunRecord], drives: Sequence[DriveRecord]) -> Iterator[dict[str, Any]]:
-    """One row for each rate, record by record.
-
-    Args:
-        records: Of planning.
-        drives: Of driving.
-
-    Yields:
-        A value or ``None`` for each of `RATE_COLUMNS`.
-    """
+    """Rows of `RATE_COLUMNS`, one for each rate, record by record."""
     for record in records:
         whose = {**_whose(record.run, record.content_id), "loop": "open", "coverage": record.summary.coverage}
         measured = [(name, found.version, found.columns) for name, found in record.summary.protocols.items()]

@@ -47,16 +47,9 @@ SCENE_COLUMNS: Final = (
 
 
 def scene_rows(data: "DataSet") -> Iterator[dict[str, Any]]:
-    """One row a scene, in the order of names; scenes that inspectors rejected are left out.
+    """Rows of `SCENE_COLUMNS`, one a scene, in the order of names; scenes that inspectors rejected are left out.
 
-    Args:
-        data: The data set; one scene at a time is in memory.
-
-    Yields:
-        A value or ``None`` for each of `SCENE_COLUMNS`.
-
-    Raises:
-        InputError: If something in a scene is broken.
+    One scene at a time is in memory.
     """
     names = data.scene_names(None)
     facts = data.scene_facts(names)
@@ -98,7 +91,7 @@ def _closest(made: Mapping[str, Any]) -> tuple[str | None, float | None]:
 
 
 def _of_scene(scene: "Scene") -> dict[str, Any]:
-    """What the tables say of a scene."""
+    """Index values of a scene from the tables."""
     seen = scene.annotations.valid
     kinds = [kind for kind, there in zip(scene.agents.categories, seen.any(axis=1), strict=True) if there]
     seconds = float(scene.timestamps_us[-1] - scene.timestamps_us[0]) * 1e-6

@@ -58,7 +58,7 @@ class CardSettings:
 
 @dataclass(frozen=True, slots=True)
 class WrittenCard:
-    """What was written: the files, and how many rows the index has."""
+    """Written files of a card, and the number of rows of its index."""
 
     files: tuple[Path, ...]
     rows: int
@@ -81,17 +81,9 @@ def write_card(
     """Write the files of a card, each in place of what is there.
 
     Args:
-        to: Folder.
-        said: What is said of the data set.
         page: Lines of ``README.md`` below its head.
-        index_name: File of the index.
         rows: What a row of it is, one word in the plural.
-        columns: Its columns.
-        values: Its rows.
         tags: What hubs sort by.
-
-    Returns:
-        What was written.
 
     Raises:
         InputError: If the folder cannot be written or holds a ``README.md`` that is no card of ours.
@@ -121,7 +113,7 @@ def ending() -> list[str]:
 
 
 def _require_own(page: Path) -> None:
-    """Refuse to write over a ``README.md`` that somebody wrote."""
+    """Refuse to write over a ``README.md`` that is no card of ours."""
     try:
         theirs = page.exists() and _OURS not in page.read_text(encoding="utf-8", errors="replace")
     except OSError as error:

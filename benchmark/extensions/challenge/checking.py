@@ -43,12 +43,10 @@ NO_CAMERAS: Final = "the recordings have no cameras here: calibration was not co
 
 @dataclass(frozen=True, slots=True)
 class CheckedScene:
-    """A verdict, and what later ones need.
+    """Verdict on a scene, with the tracks that later checks need.
 
-    Attributes:
-        verdict: On the scene.
-        tracks: Of each changed vehicle: token in the recording, and (K, 2) places at the keyframes, NaN where it is not
-            there.
+    Of each changed vehicle, ``tracks`` holds the token in the recording and (K, 2) positions at the keyframes, NaN
+    where it is absent.
     """
 
     verdict: SceneVerdict
@@ -95,15 +93,7 @@ def check_entry(
 
 
 def recordings_of(entry: DataSet, base: DataSet, names: Sequence[str] | None = None) -> dict[str, str]:
-    """Names of the recorded scenes that the scenes of an entry were made from.
-
-    Args:
-        entry: The entry.
-        base: The recordings.
-        names: Scenes of the entry, all by default.
-
-    Returns:
-        By name of the scene, in the order of the entry.
+    """Recorded scene that each scene of an entry was made from, by name of the scene, in the order of the entry.
 
     Raises:
         InputError: If the entry has no such scene, or one that no recording is known of.
@@ -256,7 +246,7 @@ class _SceneCheck:
                 yield found
 
     def _vehicle(self, each: Differing) -> tuple[list[Reason], ChangedVehicle]:
-        """What is said of one changed vehicle."""
+        """Verdict on one changed vehicle."""
         rules, scene = self.rules, self.scene
         reasons = list(changed_vehicle(scene, self.recorded, each, self.common, rules))
         reasons += self._motion(each)

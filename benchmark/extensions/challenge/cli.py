@@ -98,17 +98,7 @@ def challenge_check_command(options: ChallengeCheckOptions) -> None:
 
 
 def entry_names(roots: Sequence[Path]) -> dict[str, Path]:
-    """Names of entries: their folders, with as many of those above as tell them apart.
-
-    Args:
-        roots: Of the entries.
-
-    Returns:
-        Roots by name.
-
-    Raises:
-        InputError: If one is named twice.
-    """
+    """Roots of entries by name: the folder, with as many of those above as tell entries apart."""
     resolved = [root.resolve() for root in roots]
     if twice := next((root for root, own in zip(roots, resolved, strict=True) if resolved.count(own) > 1), None):
         raise InputError(f"the entry {twice} is named twice; name each once")

@@ -20,12 +20,7 @@ _SAME_KIND: Final = 2
 
 @dataclass(frozen=True, slots=True)
 class Keyframes:
-    """Keyframes that an entry and its recording have in common.
-
-    Attributes:
-        here: (C,) their numbers in the entry.
-        there: (C,) their numbers in the recording.
-    """
+    """Common keyframes of an entry and its recording: (C,) numbers in the entry, (C,) numbers in the recording."""
 
     here: Integers
     there: Integers
@@ -40,12 +35,9 @@ class Keyframes:
 
 @dataclass(frozen=True, slots=True)
 class Counterparts:
-    """Objects of an entry and of its recording, together.
+    """Objects of an entry matched to those of its recording.
 
-    Attributes:
-        pairs: Index in the entry and index in the recording, by the former.
-        added: Objects of the entry that the recording has not.
-        removed: Objects of the recording that the entry has not.
+    ``pairs`` holds (index in the entry, index in the recording), sorted by the former.
     """
 
     pairs: tuple[tuple[int, int], ...]
@@ -54,15 +46,9 @@ class Counterparts:
 
 
 def counterparts(entry: Scene, recorded: Scene, common: Keyframes) -> Counterparts:
-    """Find who is who: by instance token, else by places in common, else by where they begin.
+    """Match objects: by instance token, else by places in common, else by where they begin.
 
-    Args:
-        entry: Scene of an entry, of N objects.
-        recorded: The recording, of M objects.
-        common: Keyframes of both.
-
-    Returns:
-        Every object once.
+    Every object occurs once.
     """
     found: dict[int, int] = {}
     known = {name: index for index, name in enumerate(recorded.agents.ids)}

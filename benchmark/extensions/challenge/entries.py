@@ -29,11 +29,7 @@ class CheckedEntry:
     """The accepted scenes of an entry; see `benchmark.datasets.roots.DataSet` for what each method promises.
 
     Attributes:
-        data: The entry.
-        name: Shown in tables.
         root: A folder of the organiser's: nothing that lies beside the entry's tables is looked for.
-        version: Version folder of the entry.
-        verdicts: On the accepted scenes, by name.
         judgements: What this program says of them, by name.
     """
 
@@ -46,27 +42,14 @@ class CheckedEntry:
 
     @classmethod
     def of(cls, data: DataSet, name: str, root: Path, verdict: EntryVerdict) -> Self:
-        """The accepted scenes of an entry, judged.
-
-        Args:
-            data: The entry.
-            name: Shown in tables.
-            root: A folder of the organiser's.
-            verdict: On the entry.
-
-        Returns:
-            The entry.
-
-        Raises:
-            InputError: If a scene is broken.
-        """
+        """The accepted scenes of an entry, judged."""
         accepted = {scene.scene: scene for scene in verdict.scenes if scene.accepted}
         unjudged = cls(data, name, root, data.version, accepted, {})
         judged = {scene: judge_scene(unjudged.scene(scene), unjudged.tracks(scene)) for scene in accepted}
         return replace(unjudged, judgements=judged)
 
     def tracks(self, name: str) -> TracksAtHand:
-        """What was found of how the changed vehicles of a scene were made."""
+        """Findings on how the changed vehicles of a scene were made."""
         seconds = self.data.scene(name).seconds
         starts = {each.instance: int(np.argmin(np.abs(seconds - each.from_s))) for each in self.verdicts[name].changed}
         return TracksAtHand(generated=False, launches=starts)
@@ -97,7 +80,7 @@ class CheckedEntry:
         return tuple(sorted(self.verdicts))
 
     def review(self, split: str | None = None) -> SplitReview:
-        """Nobody inspected them."""
+        """All scenes wait: entries are not inspected."""
         return SplitReview(waiting=self.scene_names())
 
     def scene(self, name: str) -> Scene:
@@ -113,7 +96,7 @@ class CheckedEntry:
         return self.data.videos(name, sweeps=sweeps)
 
     def truth(self, name: str) -> tuple[SampleTruth, ...]:
-        """One truth a sample, in time order, with the changed vehicles as adversaries, whoever the entry names."""
+        """One truth a sample, in time order; the changed vehicles are the adversaries, named by the entry or not."""
         changed = frozenset(each.instance for each in self.verdicts[name].changed)
         return tuple(_with_adversaries(truth, changed) for truth in self.data.truth(name))
 
@@ -134,7 +117,7 @@ class CheckedEntry:
         return self.data.fingerprint()
 
     def provenance(self) -> dict[str, Any] | None:
-        """What was found: recording, changed vehicles and when they begin to be, by scene."""
+        """Findings by scene: recording, changed vehicles and the times from which they are changed."""
         scenes = {}
         for name, verdict in self.verdicts.items():
             starts = [{"launch_frame": start} for start in self.tracks(name).launches.values()]

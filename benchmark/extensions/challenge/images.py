@@ -47,12 +47,7 @@ _LEAST_SEEN: Final = 2
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
-    """What was seen of the pictures of one camera, at K keyframes.
-
-    Attributes:
-        small: (K, 18, 32) grey values.
-        digests: K hashes of the files.
-    """
+    """Pictures of one camera at K keyframes: (K, 18, 32) grey values, and K hashes of the files."""
 
     small: Floats
     digests: tuple[str, ...]
@@ -61,12 +56,8 @@ class Pictures:
 def faults_of_files(views: Views, rules: Images) -> tuple[dict[str, Pictures], list[Reason]]:
     """Look at every picture.
 
-    Args:
-        views: Of the entry, by camera, one a keyframe.
-        rules: What they must be.
-
     Returns:
-        What was seen, of cameras all of whose pictures can be read, and reasons: at most one for each camera and rule.
+        Pictures of the cameras all of whose files can be read, and reasons: at most one for each camera and rule.
     """
     seen: dict[str, Pictures] = {}
     reasons: dict[tuple[str, str], str] = {}
@@ -130,16 +121,7 @@ def _small(picture: NDArray[np.uint8]) -> Floats:
 def of_another_time(
     seen: Mapping[str, Pictures], recorded: Mapping[str, Pictures], common: Keyframes
 ) -> Iterator[Reason]:
-    """Pictures that show another keyframe, or another camera.
-
-    Args:
-        seen: Of the entry.
-        recorded: Of the recording.
-        common: Keyframes of both.
-
-    Yields:
-        Reasons, at most one for each camera and way to tell.
-    """
+    """Reasons against pictures that show another keyframe or camera, at most one for each camera and way to tell."""
     for name, pictures in seen.items():
         found = [(k, other) for k in range(len(pictures.small)) if (other := _shows(pictures, k)) is not None]
         if found:
@@ -245,18 +227,10 @@ def unseen_change(
     pictures: tuple[Mapping[str, Pictures], Mapping[str, Pictures]],
     common: Keyframes,
 ) -> Reason | None:
-    """Whether all pictures that a changed vehicle must be in are the recording's own files.
+    """Reason why a changed vehicle is unseen: all pictures that it must be in are the recording's own files.
 
-    Args:
-        entry: Scene of the entry.
-        agent: The vehicle.
-        changed: Places, among the common keyframes, at which it is elsewhere.
-        views: Of entry and recording.
-        pictures: Of entry and recording.
-        common: Keyframes of both.
-
-    Returns:
-        The reason, or ``None``.
+    ``changed`` holds the indices among the common keyframes at which it is elsewhere; of each pair the entry comes
+    first.
     """
     same = []
     for name in (camera for camera in pictures[0] if camera in pictures[1]):

@@ -16,15 +16,9 @@ from benchmark.records.challenge import Reason
 
 
 def broken_limits(seconds: Floats, boxes: Floats, rules: Motion) -> Iterator[Reason]:
-    """Limits that a track breaks where it is changed.
+    """Limits that a track breaks where it is changed, at most one reason for each.
 
-    Args:
-        seconds: (K,) times of keyframes, from the first one at which it differs.
-        boxes: (K, 5) boxes there.
-        rules: The limits.
-
-    Yields:
-        At most one reason for each limit.
+    Takes (K,) seconds from the first keyframe at which the track differs, and (K, 5) boxes there.
     """
     if len(boxes) < 2:
         return
@@ -57,15 +51,9 @@ def broken_limits(seconds: Floats, boxes: Floats, rules: Motion) -> Iterator[Rea
 
 
 def broken_launch(seconds: Floats, boxes: Floats, rules: Motion) -> Reason | None:
-    """Whether a vehicle jumps where its recorded track ends.
+    """Reason why a vehicle jumps where its recorded track ends, or ``None``.
 
-    Args:
-        seconds: (3,) times of the last two keyframes at which it is as recorded, and of the first changed one.
-        boxes: (3, 5) boxes there.
-        rules: The limits.
-
-    Returns:
-        The reason, or ``None``.
+    Takes (3,) seconds and (3, 5) boxes: the last two keyframes as recorded, and the first changed one.
     """
     first, second = np.diff(seconds)
     before, after = np.diff(boxes[:, :2], axis=0)

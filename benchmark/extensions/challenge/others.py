@@ -30,8 +30,6 @@ class Differing:
     """An object that is not everywhere where it was recorded.
 
     Attributes:
-        agent: Index in the entry.
-        recorded: Index in the recording.
         at: (C,) common keyframes at which it is elsewhere, or there in one of the two alone.
         distance: (C,) how far it is from where it was recorded, 0 where it is not in both.
     """
@@ -53,18 +51,7 @@ class Differing:
 
 
 def differing(entry: Scene, recorded: Scene, known: Counterparts, common: Keyframes, rules: Rules) -> list[Differing]:
-    """Objects of both that move otherwise.
-
-    Args:
-        entry: Scene of an entry.
-        recorded: The recording.
-        known: Who is who.
-        common: Keyframes of both.
-        rules: How far an object may be off and count as unchanged.
-
-    Returns:
-        Those that an entry names as adversaries first, then by how far they are off.
-    """
+    """Objects of both scenes that move otherwise: named adversaries of the entry first, then by distance."""
     found = []
     mine, theirs = entry.annotations, recorded.annotations
     for agent, other in known.pairs:
@@ -83,11 +70,7 @@ def differing(entry: Scene, recorded: Scene, known: Counterparts, common: Keyfra
 def who_differs(
     entry: Scene, recorded: Scene, known: Counterparts, found: Sequence[Differing], common: Keyframes, rules: Rules
 ) -> Iterator[Reason]:
-    """Whether as many vehicles differ as may, nobody is missing or made up, and the entry names who differs.
-
-    Yields:
-        Reasons.
-    """
+    """Check that few enough vehicles differ, none is missing or made up, and the entry names those that differ."""
     for indices, scene, said in (
         (known.removed, recorded, "leaves out"),
         (known.added, entry, "has, and the recording has not,"),
@@ -120,13 +103,10 @@ def who_differs(
 def labels_of(
     entry: Scene, recorded: Scene, known: Counterparts, found: Sequence[Differing], common: Keyframes, rules: Rules
 ) -> Iterator[Reason]:
-    """Whether category, size, attributes, visibility and points are as recorded.
+    """Check that category, size, attributes, visibility and points are as recorded.
 
-    What a changed vehicle looks like and how many points are on it is its entry's to say where it is elsewhere; but a
-    point it must have, for protocols leave out what nobody could have seen.
-
-    Yields:
-        Reasons.
+    Where a changed vehicle is elsewhere, its entry decides on its looks and number of points. One point it must have,
+    since protocols leave out objects that no sensor could have seen.
     """
     # A track may leave the recorded one just after a keyframe, whose attribute says so already.
     elsewhere = {each.agent: each.at | np.append(each.at[1:], False) for each in found}
@@ -183,11 +163,7 @@ def _labels_differ(
 def changed_vehicle(
     entry: Scene, recorded: Scene, each: Differing, common: Keyframes, rules: Rules
 ) -> Iterator[Reason]:
-    """Whether a changed vehicle is one that may be, begins where it was recorded, and is there to the end.
-
-    Yields:
-        Reasons.
-    """
+    """Check that a changed vehicle is of a permitted kind, begins where it was recorded, and is there to the end."""
     name = _called(entry, each.agent)
     if entry.agents.categories[each.agent] not in rules.changed.categories:
         yield Reason(rule="changed.categories", sentence=f"changes {name}, which no entry may")

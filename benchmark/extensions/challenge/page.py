@@ -46,20 +46,7 @@ li { overflow-wrap: anywhere; }
 
 
 def write_page(folder: Path, verdict: EntryVerdict, rules: Rules, pictures: Mapping[str, bytes]) -> Path:
-    """Write the page of an entry.
-
-    Args:
-        folder: Where.
-        verdict: What is said.
-        rules: By which.
-        pictures: PNG files by name of the scene; a scene without one has none.
-
-    Returns:
-        The file.
-
-    Raises:
-        InputError: If nothing can be written there.
-    """
+    """Write the page of an entry, with PNG files by name of the scene; a scene may have none."""
     path = folder / PAGE_FILE
     write_bytes(path, page_text(verdict, rules, pictures).encode())
     return path

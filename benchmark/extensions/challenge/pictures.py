@@ -19,19 +19,7 @@ _EXTENT_M: Final = 28.0
 
 
 def scenes_from_above(entry: DataSet, base: DataSet, verdict: EntryVerdict) -> dict[str, bytes]:
-    """Pictures of all scenes of an entry.
-
-    Args:
-        entry: The entry.
-        base: The recordings.
-        verdict: What was found.
-
-    Returns:
-        PNG files by name of the scene.
-
-    Raises:
-        InputError: If a scene is broken.
-    """
+    """Pictures of all scenes of an entry from above: PNG files by name of the scene."""
     scenes = progress(verdict.scenes, total=len(verdict.scenes), label="drawing scenes")
     return {scene.scene: _picture(entry, base, scene) for scene in scenes}
 

@@ -29,11 +29,7 @@ _LAYERS: Final = ("ped_crossings", "walkways", "road_segments", "stop_lines", "c
 
 
 def require_comparable(entry: Scene, recorded: Scene, common: Keyframes) -> None:
-    """Refuse scenes of which nothing can be said.
-
-    Raises:
-        InputError: If the two have no keyframe in common.
-    """
+    """Refuse scenes that share no keyframe, since they cannot be compared."""
     if not len(common.here):
         raise InputError(
             f"no keyframe of {entry.name} is at a time of its recording {recorded.name}: the entry is of other "
@@ -99,19 +95,14 @@ def sensors_of(
     *,
     required: bool,
 ) -> Iterator[Reason]:
-    """Whether lidar and cameras are mounted, calibrated, timed and posed as in the recording.
+    """Check that lidar and cameras are mounted, calibrated, timed and posed as in the recording.
+
+    Yields at most one reason for each camera. ``views`` are of the entry and of the recording, by camera, one a
+    keyframe.
 
     Args:
-        entry: Scene of the entry.
-        recorded: The recording.
-        common: Keyframes of both.
-        views: Of the entry and of the recording, by camera, one a keyframe.
-        rules: What may differ.
         required: Whether the entry must have every camera at every keyframe; those that it has are compared in any
             case.
-
-    Yields:
-        Reasons, at most one for each camera.
     """
     if _apart(entry.lidar.translation, recorded.lidar.translation) > rules.position_m or (
         _apart(entry.lidar.rotation, recorded.lidar.rotation) > rules.rotation
@@ -135,7 +126,7 @@ def sensors_of(
 
 
 def _view_differs(mine: CameraView, theirs: CameraView, recorded: Scene, there: int, rules: Unchanged) -> str:
-    """What is wrong with a camera at one keyframe; empty if nothing is."""
+    """Fault of a camera at one keyframe; empty if there is none."""
     scaled = theirs.camera.resized(mine.camera.width, mine.camera.height)
     if _calibration_differs(mine.camera, scaled, rules):
         return "alters the calibration"

@@ -114,19 +114,7 @@ class Gaps(Stored):
 
 
 class Rules(Stored):
-    """The rules of a challenge.
-
-    Attributes:
-        schema_version: Of the file.
-        name: Of the challenge, for reports.
-        scenes: Which scenes an entry has.
-        changed: Who may differ from the recording.
-        unchanged: How much anything else may.
-        images: What images must be.
-        motion: What is drivable.
-        road: What is on the road.
-        gaps: What is contact.
-    """
+    """The rules of a challenge, in the sections of ``rules.toml``."""
 
     schema_version: Literal[1] = Field(default=SCHEMA, alias="schema")
     name: str = _rule("challenge", "of the challenge, for reports")
@@ -140,7 +128,7 @@ class Rules(Stored):
 
     @property
     def fingerprint(self) -> str:
-        """Hash of all rules, whatever they are called: verdicts are comparable where it is equal."""
+        """Hash of all rules without their name: verdicts are comparable where it is equal."""
         return content_key("rules", self.model_dump(mode="json", exclude={"name"}))
 
 
@@ -194,14 +182,7 @@ def read_rules(path: Path | None) -> Rules:
 
 
 def rules_text(rules: Rules) -> str:
-    """Rules as a file that `read_rules` reads, each with what it says.
-
-    Args:
-        rules: The rules.
-
-    Returns:
-        TOML.
-    """
+    """Rules as a TOML file that `read_rules` reads, each with its explanation."""
     return "\n".join(_lines(rules)) + "\n"
 
 
@@ -232,18 +213,7 @@ def _value(value: Any) -> str:
 
 
 def checked_rules(data: bytes, where: str) -> bytes:
-    """A file of rules that can be read.
-
-    Args:
-        data: Its bytes.
-        where: What to call it in the message.
-
-    Returns:
-        The bytes.
-
-    Raises:
-        InputError: If it is no TOML text, or has a rule that there is not.
-    """
+    """Bytes of a file of rules, returned once they can be read; ``where`` names the file in messages."""
     validated(
         Rules.model_validate,
         parse_toml(data, where),

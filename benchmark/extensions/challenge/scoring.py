@@ -162,7 +162,7 @@ def _require_some(entries: Mapping[str, DataSet], planners: Sequence[PlannerFact
 def _scored(
     name: str, data: DataSet, base: DataSet, planners: Sequence[PlannerFactory], settings: ScoreSettings
 ) -> _Scored:
-    """Check an entry, and let everybody plan on its accepted scenes."""
+    """Check an entry, and let all planners plan on its accepted scenes."""
     verdict = check_entry(data, base, settings.rules, executor=LocalProcesses(settings.workers))
     verdict = verdict.model_copy(update={"entry": ComparedData(name=name, fingerprint=verdict.entry.fingerprint)})
     folder = settings.out / file_name(name)
@@ -180,7 +180,7 @@ def _scored(
 
 
 def _evaluation(planner: PlannerFactory, settings: ScoreSettings) -> EvalSettings:
-    """Judged by everybody who judges every run, and by whom the challenge asks."""
+    """Settings that judge by all standard protocols, and by the one that the challenge asks for."""
     own = planner.facts.native_protocol if settings.protocol == NATIVE else settings.protocol
     judges = dict.fromkeys([*STANDARD, *([] if own is None else [own])])
     return EvalSettings(protocols=tuple(judges), seed=settings.seed)
@@ -250,7 +250,7 @@ def _severity(scored: _Scored, seed: int) -> dict[str, Measured]:
 
 
 def _is_critical(said: JudgementSummary) -> bool | None:
-    """Whether ego and changed vehicle are ever nearly in contact; unknown where nobody measured them."""
+    """Whether ego and changed vehicle are ever nearly in contact; unknown where it was not measured."""
     if said.least_gap_m is None:
         return None
     return said.least_ttc_s is not None and said.least_ttc_s < CRITICAL_S

@@ -25,13 +25,13 @@ _FAR_M: Final = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Nearness:
-    """How near somebody comes.
+    """Nearest approach of a vehicle to another object.
 
     Attributes:
         gap_m: Least distance of the rectangles, 0 in contact.
-        seconds: When.
-        depth_m: How deep they are in one another at most; 0 without contact.
-        other: Index of the other one; ``None`` for the ego.
+        seconds: Time of it.
+        depth_m: Greatest penetration of the rectangles; 0 without contact.
+        other: Index of the other object; ``None`` for the ego.
     """
 
     gap_m: float
@@ -41,17 +41,7 @@ class Nearness:
 
 
 def off_road(boxes: Floats, seconds: Floats, road_map: RoadMap, rules: Road) -> Iterator[Reason]:
-    """Whether a vehicle leaves the drivable area.
-
-    Args:
-        boxes: (F, 5) its boxes where it is changed.
-        seconds: (F,) times.
-        road_map: The recording's.
-        rules: How much is allowed.
-
-    Yields:
-        At most one reason.
-    """
+    """Reason why a changed vehicle leaves the drivable area, at most one; (F, 5) boxes at (F,) seconds."""
     area = road_map.drivable_area
     shapely.prepare(area)
     corners = box_corners(boxes)
@@ -82,16 +72,7 @@ def off_road(boxes: Floats, seconds: Floats, road_map: RoadMap, rules: Road) -> 
 
 
 def nearest_other(scene: Scene, agent: int, frames: Integers) -> Nearness | None:
-    """Who comes nearest to a vehicle, other than the ego.
-
-    Args:
-        scene: Scene of an entry.
-        agent: The vehicle.
-        frames: Where it is changed.
-
-    Returns:
-        The nearest one; ``None`` where nobody is within 60 m.
-    """
+    """Object other than the ego that comes nearest to a vehicle; ``None`` where there is none within 60 m."""
     boxes = scene.agents.boxes[:, frames]
     present = scene.agents.valid[:, frames] & scene.agents.valid[agent, frames]
     present[agent] = False
@@ -103,15 +84,9 @@ def nearest_other(scene: Scene, agent: int, frames: Integers) -> Nearness | None
 
 
 def nearest_ego(scene: Scene, agent: int, first_keyframe: int) -> Nearness | None:
-    """How near the recorded ego and a vehicle come, by the rectangles and instants of the protocol ``exact``.
+    """Nearest approach of recorded ego and vehicle, by the rectangles and instants of the protocol ``exact``.
 
-    Args:
-        scene: Scene of an entry.
-        agent: The vehicle.
-        first_keyframe: The first one at which it is changed.
-
-    Returns:
-        The nearest instant; ``None`` if it is never there.
+    ``None`` if the vehicle is never there from ``first_keyframe``, the first one at which it is changed.
     """
     notes = scene.annotations
     heading = yaw_of_quaternion(notes.rotation[agent])[:, None]
@@ -130,16 +105,7 @@ def nearest_ego(scene: Scene, agent: int, first_keyframe: int) -> Nearness | Non
 
 
 def too_near(found: Nearness | None, scene: Scene, rules: Gaps) -> Reason | None:
-    """Whether somebody is nearer than the rules allow.
-
-    Args:
-        found: Of others, or of the ego.
-        scene: Scene of the entry.
-        rules: What is allowed.
-
-    Returns:
-        The reason, or ``None``.
-    """
+    """Reason why an object or the ego is nearer than the rules allow, or ``None``."""
     if found is None:
         return None
     if found.other is None:

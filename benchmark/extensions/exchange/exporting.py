@@ -38,18 +38,10 @@ class ExportedScene:
 
 
 def exchanged_of(dataset: DataSet, name: str) -> Exchanged:
-    """A scene of a data set, and how it was made.
+    """A scene of a data set with its recorded scene and the report of its making, where the data set has them.
 
-    Args:
-        dataset: The data set.
-        name: Of the scene; in variant roots (``v0/scene-0061``) it becomes a name for a file (``scene-0061-v0``), and
-            identifiers of objects become other ones, since variants share theirs.
-
-    Returns:
-        The scene, with the recorded scene it comes from and the report of its making where the data set has them.
-
-    Raises:
-        InputError: If there is no such scene or something in it is broken.
+    In variant roots (``v0/scene-0061``) the name becomes one for a file (``scene-0061-v0``), and identifiers of objects
+    become other ones, since variants share theirs.
     """
     scene = dataset.scene(name)
     require_two_hz(scene, "an exchanged file")
@@ -99,20 +91,10 @@ def export_scenarionet(dataset: DataSet, names: Sequence[str], to: Path, *, work
 def export_scenes(
     names: Sequence[str], to: Path, ending: str, write: Callable[[str], Any], *, workers: int
 ) -> list[Any]:
-    """Write a file a scene to a folder that holds no others.
-
-    Args:
-        names: Scenes.
-        to: The folder.
-        ending: Of the files' names.
-        write: Writes the file of a scene.
-        workers: Number of processes.
+    """Write a file a scene, all with the same ending, to a folder that holds no others.
 
     Returns:
-        What ``write`` returned, in the order of the names.
-
-    Raises:
-        InputError: If there is no scene, the folder holds files of other scenes, or writing fails.
+        The results of ``write``, in the order of the names.
     """
     if not names:
         raise InputError("there is no scene to export; name one with --scenes, or leave --scenes and --limit out")
@@ -140,14 +122,7 @@ def _write_scenario(dataset: DataSet, to: Path, name: str) -> tuple[ExportedScen
 
 
 def plain_pickle(value: Any) -> bytes:
-    """A pickle of plain containers, texts, numbers and arrays: the same bytes for the same values.
-
-    Args:
-        value: Such a value.
-
-    Returns:
-        A pickle that asks for nothing but numpy's arrays.
-    """
+    """Pickle plain containers, texts, numbers and arrays: the same bytes for the same values, importing numpy alone."""
     stream = io.BytesIO()
     pickler = pickle.Pickler(stream, _PROTOCOL)
     # Without references: whether two equal texts are one object depends on how they came into memory.

@@ -85,19 +85,10 @@ def _write(dataset: DataSet, to: Path, name: str) -> ExportedScene:
 
 
 def openscenario_bytes(made: Exchanged) -> bytes:
-    """A scene as OpenSCENARIO.
+    """A scene as OpenSCENARIO, the same bytes for the same scene.
 
     Every object follows its track in time (polylines with the seconds of its frames, absolute). One that is not there
     at first is deleted in ``Init`` and added when it comes; it is deleted where it goes.
-
-    Args:
-        made: The scene and how it came about.
-
-    Returns:
-        The file, the same bytes for the same scene.
-
-    Raises:
-        InputError: If the package ``scenariogeneration`` is absent.
     """
     xosc, scene = require_package(), made.scene
     entities, init, act = xosc.Entities(), xosc.Init(), xosc.Act("tracks", _at(xosc, 0.0), None)
@@ -130,7 +121,7 @@ def openscenario_bytes(made: Exchanged) -> bytes:
 
 
 def _said(made: Exchanged) -> dict[str, str]:
-    """What the header says of the scene."""
+    """Description of the scene for the header."""
     return {
         "scene": made.scene.name,
         "source_scene": made.source_scene,
@@ -220,7 +211,7 @@ class _Track:
             init.add_global_action(xosc.DeleteEntityAction(self.name))
 
     def maneuvers(self, xosc: Any) -> Any:
-        """What it does: for each stretch of time that it is there it comes, follows its track, and goes."""
+        """Maneuvers of an object: for each stretch of time that it is there it comes, follows its track, and goes."""
         maneuver = xosc.Maneuver(f"{self.name} maneuver")
         for number, (first, last) in enumerate(stretches(self._valid)):
             if first > 0:

@@ -40,9 +40,6 @@ def scenario_of(made: Exchanged) -> Scenario:
     Steps are the scene's own frames (12 Hz). Positions are box centres, the ego's too; where an object is not there its
     numbers are zero. All values are plain containers, numbers, texts and arrays.
 
-    Args:
-        made: The scene and how it came about.
-
     Returns:
         The scenario: ``id``, ``version``, ``length``, ``tracks``, ``dynamic_map_states`` (none), ``map_features`` and
         ``metadata``. The metadata's ``adversaries`` names tracks, and each track's own says ``is_adversary``.
@@ -141,7 +138,7 @@ def _velocity(position: Floats, there: Bools, seconds: Floats) -> Floats:
 
 
 def _own(made: Exchanged) -> dict[str, Any]:
-    """What ScenarioNet has no place for; `benchmark.datasets.scene_of_own` reads it."""
+    """Facts that ScenarioNet has no place for; `benchmark.datasets.scene_of_own` reads them."""
     scene = made.scene
     sweeps = scene.sweep_poses
     return {
@@ -174,7 +171,7 @@ def _own(made: Exchanged) -> dict[str, Any]:
 
 
 def _summaries(tracks: dict[str, dict[str, Any]], features: int) -> dict[str, Any]:
-    """What ScenarioNet's filters look at."""
+    """Summaries that ScenarioNet's filters look at."""
     objects = {name: _summary(name, track) for name, track in tracks.items()}
     types = sorted({summary["type"] for summary in objects.values()})
     moving = [summary for summary in objects.values() if summary["moving_distance"] > _LEAST_MOVED_M]

@@ -30,10 +30,7 @@ class Case:
     """One sample on which a protocol and ``exact`` disagree.
 
     Attributes:
-        planner: Whose plan it is.
-        protocol: The protocol.
         cause: One of `benchmark.metrics.disagreement.CAUSES`.
-        truth: What really happened.
         plan_lidar: (6, 2) waypoints, metres.
         step: The step that makes the difference, 0 to 5.
         clearness: How well it can be seen: square metres of overlap that are missed, or metres of air that are taken
@@ -50,17 +47,9 @@ class Case:
 
 
 def clearest_cases(records: Sequence[RunRecord], data: "DataSet") -> list[Case]:
-    """One case of each cause for each protocol.
+    """Clearest case of each cause for each protocol, in the order of `PROTOCOLS` and `CAUSES`.
 
-    Args:
-        records: Run records of any planners on one data set; their rows name the causes.
-        data: The data set that they ran on.
-
-    Returns:
-        Cases by protocol and cause, in the order of `PROTOCOLS` and `CAUSES`; none for what no row shows.
-
-    Raises:
-        InputError: If a scene cannot be read or does not have the samples of a record.
+    None for causes without a row.
     """
     truths: dict[str, dict[str, SampleTruth]] = {}
     found = []
@@ -97,15 +86,7 @@ def _showing(records: Sequence[RunRecord], protocol: str, cause: str) -> list[tu
 
 
 def plan_in_lidar(row: SampleRow, truth: SampleTruth) -> Floats:
-    """The plan of a row in the frame that protocols read.
-
-    Args:
-        row: A row with a plan.
-        truth: What really happened at its sample.
-
-    Returns:
-        (6, 2) metres.
-    """
+    """Plan of a row in the lidar frame, which protocols read: (6, 2) metres."""
     if row.plan is None:
         raise ValueError(f"sample {row.sample_token} has no plan")
     return Plan(np.array(row.plan.waypoints), PlanFrame(row.plan.frame)).waypoints_in_lidar(truth.lidar_ahead_m)
@@ -114,14 +95,8 @@ def plan_in_lidar(row: SampleRow, truth: SampleTruth) -> Floats:
 def case_of(planner: str, protocol: str, truth: SampleTruth, plan_lidar: Floats) -> Case | None:
     """A sample as a case, at the step that shows the cause best.
 
-    Args:
-        planner: Whose plan it is.
-        protocol: Name of a registered protocol.
-        truth: What really happened.
-        plan_lidar: (6, 2) waypoints, metres.
-
-    Returns:
-        The case, or ``None`` if the protocol and ``exact`` agree or do not both count the sample.
+    ``None`` if the protocol and ``exact`` agree or do not both count the sample. ``plan_lidar`` is (6, 2) waypoints in
+    metres.
     """
     definition, plans = PROTOCOLS[protocol], plan_lidar[None]
     exact, official = (one.evaluate([truth], plans) for one in (PROTOCOLS[EXACT], definition))
@@ -141,16 +116,7 @@ def case_of(planner: str, protocol: str, truth: SampleTruth, plan_lidar: Floats)
 
 
 def contact_instant(truth: SampleTruth, plan_lidar: Floats, step: int) -> int:
-    """The instant of a step at which the plan overlaps the others most.
-
-    Args:
-        truth: What really happened.
-        plan_lidar: (6, 2) waypoints, metres.
-        step: 0 to 5.
-
-    Returns:
-        Index from 0 to 29: 0.1 s, 0.2 s, ... 3.0 s.
-    """
+    """Instant of a step (0 to 5) at which the plan overlaps the others most: 0 to 29 for 0.1 s, 0.2 s, ... 3.0 s."""
     instants = range(step * INSTANTS_PER_STEP, (step + 1) * INSTANTS_PER_STEP)
     return max(instants, key=lambda instant: (_overlap_m2(truth, plan_lidar, instant), instant))
 
@@ -161,30 +127,14 @@ def waypoint_instant(step: int) -> int:
 
 
 def objects_at(truth: SampleTruth, instant: int) -> tuple[Floats, list[int]]:
-    """Where everybody is at an instant.
-
-    Args:
-        truth: What really happened.
-        instant: 0 to 29, a tenth of a second each.
-
-    Returns:
-        (N, 5) boxes of those that are there and their numbers in the truth.
-    """
+    """Objects at an instant (0 to 29, a tenth of a second each): (N, 5) boxes and their numbers in the truth."""
     boxes, present = object_boxes(truth.boxes, truth.annotated)
     there = np.flatnonzero(present[:, instant])
     return boxes[there, instant], there.tolist()
 
 
 def ego_rectangle(waypoint: Floats, heading_rad: float) -> Floats:
-    """The ego's rectangle at one waypoint.
-
-    Args:
-        waypoint: (2,) lidar origin, metres.
-        heading_rad: Where the ego looks.
-
-    Returns:
-        (5,) box.
-    """
+    """The ego's (5,) box at one waypoint, a (2,) lidar origin in metres."""
     return ego_footprints(np.array([*waypoint, heading_rad]))
 
 

@@ -71,13 +71,7 @@ _REASONS = ("class not counted", "not annotated now or since", "out of range now
 
 @dataclass(frozen=True, slots=True)
 class CasePicture:
-    """A picture of a case.
-
-    Attributes:
-        case: What it shows.
-        path: The PNG file.
-        sentence: What is seen, for a terminal.
-    """
+    """Picture of a case as a PNG file, with a sentence about it for a terminal."""
 
     case: Case
     path: Path
@@ -107,14 +101,7 @@ def explain(records: Sequence[RunRecord], data: "DataSet", folder: Path) -> list
 
 
 def sentence(case: Case) -> str:
-    """A case in words.
-
-    Args:
-        case: The case.
-
-    Returns:
-        Who, where, and what is wrong.
-    """
+    """A case in words: the objects, the place and the fault."""
     kind = "misses a collision of" if case.cause.startswith(MISS) else "reports a collision that is none of"
     return (
         f"{case.protocol} {kind} {case.planner}, {case.truth.scene} sample {case.truth.index}, "
@@ -123,13 +110,9 @@ def sentence(case: Case) -> str:
 
 
 def draw_case(case: Case) -> bytes:
-    """Draw a case: what happens on the left, what the protocol sees on the right.
+    """Draw a case as PNG: the events on the left, the protocol's view on the right.
 
-    Args:
-        case: The case.
-
-    Returns:
-        A PNG file; the same case gives the same bytes.
+    The same case gives the same bytes.
     """
     import matplotlib.style
     from matplotlib.figure import Figure

@@ -27,13 +27,11 @@ OBJECT, IGNORED, CELL, GHOST = "#7a8ba6", "#8a8f99", "#a9bcd8", "#8e5bb5"
 
 @dataclass(frozen=True, slots=True)
 class RasterView:
-    """What a raster protocol compares at one step.
+    """Cells that a raster protocol compares at one step.
 
     Attributes:
         occupied: (R, C) cells of counted objects; rows from rear to front, columns from left to right.
-        ego: (R, C) cells of the ego.
         first_cell_m: x and y of the middle of cell (0, 0), as the protocol places its objects.
-        cell_m: Side of a cell.
     """
 
     occupied: Bools
@@ -49,16 +47,9 @@ class RasterView:
 
 
 def raster_view(definition: CollisionProtocol, truth: SampleTruth, plan_lidar: Floats, step: int) -> RasterView | None:
-    """The cells that a protocol compares.
+    """The cells that a protocol compares at a step (0 to 5), or ``None`` for a protocol without a raster.
 
-    Args:
-        definition: The protocol.
-        truth: What really happened.
-        plan_lidar: (6, 2) waypoints, metres.
-        step: 0 to 5.
-
-    Returns:
-        The cells, or ``None`` for a protocol without a raster.
+    ``plan_lidar`` is (6, 2) waypoints in metres.
     """
     if isinstance(definition, SafeMVDrive):
         definition = definition.uniad
@@ -119,28 +110,14 @@ def _fine_view(definition: BEVPlanner | OmniDrive, truth: SampleTruth, plan_lida
 
 
 def draw_cells(axes: "Axes", view: RasterView, *, alpha: float = 1.0) -> None:
-    """Occupied cells, the ego's cells, and those that are both.
-
-    Args:
-        axes: Where to draw, metres.
-        view: The cells.
-        alpha: Their opacity.
-    """
+    """Draw occupied cells, the ego's cells, and those that are both, in metres."""
     shade_cells(axes, view, view.occupied & ~view.ego, CELL, alpha=alpha)
     shade_cells(axes, view, view.ego & ~view.occupied, EGO, alpha=0.55 * alpha)
     shade_cells(axes, view, view.ego & view.occupied, HIT, alpha=alpha)
 
 
 def shade_cells(axes: "Axes", view: RasterView, cells: Bools, colour: str, *, alpha: float = 1.0) -> None:
-    """Some cells as squares.
-
-    Args:
-        axes: Where to draw, metres.
-        view: Says where the cells lie.
-        cells: (200, 200) which ones.
-        colour: Their colour.
-        alpha: Their opacity.
-    """
+    """Draw some cells, (200, 200) flags, as squares in metres."""
     from matplotlib.collections import PolyCollection
 
     rows, columns = np.nonzero(cells)
@@ -171,13 +148,7 @@ def draw_path(axes: "Axes", plan_lidar: Floats, colour: str = EGO) -> None:
 
 
 def frame_view(axes: "Axes", centre: Floats, half_view_m: float) -> None:
-    """Show a square piece of the plane.
-
-    Args:
-        axes: Where to draw, metres.
-        centre: (2,) its middle.
-        half_view_m: Half its side.
-    """
+    """Show a square piece of the plane around a (2,) centre in metres."""
     axes.set_xlim(centre[0] - half_view_m, centre[0] + half_view_m)
     axes.set_ylim(centre[1] - half_view_m, centre[1] + half_view_m)
     axes.set_autoscale_on(False)

@@ -29,9 +29,7 @@ class ModelAnswer:
     Attributes:
         trajectory: (N, 2) waypoints 0.5 s apart; accepted are other shapes too, of which `plan` says what is wrong.
         objects: (A, 5) x, y, length, width, yaw.
-        classes: Their classes; lists need not agree in length, nobody compares them.
-        scores: Their scores.
-        ids: Their numbers.
+        classes: Their classes; lists need not agree in length; no reader compares them.
         futures: (A, M, T, 2) metres from each object's present centre, 0.5 s apart.
     """
 
@@ -44,13 +42,7 @@ class ModelAnswer:
 
     @classmethod
     def read(cls, body: bytes) -> Self:
-        """Read an answer.
-
-        Args:
-            body: What was answered.
-
-        Returns:
-            The answer; its numbers may be NaN.
+        """Read an answer, whose numbers may be NaN.
 
         Raises:
             WireError: If NeuroNCAP's client would not take it.
@@ -76,14 +68,10 @@ class ModelAnswer:
 
     @classmethod
     def of_plan(cls, plan: Plan, lidar_ahead_m: float) -> Self:
-        """A plan's first 3 s on the wire: as the engines themselves read it, positions of the rear axle.
+        """A plan's first 3 s on the wire, as the engines themselves read it: positions of the rear axle.
 
         Args:
-            plan: The planner's.
             lidar_ahead_m: Lidar origin ahead of the rear axle.
-
-        Returns:
-            The answer.
         """
         boxes, futures = _forecasts_in_ego(plan, lidar_ahead_m)
         nothing = np.empty(0)
@@ -102,7 +90,9 @@ class ModelAnswer:
         return encoded({"trajectory": self.trajectory.tolist(), _AUX: said})
 
     def plan(self, frame: PlanFrame = PlanFrame.EGO) -> Plan:
-        """What can be driven of it. Of a third column, which the engine's own code hardly uses, nothing is kept.
+        """The part of an answer that can be driven.
+
+        A third column, which the engine's own code hardly uses, is dropped.
 
         Args:
             frame: Frame of the model's answers: that of the protocol, or ``lidar``, as forks of VAD answer.
@@ -118,7 +108,7 @@ class ModelAnswer:
             raise WireError(str(error)) from error
 
     def _forecasts(self) -> Forecasts | None:
-        """What it expects of others, where that can be told: the wire has no probabilities, all modes count alike."""
+        """Forecasts of others, where they can be told: the wire has no probabilities, all modes count alike."""
         agents = len(self.objects)
         if not agents or len(self.futures) != agents or self.futures.shape[2] < PLAN_STEPS or not self.futures.shape[1]:
             return None

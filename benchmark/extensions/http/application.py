@@ -24,10 +24,9 @@ _BODIES: Final = 4
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What a request may cost.
+    """Limits on a request.
 
     Attributes:
-        body_bytes: Length of a body.
         body_s: How long a body may take to arrive.
         answer_s: How long an answer may take, waiting for the one before included.
     """
@@ -38,15 +37,9 @@ class Bounds:
 
 
 def application(session: Session, bounds: Bounds) -> Starlette:
-    """The routes of a session.
+    """The routes of a session as an ASGI application.
 
-    Args:
-        session: The planner.
-        bounds: What a request may cost.
-
-    Returns:
-        An application of ASGI. The planner is asked in one thread, request after request, so that ``/alive`` answers
-        meanwhile.
+    The planner is asked in one thread, request after request, so that ``/alive`` answers meanwhile.
     """
     thread = ThreadPoolExecutor(1, thread_name_prefix="planner")
     bodies = asyncio.Semaphore(_BODIES)

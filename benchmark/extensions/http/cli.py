@@ -68,7 +68,7 @@ def serve_planner(
     seed: int = 0,
     supervision: "Supervision | None" = None,
 ) -> "PlannerServer":
-    """A planner as a model server for NeuroNCAP, or for whoever speaks its protocol.
+    """A planner as a model server for NeuroNCAP, or for other clients of its protocol.
 
     Args:
         name: Planner name or ``package.module:Class``; no miniature stands in for a model without weights.

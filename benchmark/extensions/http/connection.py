@@ -27,12 +27,7 @@ _AGENT: Final = "challenger-bench"
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """An answer.
-
-    Attributes:
-        status: Of HTTP.
-        body: Its bytes.
-    """
+    """An HTTP answer: status and body."""
 
     status: int
     body: bytes
@@ -53,7 +48,6 @@ class Connection:
     """Asks one server.
 
     Attributes:
-        url: ``http://HOST:PORT``.
         what: What the user calls it, for sentences: "the model server".
         deadline_s: How long one request may take, from connecting to its last byte.
     """
@@ -67,18 +61,10 @@ class Connection:
         return self._exchange("GET", path, None, deadline_s)
 
     def post(self, path: str, body: bytes, deadline_s: float | None = None) -> Reply:
-        """Send JSON, once.
-
-        Args:
-            path: Below the server's address.
-            body: JSON.
-            deadline_s: How long it may take, if not as long as anything.
-
-        Returns:
-            The answer, whatever its status.
+        """Send JSON, once; any status is an answer.
 
         Raises:
-            PlannerAwayError: If nobody listens there, or the other side went away before it had answered.
+            PlannerAwayError: If no server listens there, or the other side went away before it had answered.
             PlannerLateError: If it takes too long.
             PlannerGoneError: If what answers does not speak HTTP, or answers more than there may be.
         """
@@ -87,11 +73,8 @@ class Connection:
     def wait(self, seconds: float) -> None:
         """Wait until something answers ``/alive``; any answer will do, as for NeuroNCAP.
 
-        Args:
-            seconds: How long at most; measured by a clock that runs forward.
-
         Raises:
-            PlannerAwayError: If nothing does.
+            PlannerAwayError: If nothing answers within these seconds of a monotonic clock.
         """
         until = time.monotonic() + seconds
         while True:
@@ -176,11 +159,7 @@ class Connection:
 
 
 class _Watch:
-    """Cuts a connection whose time is over, whatever it is doing then.
-
-    Attributes:
-        cut: Whether it did.
-    """
+    """Cuts a connection whose time is over, in any state, and remembers in ``cut`` that it did."""
 
     def __init__(self, seconds: float) -> None:
         self.cut = False

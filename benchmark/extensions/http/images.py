@@ -25,14 +25,9 @@ class ImageFormat(StrEnum):
 
 
 def image_text(pixels: NDArray[np.uint8], form: ImageFormat) -> str:
-    """A picture as text.
+    """A (height, width, 3) RGB picture as standard base64 without line breaks.
 
-    Args:
-        pixels: (height, width, 3) RGB.
-        form: ``torch``: what ``torch.save`` writes of the tensor, which is NeuroNCAP's only form.
-
-    Returns:
-        Standard base64 without line breaks.
+    In the form ``torch`` it is what ``torch.save`` writes of the tensor, which is NeuroNCAP's only form.
     """
     file = io.BytesIO()
     if form is ImageFormat.TORCH:
@@ -48,15 +43,10 @@ def image_text(pixels: NDArray[np.uint8], form: ImageFormat) -> str:
 
 
 def image_from(text: str | bytes, where: str, *, tensors: bool) -> NDArray[np.uint8]:
-    """A picture from text: PNG, JPEG, an array of numpy, or a saved tensor.
+    """(height, width, 3) RGB picture from base64 text: PNG, JPEG, an array of numpy, or a saved tensor.
 
     Args:
-        text: Standard base64.
-        where: For the message.
         tensors: Whether saved tensors are read, which are pickles.
-
-    Returns:
-        (height, width, 3) RGB.
 
     Raises:
         TensorRefused: If it is a saved tensor and those are not read.

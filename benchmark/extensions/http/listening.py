@@ -15,18 +15,7 @@ def is_open(host: str) -> bool:
 
 
 def listening(host: str, port: int) -> socket.socket:
-    """A socket that listens.
-
-    Args:
-        host: Name or number of an address of this machine.
-        port: 0 takes a free one.
-
-    Returns:
-        It.
-
-    Raises:
-        InputError: If it cannot listen there.
-    """
+    """A listening socket at an address of this machine; port 0 takes a free one."""
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
         found = socket.socket(family, socket.SOCK_STREAM)

@@ -33,27 +33,12 @@ class ModelFailedError(Exception):
 
 
 class HttpPlanner:
-    """A planner that is asked over HTTP.
-
-    Attributes:
-        name: Shown in tables.
-        settings: Part of its identity.
-        address: Where it is.
-        form: How pictures are sent.
-        frame: Frame of its answers.
-    """
+    """A planner that is asked over HTTP, with its pictures in one form and its answers in one frame."""
 
     def __init__(
         self, address: Address, form: ImageFormat, deadline_s: float, frame: PlanFrame = PlanFrame.EGO
     ) -> None:
-        """Nothing is asked yet.
-
-        Args:
-            address: Where it is.
-            form: How pictures are sent.
-            deadline_s: How long a request may take.
-            frame: Frame of its answers; the protocol's is ``ego``.
-        """
+        """Nothing is asked yet. The frame of the protocol's answers is ``ego``."""
         self.name = address.name
         self.settings: dict[str, Any] = {**address.settings, "image_format": form.value}
         if frame is not PlanFrame.EGO:
@@ -65,29 +50,18 @@ class HttpPlanner:
         self._told = False
 
     def reset(self, scene: SceneInfo) -> None:
-        """Forget the previous scene; of the new one the protocol says nothing.
-
-        Raises:
-            PlannerGoneError: If nobody answers, or what answers is no model server.
-            PlannerLateError: If it takes too long.
-        """
+        """Forget the previous scene; of the new one the protocol says nothing."""
         reply = self._connection.post("/reset", RESET_BODY)
         self._require_server(reply, "/reset")
         if reply.status >= _LEAST_FAILURE:
             raise ModelFailedError(f"{self._who} failed to reset (status {reply.status}): {_detail(reply)}")
 
     def plan(self, observation: Observation) -> Plan:
-        """Ask for a plan, once.
-
-        Args:
-            observation: The next sample, with six pictures.
-
-        Returns:
-            The plan, in the frame of its answers.
+        """Ask for a plan, once; it is in the frame of the model's answers.
 
         Raises:
             InputError: If a picture is missing.
-            PlannerGoneError: If nobody answers, or what answers is no model server.
+            PlannerGoneError: If there is no answer, or it is not from a model server.
             PlannerLateError: If it takes too long.
             ModelFailedError: If it answers anything that NeuroNCAP would not take, or that is no plan.
         """
@@ -115,11 +89,7 @@ class HttpPlanner:
         self._connection.wait(RETURN_S)
 
     def require_alive(self) -> None:
-        """Refuse an address where nobody answers; any answer to ``/alive`` will do, as for NeuroNCAP.
-
-        Raises:
-            PlannerGoneError: If nobody does.
-        """
+        """Refuse an address without a server; any answer to ``/alive`` will do, as for NeuroNCAP."""
         self._connection.get("/alive", ALIVE_S)
 
     @property
@@ -149,25 +119,17 @@ def http_planner(
     deadline_s: float = DEADLINE_S,
     frame: str = PlanFrame.EGO,
 ) -> HttpPlanner:
-    """The planner at an address.
+    """The planner at an address, ``http://HOST:PORT`` or ``NAME=http://HOST:PORT``; nothing is asked yet.
 
     Args:
-        address: ``http://HOST:PORT`` or ``NAME=http://HOST:PORT``.
         image_format: ``torch``, as NeuroNCAP sends pictures, or ``png``.
-        deadline_s: How long a request may take.
         frame: Frame of its answers: ``ego``, as the protocol has it, or ``lidar``.
-
-    Returns:
-        It; nothing is asked yet.
-
-    Raises:
-        InputError: If it is no address.
     """
     return HttpPlanner(Address.of(address, _OPTION), ImageFormat(image_format), deadline_s, PlanFrame(frame))
 
 
 def _detail(reply: Reply) -> str:
-    """What a server says of an error, without the object that frameworks put around it."""
+    """A server's words about an error, without the object that frameworks put around them."""
     try:
         value = parse_json(reply.body, WIRE_ANSWER)
     except ValueError:

@@ -29,18 +29,10 @@ the name of its scene does not depend on how often somebody has asked before."""
 
 
 def request_of(observation: Observation, form: ImageFormat) -> InferRequest:
-    """An observation for the wire.
+    """An observation with all six cameras as a request.
 
-    Args:
-        observation: What a planner sees, with all six cameras.
-        form: How pictures are sent.
-
-    Returns:
-        The request. Its numbers are those of the observation in double precision; of the engine `neuroncap@code` they
-        are single ones, as in the published code.
-
-    Raises:
-        InputError: If a camera is missing, or a picture cannot be had.
+    Its numbers are those of the observation in double precision. The engine `neuroncap@code` gives single ones, as the
+    published code does.
     """
     views = {name: observation.views[name] for name in CAMERAS if name in observation.views}
     missing = [name for name in CAMERAS if name not in views]
@@ -69,11 +61,7 @@ def camera_pose(camera: Camera) -> Floats:
 
 
 class Memory:
-    """What the wire does not say and a planner wants: how many samples there were since the reset, and where.
-
-    Attributes:
-        last_us: Time of the last sample, if there was one.
-    """
+    """Number, times and places of samples since the reset, which the wire does not carry and a planner wants."""
 
     def __init__(self) -> None:
         self.last_us: int | None = None
@@ -81,14 +69,7 @@ class Memory:
         self._poses: deque[Floats] = deque(maxlen=PAST_TICKS)
 
     def observation(self, request: InferRequest, *, tensors: bool) -> Observation:
-        """What a planner sees, and a sample more to remember.
-
-        Args:
-            request: From the wire.
-            tensors: Whether saved tensors are read.
-
-        Returns:
-            The observation; its pictures are decoded already, and no file is behind them.
+        """Observation of a request, remembered as one more sample; its pictures are decoded, without files behind them.
 
         Raises:
             WireError: If a picture cannot be read; then nothing is remembered.

@@ -19,10 +19,9 @@ _MOST_ACTORS: Final = 5000
 
 @dataclass(frozen=True, slots=True)
 class RendererActor:
-    """Somebody whom a renderer can show elsewhere than recorded.
+    """Actor that a renderer can show elsewhere than recorded.
 
     Attributes:
-        uuid: Token of the instance.
         timestamps: (T,) microseconds.
         poses: (T, 4, 4) of the box's centre, global.
         dims: (3,) width, length, height.
@@ -35,11 +34,7 @@ class RendererActor:
 
     @classmethod
     def read(cls, value: Any, where: str) -> Self:
-        """Read one.
-
-        Raises:
-            WireError: If it is none.
-        """
+        """Read one."""
         uuid = member(value, "uuid", where)
         if not isinstance(uuid, str) or not 0 < len(uuid) <= _LONGEST_ID:
             raise WireError(f"{where}.uuid is no text of 1 to {_LONGEST_ID} characters")
@@ -66,7 +61,6 @@ class MovedActor:
         timestamps: (T,) microseconds.
         poses: (T, 4, 4) of the box's centre, global.
         dims: (3,) width, length, height.
-        uuid: Token of the instance.
         is_target: Whether it is who threatens the ego.
     """
 
@@ -78,11 +72,7 @@ class MovedActor:
 
 
 def actors_in(body: bytes) -> tuple[RendererActor, ...]:
-    """What ``/get_actors`` answers.
-
-    Raises:
-        WireError: If it is anything else.
-    """
+    """Actors of an answer to ``/get_actors``."""
     value = parsed(body, WIRE_ANSWER, _BODY)
     if not isinstance(value, list) or len(value) > _MOST_ACTORS:
         raise WireError(f"{_BODY} is no list of at most {_MOST_ACTORS} actors")
@@ -106,16 +96,10 @@ def moved(actors: Iterable[MovedActor]) -> bytes:
 
 
 def picture_wanted(pose: Floats, timestamp: int, camera: str, image_format: str | None = None) -> bytes:
-    """The body of ``/render_image``.
+    """The body of ``/render_image``: (4, 4) global pose of a camera, and microseconds.
 
     Args:
-        pose: (4, 4) of the camera, global.
-        timestamp: Microseconds.
-        camera: Its name.
         image_format: A member that NeuroNCAP never sends and NeuRAD's server knows: ``png``.
-
-    Returns:
-        It.
     """
     more = {} if image_format is None else {"image_format": image_format}
     return encoded({"pose": pose.tolist(), "timestamp": timestamp, "camera_name": camera, **more})

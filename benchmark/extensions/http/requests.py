@@ -64,17 +64,7 @@ class InferRequest:
 
     @classmethod
     def read(cls, body: bytes) -> Self:
-        """Read a body.
-
-        Args:
-            body: What was posted.
-
-        Returns:
-            The request; its images are texts still. Members that the protocol does not have are passed over.
-
-        Raises:
-            WireError: If it is no JSON, a member is missing or cannot be what it says.
-        """
+        """Read a posted body; its images stay texts, and members that the protocol does not have are passed over."""
         value = parsed(body, WIRE_REQUEST, _BODY)
         images, calibration = member(value, "images", _BODY), member(value, "calibration", _BODY)
         inside, outside = (member(calibration, name, "calibration") for name in ("camera2image", "camera2ego"))
@@ -102,11 +92,7 @@ def encoded(value: Any) -> bytes:
 
 
 def parsed(body: bytes, limits: Limits, what: str) -> Any:
-    """The value of a body.
-
-    Raises:
-        WireError: If it is no JSON, or more than the limits allow.
-    """
+    """The JSON value of a body within limits."""
     try:
         return parse_json(body, limits)
     except ValueError as error:

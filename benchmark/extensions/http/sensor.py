@@ -40,9 +40,7 @@ class HttpSensor:
     """A renderer's server.
 
     Attributes:
-        address: Where it is.
         tensors: Whether saved tensors are read. Then it is asked exactly as NeuroNCAP asks, else for PNG.
-        deadline_s: How long a request may take.
     """
 
     address: Address
@@ -56,19 +54,19 @@ class HttpSensor:
 
     @property
     def facts(self) -> Mapping[str, Any]:
-        """What is known of its pictures: the protocol has neither a name nor a version of who draws."""
+        """Known facts about its pictures: the protocol has neither a name nor a version of the renderer."""
         form = ImageFormat.TORCH if self.tensors else ImageFormat.PNG
         return {"protocol": "neuroncap", "image_format": form.value, **self.address.settings}
 
     def require_alive(self) -> None:
-        """Refuse an address where nobody answers; raises `InputError`."""
+        """Refuse an address where no server answers; raises `InputError`."""
         _reply(lambda: self._connection.get("/alive", ALIVE_S))
 
     def look(self, scene: Scene) -> "HttpLook":
         """Make ready for a scene.
 
         Raises:
-            InputError: If nobody answers, it is no renderer, or it shows another scene.
+            InputError: If there is no answer, it is not a renderer's, or the renderer shows another scene.
         """
         cameras = {camera.name: camera for camera in scene.cameras}
         missing = [name for name in CAMERAS if name not in cameras]
@@ -86,17 +84,12 @@ class HttpSensor:
         return HttpLook(self, tuple(cameras[name] for name in CAMERAS), scene.adversaries, frozenset(known))
 
     def asked(self, path: str, body: bytes | None = None) -> bytes:
-        """What the renderer answers. Here, unlike with plans, an error cannot hold what was asked for.
+        """Bytes that the renderer answers; JSON is posted if given.
 
-        Args:
-            path: Below its address.
-            body: JSON to post; nothing is posted without it.
-
-        Returns:
-            The answer's bytes.
+        Unlike with plans, an error cannot hold what was asked for.
 
         Raises:
-            InputError: If nobody answers, or with an error or a web page.
+            InputError: If there is no answer, or it is an error or a web page.
         """
         reply = _reply(lambda: self._connection.get(path) if body is None else self._connection.post(path, body))
         if reply.status >= _LEAST_ERROR or reply.is_page:
@@ -136,14 +129,7 @@ class HttpSensor:
 
 @dataclass(frozen=True, slots=True)
 class HttpLook:
-    """A scene that a renderer shows.
-
-    Attributes:
-        sensor: The renderer.
-        cameras: The rig, in the order of the wire.
-        adversaries: Who threatens the ego.
-        known: Whom the renderer can move.
-    """
+    """A scene that a renderer shows: its rig in the order of the wire, and the actors that the renderer can move."""
 
     sensor: HttpSensor
     cameras: tuple[Camera, ...]
@@ -151,13 +137,7 @@ class HttpLook:
     known: frozenset[str]
 
     def views(self, driven: Scene) -> dict[str, CameraView]:
-        """Pictures of now: everybody whom the renderer knows is put where they are, then six cameras look.
-
-        Args:
-            driven: The world as driven; its last frame is now.
-
-        Returns:
-            Views by camera name.
+        """Pictures of the last frame, which is now: all actors known to the renderer are placed, then six cameras look.
 
         Raises:
             InputError: If the renderer does not answer, answers anything but a picture, or one of another size.
@@ -194,15 +174,9 @@ class HttpLook:
 
 
 def moved_actors(driven: Scene, known: frozenset[str], adversaries: tuple[str, ...]) -> list[MovedActor]:
-    """Where those whom a renderer knows are, up to now, and half a second on as they went last.
+    """Known actors where they are, up to now (the last frame), and half a second on as they went last; in scene order.
 
-    Args:
-        driven: The world as driven; its last frame is now.
-        known: Whom the renderer knows; whoever is not there now is left out, and so vanishes.
-        adversaries: Who threatens the ego.
-
-    Returns:
-        In the order of the scene.
+    An actor that is absent now is left out, and so vanishes from the renderer's pictures.
     """
     agents, found = driven.agents, []
     for row, uuid in enumerate(agents.ids):

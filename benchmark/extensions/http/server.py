@@ -19,7 +19,7 @@ _ENDS_S: Final = 3
 
 
 class _Bounded(H11Protocol):
-    """A connection that is closed if nobody asks for anything on it."""
+    """A connection that is closed if no request comes on it."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
@@ -36,24 +36,12 @@ class _Bounded(H11Protocol):
 
 
 class PlannerServer:
-    """Serves a session, here (`serve`) or in a thread (``with``).
-
-    Attributes:
-        host: Where it listens.
-        port: Where it listens.
-    """
+    """Serves a session, here (`serve`) or in a thread (``with``)."""
 
     def __init__(self, session: Session, host: str = LOOPBACK, port: int = 0, bounds: Bounds | None = None) -> None:
-        """Listen; whoever asks from now on is answered once it serves.
+        """Listen, on this machine alone by default; requests from now on are answered once it serves.
 
-        Args:
-            session: The planner.
-            host: Address; this machine alone by default.
-            port: Where; 0 takes a free one.
-            bounds: What a request may cost.
-
-        Raises:
-            InputError: If it cannot listen there.
+        Port 0 takes a free one.
         """
         self.host = host
         self._socket = listening(host, port)
@@ -75,7 +63,7 @@ class PlannerServer:
 
     @property
     def url(self) -> str:
-        """What clients are given."""
+        """Address for clients."""
         return f"http://{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}"
 
     @property
@@ -91,7 +79,7 @@ class PlannerServer:
             self.close()
 
     def close(self) -> None:
-        """Stop listening; for whoever never served."""
+        """Stop listening; for servers that never served."""
         self._socket.close()
 
     def __enter__(self) -> Self:

@@ -22,12 +22,7 @@ UNSUPPORTED, UNREADABLE, CONFLICT, FAILED = 415, 422, 409, 500
 
 
 class Refused(Exception):
-    """A request that is not answered with a plan.
-
-    Args:
-        status: Of HTTP.
-        sentence: Why, for whoever asked.
-    """
+    """A request that is not answered with a plan: an HTTP status, and a sentence for the client."""
 
     def __init__(self, status: int, sentence: str) -> None:
         super().__init__(sentence)
@@ -38,15 +33,11 @@ class Session:
     """One planner and the scene that it is in. Nothing here is safe to call from two threads at once."""
 
     def __init__(self, planner: Planner, *, tensors: bool = False, seed: int = 0) -> None:
-        """A planner that has just been built.
+        """Wrap a planner that has just been built; it must not want more than the wire carries.
 
         Args:
-            planner: Who plans.
             tensors: Whether saved tensors of PyTorch are read.
             seed: Of global generators, at every reset.
-
-        Raises:
-            InputError: If it wants what is not on the wire.
         """
         if isinstance(planner, PrivilegedPlanner):
             raise InputError(
@@ -62,10 +53,7 @@ class Session:
         self._begun = False
 
     def reset(self) -> bytes:
-        """Begin a scene, always.
-
-        Returns:
-            The body.
+        """Begin a scene, always; gives the body of the answer.
 
         Raises:
             Refused: If the planner fails in it.
@@ -79,13 +67,7 @@ class Session:
         return encoded(True)
 
     def infer(self, body: bytes) -> bytes:
-        """Answer one observation.
-
-        Args:
-            body: What was posted.
-
-        Returns:
-            The body.
+        """Answer one posted observation with a body.
 
         Raises:
             Refused: If it cannot be read, does not go on from the last one, or the planner fails.
@@ -127,7 +109,7 @@ class Session:
             )
 
     def _failed(self, doing: str, error: BaseException) -> Refused:
-        """What the planner raised, in a sentence, here and there."""
+        """The planner's failure in a sentence, here and for the client."""
         sentence = f"{self.planner.name} failed to {doing}: {type(error).__name__}: {one_line(error) or 'no reason'}"
         print(sentence, file=sys.stderr, flush=True)
         return Refused(FAILED, sentence)

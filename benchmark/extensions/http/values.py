@@ -15,22 +15,11 @@ _ROTATION_TOLERANCE: Final = 1e-3
 
 
 class WireError(Exception):
-    """What came over the wire is not what the protocol says; the sentence says what, and where."""
+    """A message over the wire breaks the protocol; the sentence says how, and where."""
 
 
 def numbers_of(value: Any, where: str) -> Floats:
-    """Any rectangular nesting of lists of numbers.
-
-    Args:
-        value: From JSON.
-        where: For the message.
-
-    Returns:
-        (...) the numbers; NaN and infinity stay.
-
-    Raises:
-        WireError: If it is ragged, holds anything but numbers, or numbers that are no floating-point ones.
-    """
+    """Array of any rectangular nesting of lists of numbers from JSON; NaN and infinity stay."""
     _require_numbers(value, where)
     try:
         return np.array(value, np.float64)
@@ -39,11 +28,7 @@ def numbers_of(value: Any, where: str) -> Floats:
 
 
 def matrix_of(value: Any, shape: tuple[int, ...], where: str) -> Floats:
-    """Finite numbers of one shape.
-
-    Raises:
-        WireError: If they are anything else.
-    """
+    """Finite numbers of one shape."""
     found = numbers_of(value, where)
     if found.shape != shape:
         raise WireError(f"{where} has the shape {_said(found.shape)}, not {_said(shape)}")
@@ -56,7 +41,7 @@ def pose_of(value: Any, where: str) -> Floats:
     """(4, 4) rigid motion.
 
     Raises:
-        WireError: If it is none: its rotation none, its last row another, or farther away than any map.
+        WireError: If its rotation is none, its last row is another, or it is farther away than any map.
     """
     found = matrix_of(value, (4, 4), where)
     turn = found[:3, :3]

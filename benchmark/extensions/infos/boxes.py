@@ -24,7 +24,6 @@ class SceneBoxes:
     """All A annotations of a scene, in the order of the file.
 
     Attributes:
-        rows: Their rows.
         position: (A, 3) centres, global.
         size: (A, 3) width, length, height.
         rotation: (A, 3, 3) to the global axes.
@@ -65,15 +64,7 @@ class SceneBoxes:
         )
 
     def following(self, boxes: Indices, steps: int) -> Indices:
-        """The next annotations of objects, however far away in time.
-
-        Args:
-            boxes: (N,) where to begin.
-            steps: K, how many.
-
-        Returns:
-            (N, K) indices, -1 from where a track ends.
-        """
+        """The next K annotations of objects, however far away in time: (N, K) indices, -1 from where a track ends."""
         found = np.full((len(boxes), steps), NO_BOX)
         at = boxes
         for step in range(steps):
@@ -82,13 +73,9 @@ class SceneBoxes:
         return found
 
     def velocity(self, boxes: Indices) -> Floats:
-        """Global velocities from the boxes before and after, as nuscenes-devkit takes them.
+        """Global velocities from the boxes before and after, as nuscenes-devkit takes them: (N, 3) m/s.
 
-        Args:
-            boxes: (N,).
-
-        Returns:
-            (N, 3) m/s; NaN for objects with one box and across gaps of more than 1.5 s a side.
+        NaN for objects with one box and across gaps of more than 1.5 s a side.
         """
         before = np.where(self.prev[boxes] == NO_BOX, boxes, self.prev[boxes])
         after = np.where(self.next[boxes] == NO_BOX, boxes, self.next[boxes])
@@ -101,13 +88,7 @@ class SceneBoxes:
 
 
 def annotation_keys(scene: SceneRows, boxes: SceneBoxes, here: Indices, lidar: SensorFrame) -> dict[str, Any]:
-    """What all three repositories say of the N boxes of a sample.
-
-    Args:
-        scene: The scene.
-        boxes: Its annotations.
-        here: (N,) those of the sample, in the order of the file.
-        lidar: Its lidar.
+    """Keys of the N boxes of a sample that all three repositories share; ``here`` is (N,) in the order of the file.
 
     Returns:
         ``gt_boxes`` (N, 7) with width, length, height and the tilted angle, ``gt_names``, ``gt_velocity`` (N, 2), the

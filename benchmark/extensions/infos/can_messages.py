@@ -51,15 +51,7 @@ class CanMessages:
         """Read the two files of a scene.
 
         Args:
-            root: Root of the data set.
-            scene: Name of the scene.
             as_converted: Whether names that are not ``scene-dddd`` have none, as for the devkit.
-
-        Returns:
-            The messages.
-
-        Raises:
-            InputError: If a file is broken.
         """
         number = _NUMBERED.match(scene)
         hidden = number is not None and int(number[1]) in _WITHOUT
@@ -79,14 +71,8 @@ class CanMessages:
         Position and orientation are those of the last message up to now; all else is of the one after it, at which the
         converters' search stopped.
 
-        Args:
-            time_us: Time of the sample.
-
         Returns:
             (18,) zeros where there are no messages.
-
-        Raises:
-            InputError: If a message does not hold 16 numbers.
         """
         if not self.pose:
             return np.zeros(VECTOR_VALUES)

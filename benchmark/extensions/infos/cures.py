@@ -56,11 +56,7 @@ class Departure:
 
 
 def require_cameras(rows: SceneRows) -> None:
-    """Refuse scenes without the six cameras, which no converter writes either.
-
-    Raises:
-        InputError: If a sample lacks a camera.
-    """
+    """Refuse scenes without the six cameras, which no converter writes either."""
     for sample in rows.samples:
         missing = [name for name in CAMERA_NAMES if name not in rows.key_frames[sample["token"]]]
         if missing:
@@ -72,11 +68,6 @@ def require_cameras(rows: SceneRows) -> None:
 
 def require_usable(root: Path, repository: Repository, rows: SceneRows) -> None:
     """Refuse what official code would fail at, or see nothing of.
-
-    Args:
-        root: Root of the data set.
-        repository: Whose code.
-        rows: A scene.
 
     Raises:
         InputError: If the place has no map or is unknown, files are missing, images have another size than is needed,
@@ -130,12 +121,7 @@ def _require_file(root: Path, name: str, advice: str) -> None:
 
 
 def shift_times(infos: Iterable[Info], shift_us: int) -> None:
-    """Move all times of a scene's infos, so that differences between them stay.
-
-    Args:
-        infos: Of one scene.
-        shift_us: Microseconds.
-    """
+    """Move all times of a scene's infos by microseconds, so that differences between them stay."""
     for info in infos:
         for timed in (info, *info["cams"].values(), *info["sweeps"]):
             timed["timestamp"] += shift_us
@@ -154,13 +140,9 @@ def shifted(shifts: Mapping[str, int]) -> Departure:
 
 
 def category_numbers(own: Mapping[str, int]) -> dict[str, int]:
-    """What VAD calls categories: rows of the table of 32, whatever row a name has in the root's own.
+    """VAD's numbers of categories: rows of the table of 32, in place of the root's own rows.
 
-    Args:
-        own: Row by name in the root's table.
-
-    Returns:
-        The same names; those that the table of 32 has not get numbers behind it, which nothing counts.
+    Names that the table of 32 lacks get numbers behind it, which no code counts.
     """
     numbers = {name: number for number, name in enumerate(NUMBERED_CATEGORIES)}
     return {name: numbers.get(name, len(numbers) + number) for name, number in own.items()}
@@ -246,7 +228,7 @@ def empty_maps(cities: Sequence[str]) -> Departure:
 
 @dataclass(slots=True)
 class Seen:
-    """What was met while infos were made.
+    """Observations made while infos were written.
 
     Attributes:
         sizes: Width and height of images.
@@ -264,15 +246,7 @@ class Seen:
 
 
 def not_cured(repository: Repository, seen: Seen) -> list[str]:
-    """What a reader of the results should know, since no info file can change it.
-
-    Args:
-        repository: For whom.
-        seen: What was met.
-
-    Returns:
-        Sentences.
-    """
+    """Sentences on what a reader of the results should know, since no info file can change it."""
     last = repository.name == "sparsedrive"
     found = [
         "detection, tracking and motion are evaluated against nuScenes' own lists of scenes, in which those of other "

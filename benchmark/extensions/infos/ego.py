@@ -22,10 +22,8 @@ class Drive:
     """The ego at all S samples of a scene, in time order.
 
     Attributes:
-        frames: Its lidar.
         origin: (S, 3) lidar origins, global.
         place: Index by token of the sample.
-        times_us: (S,).
     """
 
     frames: tuple[SensorFrame, ...]
@@ -46,9 +44,6 @@ class Drive:
 
     def path(self, at: int) -> dict[str, Floats]:
         """Two steps back and six ahead, in the lidar frame of a sample.
-
-        Args:
-            at: Index of the sample.
 
         Returns:
             ``gt_ego_his_trajs`` (2, 2) offsets, the older first; ``gt_ego_fut_trajs`` (6, 2) offsets, 0 after the end
@@ -71,14 +66,8 @@ class Drive:
     def features(self, at: int, path: dict[str, Floats], can: CanMessages, location: str) -> Floats:
         """VAD's nine numbers of the ego at a sample.
 
-        Times are taken for half a second apart whatever they are, and the angle is a roll (`roll`), so that on flat
-        roads the car seems to drive along the y axis and never to turn.
-
-        Args:
-            at: Index of the sample.
-            path: What `path` says of it.
-            can: Messages of the scene.
-            location: Where it is.
+        Times between samples are taken for half a second, long or short, and the angle is a roll (`roll`), so that on
+        flat roads the car seems to drive along the y axis and never to turn.
 
         Returns:
             (9,) velocity, acceleration, rate of the angle, length and width of the car, speed, curvature.
@@ -118,10 +107,6 @@ def _command(lateral_m: float) -> int:
 
 def ego_status(can: CanMessages, time_us: int) -> Floats:
     """SparseDrive's ten numbers of the ego.
-
-    Args:
-        can: Messages of the scene.
-        time_us: Time of the sample.
 
     Returns:
         (10,) acceleration, rotation rate, velocity, steering angle; zeros where any of them is missing.

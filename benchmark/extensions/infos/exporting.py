@@ -64,13 +64,7 @@ class InfoSettings:
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """What was written.
-
-    Attributes:
-        files: Number of infos by path.
-        departures: Where they are otherwise than the converter's.
-        not_cured: What else to know of an evaluation with them.
-    """
+    """Written files with the number of infos in each, departures from the converter's, and faults that stay."""
 
     files: dict[Path, int]
     departures: tuple[cures.Departure, ...] = ()
@@ -79,14 +73,7 @@ class Exported:
 
 @dataclass
 class InfoFiles:
-    """Infos of a root before they are written.
-
-    Attributes:
-        version: Version folder.
-        parts: Infos by file.
-        departures: As in `Exported`.
-        not_cured: As in `Exported`.
-    """
+    """Infos of a root by file, before they are written."""
 
     version: str
     parts: dict[Part, list[Info]] = field(default_factory=dict)
@@ -141,7 +128,7 @@ def info_files(root: Path, reader: Repository, settings: InfoSettings) -> InfoFi
 
 
 class _Converting:
-    """What a converter writes of a root."""
+    """A root as a converter writes it."""
 
     def __init__(self, root: Path, version: str, reader: Repository, settings: InfoSettings) -> None:
         self.root, self.reader, self.settings = root, reader, settings

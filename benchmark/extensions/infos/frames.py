@@ -13,7 +13,7 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class SensorFrame:
-    """Where a sensor is when it measures.
+    """Pose of a sensor when it measures.
 
     Attributes:
         mount: (3, 3) rotation and (3,) translation that take the sensor's points to the ego frame.
@@ -68,7 +68,7 @@ def heading(rotation: Floats) -> Floats:
 
 
 def tilted_angle(rotation: Floats) -> Floats:
-    """What the info files call the angle of a box: the first of pyquaternion's yaw, pitch and roll.
+    """Angle of a box in the info files: the first of pyquaternion's yaw, pitch and roll.
 
     atan2(2 (wz - xy), 1 - 2 (yy + zz)), with a minus where the heading has a plus: the two are equal only without tilt.
     """
@@ -76,20 +76,12 @@ def tilted_angle(rotation: Floats) -> Floats:
 
 
 def roll(rotation: Floats) -> Floats:
-    """What VAD's converter takes for the heading of the ego: it reads w, x, y, z as x, y, z, w and so gets the roll."""
+    """Roll that VAD's converter takes for the heading of the ego, since it reads w, x, y, z as x, y, z, w."""
     return np.asarray(np.arctan2(rotation[..., 2, 1], rotation[..., 2, 2]))
 
 
 def turned(points: Floats, angle_rad: Floats) -> Floats:
-    """Points of a plane turned counter-clockwise.
-
-    Args:
-        points: (..., 2).
-        angle_rad: Radians, of a shape that goes with the points' leading axes.
-
-    Returns:
-        (..., 2).
-    """
+    """(..., 2) points of a plane turned counter-clockwise, by radians that go with the leading axes."""
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     x, y = points[..., 0], points[..., 1]
     return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)

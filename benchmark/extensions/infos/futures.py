@@ -21,11 +21,6 @@ def in_own_frame(boxes: SceneBoxes, here: Indices, seconds: int) -> tuple[Floats
 
     Entries are packed: where a track has a hole, later positions stand in earlier places.
 
-    Args:
-        boxes: Annotations of the scene.
-        here: (N,) those of the sample.
-        seconds: How far.
-
     Returns:
         (N, 2 seconds, 2) positions in the frame of each object now, x to its right and y ahead, 0 where there are none;
         (N, 2 seconds) which there are.
@@ -39,15 +34,9 @@ def in_own_frame(boxes: SceneBoxes, here: Indices, seconds: int) -> tuple[Floats
 
 
 def offsets_from_own_frame(boxes: SceneBoxes, here: Indices, lidar: SensorFrame, seconds: int) -> tuple[Floats, Bools]:
-    """The same as offsets step by step in the frame of the lidar, as SparseDrive's converter turns them back.
+    """Offsets step by step in the frame of the lidar, as SparseDrive's converter turns `in_own_frame` back.
 
     It turns by the heading in the global frame and back by that in the lidar frame, which differ for tilted boxes.
-
-    Args:
-        boxes: Annotations of the scene.
-        here: (N,) those of the sample.
-        lidar: The lidar of the sample.
-        seconds: How far.
 
     Returns:
         (N, 2 seconds, 2) offsets, 0 where there are none; (N, 2 seconds) which there are.
@@ -61,11 +50,6 @@ def offsets_from_own_frame(boxes: SceneBoxes, here: Indices, lidar: SensorFrame,
 
 def vad_futures(boxes: SceneBoxes, here: Indices, lidar: SensorFrame) -> dict[str, Any]:
     """VAD's futures of N objects: the next annotation is the next step, however long the gap.
-
-    Args:
-        boxes: Annotations of the scene.
-        here: (N,) those of the sample.
-        lidar: The lidar of the sample.
 
     Returns:
         ``gt_agent_fut_trajs`` (N, 12), ``gt_agent_fut_masks``, ``gt_agent_fut_yaw`` (N, 6), ``gt_agent_fut_goal`` (N,),
@@ -87,16 +71,10 @@ def vad_futures(boxes: SceneBoxes, here: Indices, lidar: SensorFrame) -> dict[st
 
 
 def goals(offsets: Floats) -> Floats:
-    """The class of where objects go: eighths of a turn.
+    """Classes of where objects go, from (N, 6, 2) offsets: (N,) eighths of a turn 0 to 8, or 9 for those that stand.
 
     An object stands if neither coordinate grows by a metre; growing is meant with its sign, so that one that goes 20 m
     to the left and back stands, too.
-
-    Args:
-        offsets: (N, 6, 2).
-
-    Returns:
-        (N,) 0 to 8, or 9 for what stands.
     """
     moved = np.cumsum(offsets, axis=1)
     moved = moved[:, -1] - moved[:, 0]

@@ -30,10 +30,6 @@ class SceneSources:
     """All that the infos of a scene are made of.
 
     Attributes:
-        rows: Its rows.
-        boxes: Its annotations.
-        drive: Its ego.
-        can: Its CAN bus messages.
         map_lines: The map of its city, where the repository's infos hold one.
         prefix: What stands before file names.
         category_numbers: What VAD calls categories, by name.
@@ -62,18 +58,9 @@ class _Moment:
 
 
 def scene_infos(repository: Repository, version: str, sources: SceneSources) -> Iterator[Info]:
-    """Infos of a scene in the order of the sample table, ``frame_idx`` left at 0 for whoever puts scenes together.
+    """Infos of a scene in the order of the sample table; ``frame_idx`` stays 0 until scenes are put together.
 
-    Args:
-        repository: For whom.
-        version: Version folder; infos of v1.0-test have no annotations.
-        sources: What they are made of.
-
-    Yields:
-        Infos.
-
-    Raises:
-        InputError: If there is something that the converter itself would fail at.
+    Infos of v1.0-test have no annotations. Fails where the converter itself would.
     """
     rows = sources.rows
     index = {row["token"]: number for number, row in enumerate(sources.boxes.rows)}

@@ -41,7 +41,7 @@ class _Layer:
         self._tree = shapely.STRtree(self._shapes)
 
     def cut(self, patch: Polygon) -> Iterator[shapely.Geometry]:
-        """What lies in a patch, shape by shape."""
+        """Parts of shapes in a patch, shape by shape."""
         for number in sorted(self._tree.query(patch).tolist()):
             piece = self._shapes[number].intersection(patch)
             if not piece.is_empty:
@@ -49,14 +49,7 @@ class _Layer:
 
 
 class MapLines:
-    """One city's map.
-
-    Args:
-        path: ``maps/expansion/<location>.json``.
-
-    Raises:
-        InputError: If it is no map expansion, or links to nothing.
-    """
+    """Lines of one city's map, read from ``maps/expansion/<location>.json``."""
 
     def __init__(self, path: Path) -> None:
         self._path, stored = path, read_json(path)
@@ -83,14 +76,8 @@ class MapLines:
     def around(self, lidar: SensorFrame) -> MapElements:
         """Lines within 15 m beside and 30 m ahead of and behind the lidar.
 
-        Args:
-            lidar: Where it is.
-
         Returns:
             Lines (n, 2) in the lidar frame by class: dividers, crossings and boundaries, in this order.
-
-        Raises:
-            InputError: If shapes cannot be cut or united.
         """
         try:
             return self._around(lidar)

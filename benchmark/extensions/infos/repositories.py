@@ -21,7 +21,6 @@ class Repository:
     """One repository.
 
     Attributes:
-        name: What it is called here.
         title: What people call it.
         stem: Beginning of the names of its info files.
         mini_folder: Folder that the files of v1.0-mini lie in, if not beside those of other versions.
@@ -68,15 +67,7 @@ def repository(name: str) -> Repository:
 
 
 def require_version(version: str, where: str) -> None:
-    """Refuse tables that official code would not open.
-
-    Args:
-        version: Version folder.
-        where: The root, for the message.
-
-    Raises:
-        InputError: If its name is not one of nuScenes'.
-    """
+    """Refuse tables that official code would not open: their version's name is none of nuScenes'."""
     if version not in VERSIONS:
         raise InputError(
             f"{where} has its tables in {version}/, and official code opens {', '.join(VERSIONS)} alone; copy the root "

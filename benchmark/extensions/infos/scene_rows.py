@@ -19,18 +19,11 @@ ByToken = Mapping[str, Row]
 
 @dataclass(frozen=True)
 class SceneRows:
-    """One scene.
+    """Rows of one scene, in the order of the files.
 
     Attributes:
-        scene: Its row.
-        location: Where it was recorded.
-        samples: Rows of its samples in the order of the file.
-        sample_numbers: Their numbers in the whole table.
+        sample_numbers: Numbers of the samples in the whole table.
         channels: Channel by token of a calibrated sensor.
-        data: Rows of ``sample_data`` by token, in the order of the file.
-        poses: Rows of ``ego_pose`` by token.
-        mounts: Rows of ``calibrated_sensor`` by token.
-        annotations: Rows of ``sample_annotation`` by token, in the order of the file.
         instance_numbers: Numbers of the rows of ``instance``, by token.
         categories: Name of the category by token of the instance.
         category_numbers: Numbers of the rows of ``category``, by name.
@@ -97,15 +90,10 @@ class SceneRows:
 
 
 class InfoTables:
-    """Tables of a root, scene by scene.
+    """Tables of a root, scene by scene; all 13 must be there.
 
     Args:
-        root: Root of the data set.
-        version: Version folder, with all 13 tables.
         rates: Gets scenes whose keyframes are not half a second apart.
-
-    Raises:
-        InputError: If a table is broken, or links to nothing.
     """
 
     def __init__(self, root: Path, version: str, rates: FaultList) -> None:
@@ -130,11 +118,7 @@ class InfoTables:
         return str(self._logs[scene["log_token"]]["location"])
 
     def of_scenes(self, names: frozenset[str]) -> Iterator[SceneRows]:
-        """Scenes by name, in the order of the table.
-
-        Raises:
-            InputError: If a file has changed or cannot be read, or what the rows say together cannot be.
-        """
+        """Scenes by name, in the order of the table."""
         return (self._of_scene(scene) for scene in self.scenes if scene["name"] in names)
 
     def _of_scene(self, scene: Row) -> SceneRows:

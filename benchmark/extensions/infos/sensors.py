@@ -16,16 +16,7 @@ SensorInfo = dict[str, Any]
 
 
 def camera_infos(rows: SceneRows, sample: Row, lidar: SensorFrame, prefix: str) -> dict[str, SensorInfo]:
-    """The cameras of a sample in the order that networks take them.
-
-    Args:
-        rows: The scene.
-        sample: Row of the sample.
-        lidar: Its lidar.
-        prefix: What stands before file names.
-
-    Returns:
-        By channel.
+    """Cameras of a sample by channel, in the order that networks take them.
 
     Raises:
         KeyError: If a camera has no image; `benchmark.extensions.infos.cures.require_cameras` says so in a sentence.

@@ -27,13 +27,7 @@ def missing_cities(root: Path) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class StandIn:
-    """The folder, before it is written.
-
-    Attributes:
-        folder: Where it is.
-        links: Where its links lead to, by path.
-        maps: Empty maps, by path.
-    """
+    """The folder before it is written: its links with their targets, and its empty maps."""
 
     folder: Path
     links: Mapping[Path, Path]
@@ -41,20 +35,11 @@ class StandIn:
 
     @classmethod
     def of(cls, root: Path, to: Path, version: str, *, root_as: str | None, beside: Sequence[str]) -> Self:
-        """What is to be written.
+        """The folder that is to be written; refused where something else has one of its names.
 
         Args:
-            root: The root.
-            to: Folder of the export.
-            version: Version folder.
             root_as: Where links lead to, if not to the root where it is here.
             beside: Files of the export that official code looks for in the folder.
-
-        Returns:
-            The folder.
-
-        Raises:
-            InputError: If something else has one of its names.
         """
         folder = to / FOLDER
         source = root.resolve() if root_as is None else Path(root_as)

@@ -33,10 +33,9 @@ _NO_TIME_S: Final = np.float32(1e-6)
 
 @dataclass(frozen=True)
 class Actor:
-    """Somebody else, with T poses.
+    """A road user other than the ego, with T poses.
 
     Attributes:
-        uuid: Instance token.
         kind: Second word of its category.
         size: (3,) width, length, height, metres.
         times: (T,) rising, microseconds.

@@ -15,15 +15,11 @@ _EXTENSION_M: Final = 100.0
 
 
 def extended_path(path: Floats, switches: Switches) -> Floats:
-    """The recorded path, continued for 100 m.
+    """The recorded (F, 3) path of x, y, yaw, continued for 100 m as (F + 1, 2) positions.
 
-    Args:
-        path: (F, 3) x, y, yaw of all frames.
-        switches: Whether the continuation divides by the norm of the last step with its turn in it, or follows the
-            last step that moves. As ``code``, a recording that stands makes every command straight.
-
-    Returns:
-        (F + 1, 2) positions. As ``code`` the last one is not finite where the last two frames are the same.
+    The switches decide whether the continuation divides by the norm of the last step with its turn in it, or follows
+    the last step that moves. As ``code``, the last position is not finite where the last two frames are the same, and a
+    recording that stands makes every command straight.
     """
     steps = np.diff(path, axis=0)
     if switches.command_extension == "paper":
@@ -38,17 +34,10 @@ def extended_path(path: Floats, switches: Switches) -> Floats:
 
 
 def command_at(pose: Floats, speed: float, path: Floats, switches: Switches) -> Command:
-    """The command of a state.
+    """Command of a state: a (4, 4) pose of the rear axle, m/s, and the recording's (F, 3) path.
 
-    Args:
-        pose: (4, 4) rear axle to global.
-        speed: m/s.
-        path: (F, 3) x, y, yaw of the recording.
-        switches: Readings.
-
-    Returns:
-        Left or right where the point of the path that is nearest to the point three seconds straight ahead lies more
-        than 2 m to that side.
+    Left or right where the point of the path that is nearest to the point three seconds straight ahead lies more than 2
+    m to that side.
     """
     extended = extended_path(path, switches)
     ahead = (pose @ np.array([_AHEAD_S * max(speed, _SLOWEST_M_S), 0.0, 0.0, 1.0]))[:2]

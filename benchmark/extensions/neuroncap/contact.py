@@ -22,7 +22,6 @@ class EgoMoment:
     """The ego at one instant.
 
     Attributes:
-        time_us: Time.
         pose: (4, 4) rear axle to global.
         speed: m/s along the heading.
     """
@@ -38,8 +37,6 @@ class Contact:
 
     Attributes:
         index: Of the actor in the engine's list.
-        uuid: Of the actor.
-        time_us: When.
         iou: Shared area of the two boxes over their joint area.
         ego_velocity: (3,) m/s.
         actor_velocity: (3,) m/s.
@@ -72,17 +69,7 @@ def can_be_hit(kind: str, switches: Switches) -> bool:
 
 
 def touched(ego: EgoMoment, actors: Sequence[Actor], car: Car, switches: Switches) -> Contact | None:
-    """The first actor of the list that the ego's box meets; touching counts.
-
-    Args:
-        ego: The ego.
-        actors: In the engine's order.
-        car: Its box.
-        switches: Readings.
-
-    Returns:
-        The contact, or ``None``.
-    """
+    """The first actor of the list, in the engine's order, that the ego's box meets; touching counts."""
     own = box_of(ego.pose, car.length_m, car.width_m, car.box_ahead_m)
     for index, actor in enumerate(actors):
         if not can_be_hit(actor.kind, switches) or not actor.is_there(ego.time_us):

@@ -10,11 +10,7 @@ Draw = tuple[Any, ...]
 
 
 class Draws:
-    """PCG64 with a log.
-
-    Attributes:
-        made: All draws so far, in order.
-    """
+    """PCG64 with a log of all draws in order."""
 
     def __init__(self, seed: int, made: Sequence[Draw] = ()) -> None:
         self._generator = np.random.default_rng(seed)

@@ -33,19 +33,7 @@ _WHEEL: Final[dict[str, Kind]] = {
 
 
 def recording_of(scene: Scene, root: Path, switches: Switches) -> Recording:
-    """A scene as the engine reads it.
-
-    Args:
-        scene: The scene.
-        root: Of its data set, for the CAN bus.
-        switches: Whether construction and emergency vehicles are kept.
-
-    Returns:
-        The recording.
-
-    Raises:
-        InputError: If the data set has no CAN bus of the scene, or it is broken.
-    """
+    """A scene as the engine reads it, with the CAN bus below the root of its data set, which it must have."""
     times = scene.timestamps_us[scene.keyframes]
     motion, wheel = _messages(root, scene.name, "pose", _POSE), _messages(root, scene.name, "zoe_veh_info", _WHEEL)
     ego = scene.ego

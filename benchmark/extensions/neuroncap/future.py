@@ -19,28 +19,15 @@ _STILL_M: Final = 0.2
 
 
 def future_hits(future: Sequence[EgoMoment], actors: Sequence[Actor], car: Car, switches: Switches) -> tuple[bool, ...]:
-    """Whether a plan touches somebody at 0.5, 1.0 .. 3.0 s.
-
-    Args:
-        future: From `future_moments`.
-        actors: In the engine's order.
-        car: The ego's box.
-        switches: Readings.
-
-    Returns:
-        Six verdicts.
-    """
+    """Whether a plan touches an actor at 0.5, 1.0 .. 3.0 s: six verdicts on `future_moments`."""
     found = (touched(moment, actors, car, switches) for moment in future)
     return tuple(contact is not None for contact in found)
 
 
 def future_moments(time_us: int, pose: Floats, plan: ArrayLike, switches: Switches) -> list[EgoMoment]:
-    """A plan laid out rigidly.
+    """A plan, (6, 2) x forward and y left, laid out rigidly from the (4, 4) pose of the rear axle.
 
     Args:
-        time_us: When it was made.
-        pose: (4, 4) rear axle to global then.
-        plan: (6, 2) x forward, y left.
         switches: As ``plan_3s`` code, the pose at 3 s is that of 2.5 s.
 
     Returns:

@@ -42,7 +42,6 @@ class State:
     """The ego at a planning instant.
 
     Attributes:
-        time_us: Time.
         pose: (4, 4) rear axle to global.
         canbus: (16,) CAN row.
         is_driven: Whether the engine drove there; otherwise it is a frame of the recording.
@@ -69,17 +68,13 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class Engine:
-    """What does not change during a run.
+    """Constants of a run.
 
     Attributes:
-        recording: The recorded scene.
         path: (F, 3) its path.
-        actors: All actors, in the engine's order.
         start_frame: Frame of the first state.
         end_us: No state from here on is planned from.
         priming_steps: Steps in which the ego is the recorded one.
-        switches: Readings.
-        car: Numbers of the car.
         check_futures: Whether plans are laid out against the future too.
     """
 
@@ -107,16 +102,9 @@ class Engine:
         """An engine for one run.
 
         Args:
-            recording: The recorded scene.
-            run: Its start, end and actors.
             priming_steps: Steps in which the ego is the recorded one.
             renderer_knows: Recorded actors that the renderer can show: with a scenario they are gone unless it lists
                 them. The published code lets actors that the renderer does not know stand where they were.
-            switches: Readings.
-            check_futures: Whether plans are laid out against the future too.
-
-        Returns:
-            The engine.
         """
         others = recording.actors
         if run.actors:
@@ -141,13 +129,7 @@ class Engine:
 
 @dataclass(frozen=True, slots=True)
 class Waiting:
-    """A state that is not checked yet.
-
-    Attributes:
-        before: The state before it, ``None`` for the first.
-        state: It.
-        plan: What was planned from it, ``None`` where nothing was.
-    """
+    """A state that is not checked yet, with the one before and the plan made from it, ``None`` where there is none."""
 
     before: State | None
     state: State
@@ -159,14 +141,11 @@ class World:
     """A run at a planning instant.
 
     Attributes:
-        step: Number of the state, from 0.
         state: The ego now.
         vehicle: The car since it drives itself.
-        before: The state one step ago.
         waiting: The state one step ago with its plan, not checked yet.
         checked: States checked.
-        contact: What ended the run.
-        future_hits: How many checked plans touch somebody at 0.5, 1.0 .. 3.0 s.
+        future_hits: How many checked plans touch an actor at 0.5, 1.0 .. 3.0 s.
         last: Sub-steps of the latest step, if it was driven.
     """
 
@@ -187,7 +166,7 @@ def begin(engine: Engine) -> World:
 
 
 def goes_on(engine: Engine, world: World) -> bool:
-    """Whether a plan is wanted: nobody was touched as far as is known, and time is left."""
+    """Whether a plan is wanted: no actor was touched as far as is known, and time is left."""
     return world.contact is None and world.state.time_us < engine.end_us
 
 
@@ -197,16 +176,14 @@ def command_of(engine: Engine, world: World) -> Command:
 
 
 def step(engine: Engine, world: World, plan: ArrayLike) -> World:
-    """Half a second.
+    """Advance a world by half a second.
 
     Args:
-        engine: The run.
-        world: A world that `goes_on`.
         plan: (1 to 6, 2) waypoints, x forward and y left of the rear axle, metres, 0.5 s apart; while priming it is not
             driven.
 
     Returns:
-        The next world; the same state with a contact if the state before turned out to touch somebody.
+        The next world; the same state with a contact if the state before turned out to touch an actor.
 
     Raises:
         UnusablePlanError: If the plan has no numbers to drive by.
@@ -264,15 +241,10 @@ def _checked(engine: Engine, world: World) -> World:
 
 
 def moments(before: State | None, state: State, switches: Switches) -> list[EgoMoment]:
-    """Instants at which a state is checked: its own, or ten on the way to it.
+    """Instants at which a state is checked, in order of time: its own, or ten on the way to it.
 
     Args:
-        before: The state before it.
-        state: It.
         switches: With ``first_gap`` as paper, there are ten on the way to the first driven state too.
-
-    Returns:
-        In order of time.
     """
     on_the_way = before is not None and state.is_driven and (before.is_driven or switches.first_gap == "paper")
     if before is None or not on_the_way:

@@ -27,14 +27,7 @@ _CROSSING_S: Final = 5.0
 
 
 def own_scenarios(recording: Recording) -> dict[str, Scenario]:
-    """Scenarios of a recording.
-
-    Args:
-        recording: The scene.
-
-    Returns:
-        By family; none where the recording is too short, has no car, or its ego hardly moves.
-    """
+    """Scenarios of a recording by family; none where it is too short, has no car, or its ego hardly moves."""
     meeting = START_FRAME + MEETING_FRAMES
     cars = tuple(actor.uuid for actor in recording.actors if actor.kind == "car")[:_CANDIDATES]
     if not cars or meeting + MEETING_FRAMES // 2 >= len(recording.times):
@@ -55,9 +48,10 @@ def own_scenarios(recording: Recording) -> dict[str, Scenario]:
 
 
 def _oncoming(recording: Recording, seconds: Floats, meeting: int) -> tuple[Floats, Floats]:
-    """Times and places of somebody who comes the ego's way backwards, as fast as the ego came.
+    """Times and places of an actor that comes the ego's way backwards, as fast as the ego came.
 
-    Beyond the end of the recording the way goes on straight; it begins so far ahead that nobody appears out of nothing.
+    Beyond the end of the recording the way goes on straight; it begins so far ahead that it does not appear from
+    nothing.
     """
     times = seconds[START_FRAME] - 1.0 + np.arange(0.0, DURATION_S + 3.0)
     asked = 2 * seconds[meeting] - times

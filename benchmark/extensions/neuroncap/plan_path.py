@@ -48,28 +48,19 @@ class PlanPath:
     curvature: Floats
 
     def at(self, profile: Floats, seconds: float | list[float]) -> Floats:
-        """A profile between the starts of displacements, constant beyond them.
+        """A profile, (M,) `speed` or `curvature`, between the starts of displacements, constant beyond them.
 
         Args:
-            profile: (M,) `speed` or `curvature`.
             seconds: Times since 1970, whose rounding (2.4e-7 s) is the published code's.
-
-        Returns:
-            The values at those times.
         """
         starts = (self.start_us + SUBSTEP_US * np.arange(len(profile))) / 1e6
         return np.asarray(np.interp(seconds, starts, profile))
 
 
 def usable_waypoints(plan: ArrayLike, switches: Switches) -> Waypoints:
-    """A plan as the engine takes it.
+    """A plan as the engine takes it: (N, 2 or more), x forward and y left of the rear axle, metres, 0.5 s apart.
 
-    Args:
-        plan: (N, 2 or more), x forward and y left of the rear axle, metres, 0.5 s apart.
-        switches: Whether it is rounded to single precision.
-
-    Returns:
-        The same numbers.
+    The switches decide whether it is rounded to single precision.
 
     Raises:
         UnusablePlanError: If there are not 1 to 6 waypoints, or some are not finite.
@@ -93,15 +84,12 @@ def means_stopping(waypoints: Waypoints) -> bool:
 
 
 def path_of(waypoints: Waypoints, plan_us: int, start_us: int) -> PlanPath:
-    """The path that a plan describes.
+    """Path that a plan describes.
 
     Args:
         waypoints: From `usable_waypoints`, the last one not near.
         plan_us: Time that the plan was made for; waypoint i is 0.5 (i + 1) s later.
         start_us: Time at which the path leaves the origin of the plan's frame, less than 0.5 s later.
-
-    Returns:
-        The path.
     """
     kept = np.linalg.norm(waypoints, axis=1) >= NEAREST_M
     times = np.concatenate([[start_us], plan_us + WAYPOINT_US * (1 + np.flatnonzero(kept))])

@@ -16,16 +16,7 @@ def heading_of(pose: Floats) -> float:
 
 
 def pose_between(first: Floats, second: Floats, fraction: float) -> Floats:
-    """A pose between two.
-
-    Args:
-        first: (4, 4).
-        second: (4, 4).
-        fraction: 0 at the first, 1 at the second.
-
-    Returns:
-        (4, 4) linear in position; the shorter arc in rotation.
-    """
+    """(4, 4) pose between two, 0 at the first and 1 at the second: linear in position, the shorter arc in rotation."""
     pose = np.eye(4)
     pose[:3, 3] = first[:3, 3] + fraction * (second[:3, 3] - first[:3, 3])
     start, end = quaternion_of(first[:3, :3]), quaternion_of(second[:3, :3])

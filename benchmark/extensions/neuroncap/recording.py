@@ -21,7 +21,6 @@ class Recording:
     """One scene with F keyframes.
 
     Attributes:
-        times: (F,) microseconds.
         poses: (F, 4, 4) rear axle to global.
         canbus: (F, 16) row of each frame.
         steering_wheel: (F,) radians.
@@ -41,15 +40,9 @@ class Recording:
 
 
 def at_frames(times: Integers, message_times: Integers, values: Floats) -> Singles:
-    """Messages of frames: the first one at or after each, the last one if none is.
+    """Messages of frames in single precision: the first one at or after each, the last one if none is.
 
-    Args:
-        times: (F,) of the frames.
-        message_times: (M,) rising.
-        values: (M, ...) of the messages.
-
-    Returns:
-        (F, ...) in single precision.
+    (F,) times of frames, (M,) rising times of messages and (M, ...) values become (F, ...).
     """
     at = np.minimum(np.searchsorted(message_times, times), len(message_times) - 1)
     return np.asarray(values[at], np.float32)
@@ -85,16 +78,10 @@ class Annotations:
 
 
 def actors_of(annotations: Annotations, times: Integers, switches: Switches) -> tuple[Actor, ...]:
-    """The recording's own actors.
+    """Actors of the recording's own that are of the classes the engine keeps, in order of first appearance.
 
-    Args:
-        annotations: All of the scene.
-        times: (F,) of its keyframes.
-        switches: Whether construction and emergency vehicles are kept.
-
-    Returns:
-        Actors of the classes that the engine keeps, in order of first appearance; the size is that of the first
-        annotation, and a gap between annotations is driven through in a straight line.
+    The size is that of the first annotation, and a gap between annotations is driven through in a straight line. The
+    switches decide whether construction and emergency vehicles are kept.
     """
     kept = {*KEPT_CLASSES, *(FURTHER_VEHICLES if switches.classes == "paper" else ())}
     actors = []

@@ -64,7 +64,6 @@ class NeuroncapRides:
     """Makes rides of NeuroNCAP's engine.
 
     Attributes:
-        switches: Readings.
         scenarios: ``recorded``: scenes as they are; ``own`` or ``official``: with scenarios, by family.
     """
 
@@ -116,15 +115,7 @@ class NeuroncapRides:
 
 @dataclass(frozen=True, slots=True)
 class NeuroncapRide:
-    """See `benchmark.closed_loop.riding.Ride`.
-
-    Attributes:
-        scene: The scene.
-        engine: What does not change.
-        world: The run now.
-        crowd: Where the scene's agents are at any time.
-        motion: Everything so far.
-    """
+    """Ride of NeuroNCAP's engine; see `benchmark.closed_loop.riding.Ride`."""
 
     scene: Scene
     engine: Engine
@@ -220,15 +211,9 @@ class NeuroncapRide:
 
 
 def scenarios_of(name: str, recording: Recording, which: str) -> dict[str, Scenario]:
-    """Scenarios of a scene by family.
+    """Scenarios of a scene by family, ``own`` or ``official``, which are for scenes of nuScenes.
 
-    Args:
-        name: Of the scene; the official ones are for scenes of nuScenes.
-        recording: The scene.
-        which: ``own`` or ``official``.
-
-    Returns:
-        None where it has none.
+    None where it has none.
     """
     if which == OWN:
         return own_scenarios(recording)
@@ -240,18 +225,9 @@ def scenarios_of(name: str, recording: Recording, which: str) -> dict[str, Scena
 
 
 def recording_for(scene: Scene, can: RecordedCan, switches: Switches) -> Recording:
-    """What the engine reads of a scene; the scene's first adversary is its target.
+    """Recording that the engine reads of a scene; the scene's first adversary is its target.
 
-    Args:
-        scene: The scene.
-        can: What the car measured, and where the files of it are.
-        switches: Which classes are kept.
-
-    Returns:
-        The recording: from the files of the CAN bus where there are any, else from what observations say.
-
-    Raises:
-        InputError: If the files are broken.
+    It is from the files of the CAN bus where there are any, else from what observations say.
     """
     if can.root is not None and has_can_bus(scene.name, can.root):
         recording = recording_of(scene, can.root, switches)
@@ -283,8 +259,6 @@ class Crowd:
     """Where the scene's agents are: as the engine has them, and as recorded where it does not know them.
 
     Attributes:
-        scene: The scene.
-        tracks: Everybody as recorded.
         actors: The engine's, by agent.
         gone: Agents that the recording has and the run has not.
     """
@@ -303,19 +277,11 @@ class Crowd:
         return cls(scene, Tracks.of_scene(scene), there, tuple(agent for agent in gone if agent not in there))
 
     def around(self, motion: Motion) -> Motion:
-        """A piece of the recorded ego's motion, with everybody else as they are in this run."""
+        """A piece of the recorded ego's motion, with all other objects as they are in this run."""
         return self.motion(motion.times_us, motion.ego)
 
     def motion(self, times_us: Integers, ego: Floats) -> Motion:
-        """A piece of motion, whose last instant is a planning instant.
-
-        Args:
-            times_us: (F,) microseconds.
-            ego: (F, 7) the ego then.
-
-        Returns:
-            It, with everybody else.
-        """
+        """Motion of the (F, 7) ego and all other objects at (F,) microseconds, the last a planning instant."""
         seconds = (times_us - self.scene.timestamps_us[0]) * 1e-6
         boxes, present = self.tracks.agents_at(seconds)
         position = np.concatenate([boxes[..., :2], self._heights(seconds)[..., None]], axis=-1)
@@ -356,5 +322,5 @@ def _target(engine: Engine) -> Actor | None:
 
 
 def neuroncap_rides(engine: str, scenarios: str) -> NeuroncapRides:
-    """What begins rides of the engine of a name; raises `InputError` if there is no such engine."""
+    """Maker of rides of the engine of a name; raises `InputError` if there is no such engine."""
     return NeuroncapRides(Switches.named(engine), scenarios)

@@ -44,20 +44,18 @@ class Jitter:
 
 @dataclass(frozen=True, slots=True)
 class ScenarioActor:
-    """Somebody that a scenario puts into the scene.
+    """Actor that a scenario puts into the scene.
 
     Attributes:
         mode: ``override``: a track of the scenario's own; ``optimized``: the renderer's.
         uuids: Who it may be; one is drawn.
         drawn: Whether one is drawn, which a single ``uuid`` is not.
-        is_target: Whether the scenario is about it.
         times: (P,) seconds since the first frame.
         positions: (P, 3) of the middle of its bottom, metres.
         initial_yaw: Heading where it stands, radians.
         flipped: Those of ``uuids`` that are turned round where they stand.
         exclusive_group: Of actors in one group, only the first drawn is there.
         size: (3,) width, length, height instead of the renderer's.
-        jitter: What is drawn.
     """
 
     mode: Literal["override", "optimized"]
@@ -78,7 +76,6 @@ class Scenario:
     """One scenario of one recording.
 
     Attributes:
-        start_frame: Keyframe at which the run starts.
         priming_steps: Steps in which the ego is still the recorded one.
         duration_s: Of the run, from the start frame.
         start_jitter: Frames by which the start is drawn, either way; 0 for none.
@@ -95,17 +92,9 @@ class Scenario:
 
     @classmethod
     def of(cls, facts: Mapping[str, Any], where: str) -> Self:
-        """A scenario from a file's values, whose names may have ``-`` for ``_``.
+        """A scenario from the values of a file of NeuroNCAP's, whose names may have ``-`` for ``_``.
 
-        Args:
-            facts: ``general`` and ``actors`` as in NeuroNCAP's files.
-            where: The file, for messages.
-
-        Returns:
-            The scenario.
-
-        Raises:
-            InputError: If something is missing or no such value, or the step is not 0.5 s.
+        Its step must be 0.5 s.
         """
         general = _Facts(_mapping(facts, where).get("general"), f"{where}, general")
         step = general.number("time_step", STEP_S)
@@ -140,7 +129,6 @@ class OfficialScenario:
     Attributes:
         family: stationary, frontal or side.
         sequence: nuScenes scene number, four digits.
-        scenario: The scenario.
         evaluated: False for the one that is no part of the benchmark.
     """
 

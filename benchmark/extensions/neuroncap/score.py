@@ -21,11 +21,10 @@ _FRAMES_AHEAD: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class RunScore:
-    """One run.
+    """Score of one run.
 
     Attributes:
         score: 0 to 5; NaN where both the impact and its reference are nothing.
-        collided: Whether there was a contact.
         impact_speed: m/s, 0 without a contact.
         reference_speed: m/s that the impact is measured by.
         metrics: Under the names of the published file, but for recall.
@@ -39,16 +38,7 @@ class RunScore:
 
 
 def reference_speed(recording: Recording, start_frame: int, target: Actor | None, switches: Switches) -> float:
-    """Impact speed if nobody acts.
-
-    Args:
-        recording: The recorded scene.
-        start_frame: Of the run.
-        target: The target actor, if there is one.
-        switches: Readings.
-
-    Returns:
-        m/s.
+    """Impact speed in m/s if no one acts.
 
     Raises:
         InputError: If the recording ends within four seconds of the start, which the published code cannot score.
@@ -85,14 +75,7 @@ def score_of(engine: Engine, world: World) -> RunScore:
     """Score of a finished run.
 
     Args:
-        engine: The run.
         world: From `benchmark.extensions.neuroncap.loop.finished`.
-
-    Returns:
-        The score.
-
-    Raises:
-        InputError: If the recording is too short to be scored.
     """
     target = next((actor for actor in engine.actors if actor.is_target), None)
     reference = reference_speed(engine.recording, engine.start_frame, target, engine.switches)

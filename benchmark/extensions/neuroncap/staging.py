@@ -20,7 +20,7 @@ _NO_TIME_S: Final = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Cast:
-    """Whom the renderer can show.
+    """Road users that the renderer can show.
 
     Attributes:
         kinds: Class of each, by instance token.
@@ -50,10 +50,7 @@ class Staged:
     """One run of a scenario.
 
     Attributes:
-        start_frame: Frame at which it starts.
-        end_us: Time at which it ends.
         actors: Of the scenario, in the order drawn.
-        draws: All draws, in order.
         dim_scale: What sizes were multiplied by, or ``None``.
         sizes: The renderer's sizes as the next run finds them.
     """
@@ -69,21 +66,11 @@ class Staged:
 def staged(
     scenario: Scenario, run: int, times: Integers, cast: Cast, switches: Switches, *, jitter: bool = True
 ) -> Staged:
-    """Set up one run.
+    """Set up one run; its index is the seed.
 
     Args:
-        scenario: What is drawn from.
-        run: Its index, which is the seed.
         times: (F,) stamps of the recording's frames, microseconds.
-        cast: Whom the renderer can show.
-        switches: Readings.
-        jitter: Whether actors are moved and shuffled; who they are is drawn all the same, and so is the start.
-
-    Returns:
-        The run.
-
-    Raises:
-        InputError: If the recording is too short, or an actor is not in it.
+        jitter: Whether actors are moved and shuffled; the draws of actors and start are made all the same.
     """
     draws, start = None, scenario.start_frame
     if scenario.start_jitter:
@@ -119,7 +106,7 @@ def staged(
 
 @dataclass(frozen=True, slots=True)
 class _Stage:
-    """What all actors of a run share: frames, whom there is, when they have poses, and how they are drawn."""
+    """Shared facts of all actors of a run: frames, actors that exist, when they have poses, and how they are drawn."""
 
     times: Integers
     cast: Cast

@@ -23,7 +23,7 @@ _CRUISING_GAIN: Final = _SPEED_WEIGHT * _HORIZON_S / (_SPEED_WEIGHT * _HORIZON_S
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """What the tracker sees of the car.
+    """Car as the tracker sees it.
 
     Attributes:
         pose: (3,) x, y, heading in the frame of the plan.
@@ -39,12 +39,9 @@ class Tracked:
 
 
 def asked_for(path: PlanPath, now_us: int, car: Tracked, *, clip_first: bool) -> tuple[float, float]:
-    """What the tracker asks of pedals and steering wheel.
+    """Acceleration and steering rate that the tracker asks of pedals and steering wheel.
 
     Args:
-        path: What to follow.
-        now_us: Time.
-        car: The car.
         clip_first: Whether steering is planned with the acceleration as it will be limited.
 
     Returns:

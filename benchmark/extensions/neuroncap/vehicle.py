@@ -39,16 +39,10 @@ _single = np.float32
 class Vehicle:
     """State of the car; values that the published code has in single precision are such numbers here.
 
+    The pose is that of the rear axle, global; units are metres, radians and seconds, and the speed may become negative.
+
     Attributes:
-        x: Rear axle, global, metres.
-        y: The same.
-        heading: Radians.
-        speed: m/s, may become negative.
-        acceleration: m/s^2.
-        steering: Angle of the wheels, radians.
-        yaw_rate: rad/s.
-        yaw_acceleration: rad/s^2.
-        steering_rate: rad/s.
+        steering: Angle of the wheels.
         fresh: Whether it has not moved yet: its pose is still in single precision.
     """
 
@@ -70,11 +64,7 @@ class Vehicle:
         Args:
             pose: (4, 4) rear axle to global.
             canbus: (16,) row of the state.
-            steering_wheel_rad: Angle of the steering wheel.
             switches: Whether the pose is rounded to single precision.
-
-        Returns:
-            The car.
         """
         rounded = switches.float32 == "code"
         at = np.asarray(np.asarray(pose, _single) if rounded else pose, np.float64)
@@ -117,7 +107,6 @@ class DrivenStep:
     """Half a second of driving.
 
     Attributes:
-        vehicle: The car at its end.
         states: (5, 9) `Vehicle.columns` after each sub-step.
         commands: (5, 2) acceleration after the limit and steering rate.
         unlimited: (5, 2) the same before the limit.
@@ -133,14 +122,7 @@ def driven(vehicle: Vehicle, plan: ArrayLike, time_us: int, car: Car, switches: 
     """Follow a plan for half a second.
 
     Args:
-        vehicle: The car now.
         plan: (1 to 6, 2) x forward and y left of the rear axle now, metres, 0.5 s apart.
-        time_us: Time now.
-        car: Its numbers.
-        switches: Readings.
-
-    Returns:
-        The motion.
 
     Raises:
         UnusablePlanError: If the plan has no numbers to drive by.

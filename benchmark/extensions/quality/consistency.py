@@ -21,12 +21,10 @@ _DEVIATION: Final = (0.229, 0.224, 0.225)
 
 
 class SubjectFeatures:
-    """DINO's features of masked subjects.
+    """DINO's features of masked subjects, each brought to a square of ``crop_px``.
 
     Args:
         folder: Weights of ``facebook/dino-vitb16``.
-        device: Where it runs.
-        crop_px: Side of the square that a subject is brought to.
         batch: Subjects that go through the network together.
     """
 
@@ -39,17 +37,7 @@ class SubjectFeatures:
 
     @torch.inference_mode()
     def features(self, appearances: Sequence[tuple[NDArray[np.uint8], Mask]]) -> Floats:
-        """Describe appearances of subjects.
-
-        Args:
-            appearances: A appearances: image and mask in it.
-
-        Returns:
-            (A, D) features of unit length.
-
-        Raises:
-            InputError: If a feature is no number.
-        """
+        """(A, D) features of unit length of A appearances, each an image and the mask in it."""
         found = []
         for start in range(0, len(appearances), self._batch):
             squares = [subject_square(*appearance, self._crop_px) for appearance in appearances[start:][: self._batch]]
@@ -80,17 +68,12 @@ def similarities(features: Floats) -> Floats:
 
 
 def subject_square(image: NDArray[np.uint8], mask: Mask, side_px: int) -> Tensor:
-    """A subject alone, in the middle of a square, as DINO wants it.
+    """A subject alone, in the middle of a (3, side, side) square, as DINO wants it.
 
-    Args:
-        image: (height, width, 3) RGB.
-        mask: Of the subject.
-        side_px: Side of the result.
+    The image is (height, width, 3) RGB.
 
-    Returns:
-        (3, side, side). What is not the subject has the mean colour, which is zero for the network. The rectangle of
-            the mask is padded to a square, so that shapes keep their proportions, and resized bilinearly without
-            smoothing.
+    The background has the mean colour, which is zero for the network. The rectangle of the mask is padded to a square,
+    so that shapes keep their proportions, and resized bilinearly without smoothing.
     """
     mean = torch.tensor(_MEAN)[:, None, None]
     found = torch.tensor(mask.cut(image), dtype=torch.float32).permute(2, 0, 1)

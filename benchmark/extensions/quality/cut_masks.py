@@ -11,11 +11,9 @@ from benchmark.geometry import Bools
 
 @dataclass(frozen=True, slots=True)
 class Mask:
-    """Which pixels of an image belong to one subject.
+    """Pixels of an image that belong to one subject.
 
     Attributes:
-        top: Of the rectangle around them, pixels.
-        left: Of the rectangle around them.
         pixels: (height, width) of the rectangle; its border rows and columns are not empty.
     """
 
@@ -25,14 +23,7 @@ class Mask:
 
     @classmethod
     def of(cls, whole: Bools) -> Self | None:
-        """Cut a mask of a whole image.
-
-        Args:
-            whole: (height, width).
-
-        Returns:
-            The mask, or ``None`` if it is empty.
-        """
+        """Cut a (height, width) mask of a whole image; ``None`` if it is empty."""
         rows, columns = np.flatnonzero(whole.any(axis=1)), np.flatnonzero(whole.any(axis=0))
         if not len(rows):
             return None
@@ -45,14 +36,7 @@ class Mask:
         return int(np.count_nonzero(self.pixels))
 
     def cut(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The rectangle of an image, background included.
-
-        Args:
-            image: (height, width, 3).
-
-        Returns:
-            A view of it.
-        """
+        """View of the mask's rectangle in a (height, width, 3) image, background included."""
         height, width = self.pixels.shape
         return image[self.top : self.top + height, self.left : self.left + width]
 

@@ -83,14 +83,7 @@ def mask_source(name: str) -> MaskSource:
 
 
 def needed_for(masks: MaskSource) -> tuple[PublishedWeights, ...]:
-    """Weights that a source of masks and the two metrics need.
-
-    Args:
-        masks: The source.
-
-    Returns:
-        In the order in which they are used.
-    """
+    """Weights that a source of masks and the two metrics need, in the order of use."""
     of_masks: dict[MaskSource, tuple[PublishedWeights, ...]] = {
         "grounded-sam2": (GROUNDING_DINO, SAM2),
         "sam2-boxes": (SAM2,),

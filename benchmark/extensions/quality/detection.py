@@ -16,10 +16,7 @@ class Detector:
 
     Args:
         folder: Weights of ``IDEA-Research/grounding-dino-base``, with tokenizer and image processor.
-        device: Where it runs.
         prompt: What to look for, in lower case with a full stop.
-        box_threshold: Lowest score of a box.
-        text_threshold: Lowest score of a word.
     """
 
     def __init__(
@@ -32,14 +29,7 @@ class Detector:
 
     @torch.inference_mode()
     def boxes(self, image: NDArray[np.uint8]) -> list[Box]:
-        """Look for the prompt in an image.
-
-        Args:
-            image: (height, width, 3) RGB.
-
-        Returns:
-            Boxes inside the image, the surest first.
-        """
+        """Boxes of the prompt inside a (height, width, 3) RGB image, the surest first."""
         from PIL import Image
 
         height, width = image.shape[:2]

@@ -18,11 +18,9 @@ _FULL_SCORE: Final = 100.0
 
 
 class ImagingQuality:
-    """Scores pictures.
+    """MUSIQ's scores of pictures.
 
     Args:
-        weights: File of MUSIQ's weights.
-        device: Where it runs.
         longer_px: Larger pictures are brought down to this longer side.
         batch: Pictures that go through the network together.
     """
@@ -33,17 +31,7 @@ class ImagingQuality:
 
     @torch.inference_mode()
     def scores(self, pictures: Sequence[NDArray[np.uint8]]) -> list[float]:
-        """Score pictures of any sizes.
-
-        Args:
-            pictures: (height, width, 3) RGB each.
-
-        Returns:
-            About 0 (bad) to 1 (good) each.
-
-        Raises:
-            InputError: If a score is no number.
-        """
+        """Score (height, width, 3) RGB pictures of any sizes: about 0 (bad) to 1 (good) each."""
         found: list[float] = []
         grid = self._network.config.grid
         for start in range(0, len(pictures), self._batch):
@@ -56,14 +44,9 @@ class ImagingQuality:
 
 
 def prepared(picture: NDArray[np.uint8], longer_px: int) -> Tensor:
-    """A picture as MUSIQ wants it: brought down bilinearly without smoothing, 8 bits, then -1 to 1.
+    """A (height, width, 3) RGB picture as MUSIQ wants it, (3, height, width).
 
-    Args:
-        picture: (height, width, 3) RGB.
-        longer_px: Longer side above which it is brought down.
-
-    Returns:
-        (3, height, width).
+    Above a longer side it is brought down bilinearly without smoothing, rounded to 8 bits, then scaled to -1 to 1.
     """
     found = torch.tensor(picture, dtype=torch.float32).permute(2, 0, 1)
     height, width = found.shape[1:]

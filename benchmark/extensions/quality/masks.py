@@ -24,12 +24,10 @@ FrameMasks = dict[str, Mask]
 
 @dataclass(frozen=True, slots=True)
 class CameraVideo:
-    """What one camera saw of a scene.
+    """Frames of a scene from one camera, F images (height, width, 3) RGB of one size.
 
     Attributes:
-        camera: Its name.
         times_us: (F,) exposure times.
-        frames: F images (height, width, 3) RGB of one size.
         boxes: F tuples of the vehicles' boxes in the image.
     """
 
@@ -60,11 +58,7 @@ class MaskMaker(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class BoxMasks:
-    """The visible parts of projected boxes themselves; no network.
-
-    Attributes:
-        definition: Smallest mask, smallest visible share.
-    """
+    """Visible parts of projected boxes themselves; no network."""
 
     definition: Definition
 
@@ -90,11 +84,6 @@ class TrackedMasks:
     Where a mask leaves its box the track ends, and the next prompt begins another one. With a detector, its boxes are
     the prompts (`grounded-sam2`), each tied to the projected box that it overlaps most; without, the projected boxes
     are (`sam2-boxes`).
-
-    Attributes:
-        definition: Overlap, smallest mask, how often the detector looks.
-        segmenter: SAM 2.
-        detector: Grounding DINO, or ``None``.
     """
 
     definition: Definition
@@ -129,13 +118,8 @@ class TrackedMasks:
 def tied(detections: Sequence[Box], projected: dict[str, Box], min_overlap: float) -> dict[str, Box]:
     """Give each instance at most one detection, and each detection at most one instance, best overlaps first.
 
-    Args:
-        detections: Boxes of the detector.
-        projected: Boxes of the annotation by instance.
-        min_overlap: Pairs with a smaller intersection over union are none.
-
-    Returns:
-        Detections by instance; equal overlaps go to the surer detection, then to the first identifier.
+    Pairs below the least intersection over union are none. Equal overlaps go to the surer detection, then to the first
+    identifier.
     """
     pairs = sorted(
         (-_box_overlap(box, rectangle), index, name)

@@ -59,11 +59,9 @@ class QualitySettings:
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """What every unit of work needs to know; picklable.
+    """Settings that every unit of work needs; picklable.
 
     Attributes:
-        directory: Of the record.
-        definition: What is measured.
         folders: Of weights by name.
         device: Where networks run, perhaps several names.
         keys: Content key of each scene's rows.
@@ -130,22 +128,7 @@ def measure_shard(
     *,
     reopen: Callable[[], "DataSet"] | None = None,
 ) -> FinishedShard:
-    """Score the scenes of one shard and keep their rows; no record is written.
-
-    Args:
-        data: The data set.
-        split: Which of its splits.
-        out: Folder of quality records.
-        settings: As of `measure_quality`.
-        shard: Which scenes.
-        reopen: As of `measure_quality`.
-
-    Returns:
-        What was done.
-
-    Raises:
-        InputError: As of `measure_quality`.
-    """
+    """Score the scenes of one shard as `measure_quality` does and keep their rows; no record is written."""
     chosen = _chosen(settings, data, split)
     job, _, _ = _job_of(data, split, out, settings, chosen)
     mine = shard.part(chosen)
@@ -158,7 +141,7 @@ def measure_shard(
 def _job_of(
     data: "DataSet", split: str, out: Path, settings: QualitySettings, chosen: tuple[str, ...]
 ) -> tuple[_Job, dict[str, WeightsFacts], dict[str, str]]:
-    """What every unit of work needs to know, which weights are used, and by which libraries."""
+    """Job of a measurement: settings of every unit of work, weights and libraries."""
     definition, needed = settings.definition, needed_for(settings.definition.masks)
     device = device_of(device_names(settings.device)[0])
     folders = {weights.name: folder_of(weights, settings.weights) for weights in needed}
@@ -188,19 +171,7 @@ def _quality_directory(out: Path, data_name: str, split: str, definition: Defini
 
 
 def plan_of(data: "DataSet", split: str, settings: QualitySettings) -> str:
-    """What would be done, and what is missing for it: for ``--dry-run``.
-
-    Args:
-        data: The data set.
-        split: Which of its splits.
-        settings: What is measured of which scenes, with which weights and device.
-
-    Returns:
-        Sentences.
-
-    Raises:
-        InputError: If the split or a scene is unknown.
-    """
+    """Sentences on what would be done, and what is missing for it: for ``--dry-run``."""
     definition = settings.definition
     chosen = _chosen(settings, data, split)
     sweeps = definition.frames == "all"

@@ -37,7 +37,6 @@ class MusiqConfig:
     Attributes:
         hidden: Width of a token; one attention head for each 64.
         mlp: Width inside the feed-forward layers.
-        layers: Transformer layers.
         stem: Width of the residual network before its last step; a multiple of 32.
         grid: Side of the grid of positions.
         scales: Sizes at which a picture is seen.
@@ -52,18 +51,7 @@ class MusiqConfig:
 
     @classmethod
     def of(cls, tensors: Mapping[str, Tensor], path: Path) -> Self:
-        """Read the sizes from weights.
-
-        Args:
-            tensors: By name.
-            path: Named in messages.
-
-        Returns:
-            The sizes.
-
-        Raises:
-            InputError: If these are not weights of MUSIQ.
-        """
+        """Read the sizes from the tensors of MUSIQ's weights."""
         encoder = "transformer_encoder"
         try:
             return cls(
@@ -97,15 +85,7 @@ class Patches:
 
 
 def multiscale_patches(picture: Tensor, grid: int = 10) -> Patches:
-    """Cut a picture into patches at all sizes.
-
-    Args:
-        picture: (3, height, width), -1 to 1.
-        grid: Side of the grid of positions.
-
-    Returns:
-        Patches, the smallest size first, in reading order.
-    """
+    """Cut a (3, height, width) picture, -1 to 1, into patches at all sizes, the smallest first, in reading order."""
     height, width = picture.shape[1:]
     pixels, position, scale = [], [], []
     for index, longer_px in enumerate((*LONGER_SIDES_PX, None)):
@@ -124,11 +104,7 @@ def multiscale_patches(picture: Tensor, grid: int = 10) -> Patches:
 
 
 class Musiq(nn.Module):
-    """The network.
-
-    Args:
-        config: Its sizes.
-    """
+    """MUSIQ's network."""
 
     def __init__(self, config: MusiqConfig | None = None) -> None:
         super().__init__()
@@ -143,17 +119,7 @@ class Musiq(nn.Module):
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """The network with weights from a file.
-
-        Args:
-            path: A bare state dict, read without running anything in it.
-
-        Returns:
-            The network, in evaluation mode.
-
-        Raises:
-            InputError: If the file is damaged, would run code, or does not hold these weights.
-        """
+        """Network in evaluation mode with a bare state dict, read without running anything in the file."""
         tensors = read_checkpoint(path).tensors
         found = cls(MusiqConfig.of(tensors, path))
         try:
@@ -164,14 +130,7 @@ class Musiq(nn.Module):
         return found.eval()
 
     def forward(self, pictures: Sequence[Patches]) -> Tensor:
-        """Score pictures.
-
-        Args:
-            pictures: B pictures of any sizes.
-
-        Returns:
-            (B,) scores; each depends on its own picture only.
-        """
+        """(B,) scores of pictures of any sizes; each depends on its own picture only."""
         lengths = [len(picture.pixels) for picture in pictures]
         tokens = self._tokens(torch.cat([picture.pixels for picture in pictures]))
         tokens = tokens + self.transformer_encoder.posembed_input(torch.cat([p.position for p in pictures]))

@@ -11,19 +11,11 @@ _TRANSFORMERS: Final = Library("transformers", extra="quality", needed_by="video
 
 
 def load_pretrained(name: str, folder: Path, device: torch.device, **settings: Any) -> Any:
-    """A network or a processor with what a folder holds.
+    """A network of transformers, in evaluation mode and single precision, or a processor, with the files of a folder.
 
     Args:
         name: Class of transformers.
-        folder: Its files.
-        device: Where a network runs.
         settings: Further arguments of ``from_pretrained``.
-
-    Returns:
-        The network in evaluation mode and single precision, or the processor.
-
-    Raises:
-        InputError: If transformers is not installed, or the folder does not hold what the class needs.
     """
     found = _TRANSFORMERS.load(name, folder, **settings)
     return found.to(device) if isinstance(found, torch.nn.Module) else found

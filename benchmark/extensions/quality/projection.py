@@ -24,8 +24,6 @@ class ProjectedBox:
     """One vehicle in one image.
 
     Attributes:
-        instance: Its identifier.
-        category: Its nuScenes category.
         polygon: (P, 2) convex outline inside the image, pixels.
         distance_m: From the camera to the box centre.
     """
@@ -53,17 +51,13 @@ class ProjectedBox:
 def boxes_in_view(
     scene: Scene, view: CameraView, size: tuple[int, int], categories: Sequence[str], near_m: float
 ) -> tuple[ProjectedBox, ...]:
-    """Project every vehicle that is there when an image was taken.
+    """Project every vehicle that is there when an image was taken, in the order of the scene's agents.
+
+    Positions are interpolated between the scene's frames; boxes without a point in the image are left out.
 
     Args:
-        scene: The scene; between its frames positions are interpolated.
-        view: The image.
         size: Width and height of the pixels that are wanted.
-        categories: nuScenes categories of vehicles.
         near_m: Boxes are cut off so far in front of the camera.
-
-    Returns:
-        Boxes of which something is in the image, in the order of the scene's agents.
     """
     camera = view.camera.resized(*size)
     poses = agents_at(scene, view.timestamp_us)
@@ -82,15 +76,9 @@ def boxes_in_view(
 
 
 def visible_parts(boxes: Sequence[ProjectedBox], height: int, width: int) -> dict[str, Bools]:
-    """What nearer boxes leave of each.
+    """Pixels that nearer boxes leave of each box in one image, (height, width) by instance.
 
-    Args:
-        boxes: In one image.
-        height: Of the image.
-        width: Of the image.
-
-    Returns:
-        (height, width) pixels by instance; equally near boxes hide in the order of their identifiers.
+    Equally near boxes hide in the order of their identifiers.
     """
     hidden = np.zeros((height, width), bool)
     parts = {}
@@ -131,14 +119,9 @@ def scaled_size(width: int, height: int, longer_side_px: int) -> tuple[int, int]
 
 
 def reduced(image: NDArray[np.uint8], longer_side_px: int) -> NDArray[np.uint8]:
-    """A picture brought down to a longer side by averaging areas.
+    """A (height, width, 3) picture brought down to a longer side by averaging areas.
 
-    Args:
-        image: (height, width, 3).
-        longer_side_px: Limit; smaller pictures are left as they are.
-
-    Returns:
-        The picture.
+    Smaller ones are left as they are.
     """
     height, width = image.shape[:2]
     size = scaled_size(width, height, longer_side_px)

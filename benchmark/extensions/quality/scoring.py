@@ -34,13 +34,7 @@ _TURNED: Final = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Networks:
-    """Everything that looks at pixels.
-
-    Attributes:
-        masks: Source of masks.
-        features: DINO.
-        imaging: MUSIQ.
-    """
+    """Source of masks, DINO and MUSIQ: everything that looks at pixels."""
 
     masks: MaskMaker
     features: SubjectFeatures
@@ -48,19 +42,7 @@ class Networks:
 
 
 def load_networks(definition: Definition, folders: Mapping[str, Path], place: torch.device) -> Networks:
-    """Load what a definition needs.
-
-    Args:
-        definition: The definition.
-        folders: Folders of weights by name (`benchmark.extensions.quality.definition.needed_for`).
-        place: Where networks run.
-
-    Returns:
-        The networks.
-
-    Raises:
-        InputError: If transformers is not installed or weights are broken.
-    """
+    """Load the source of masks, DINO and MUSIQ of a definition, with weights by name (`needed_for`)."""
     masks: MaskMaker = BoxMasks(definition)
     if definition.masks != "boxes":
         from benchmark.extensions.quality.detection import Detector
@@ -81,20 +63,7 @@ def load_networks(definition: Definition, folders: Mapping[str, Path], place: to
 
 
 def score_scene(data: "DataSet", name: str, definition: Definition, networks: Networks) -> SceneRows:
-    """Score a scene.
-
-    Args:
-        data: The data set.
-        name: Scene name.
-        definition: What is measured.
-        networks: What `load_networks` gave for it.
-
-    Returns:
-        Its rows; they depend on nothing but the scene and the definition.
-
-    Raises:
-        InputError: If images are missing or broken, or the scene has none.
-    """
+    """Score a scene; its rows depend on nothing but the scene and the definition."""
     scene = data.scene(name)
     videos = data.videos(name, sweeps=definition.frames == "all")
     if not any(videos.values()):

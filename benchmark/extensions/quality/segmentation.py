@@ -32,7 +32,6 @@ class Segmenter:
 
     Args:
         folder: Weights of ``facebook/sam2.1-hiera-large``, or another size of SAM 2 for video.
-        device: Where it runs.
     """
 
     def __init__(self, folder: Path, device: torch.device) -> None:
@@ -46,24 +45,12 @@ class Segmenter:
         return int(side if isinstance(side, int) else side[0])
 
     def open(self, frames: Sequence[NDArray[np.uint8]]) -> "VideoSegments":
-        """Prepare a video.
-
-        Args:
-            frames: (height, width, 3) RGB each, all of one size.
-
-        Returns:
-            The video, in which subjects can be followed.
-        """
+        """Prepare a video of (height, width, 3) RGB frames, all of one size, in which subjects can be followed."""
         return VideoSegments(self, frames)
 
 
 class VideoSegments:
-    """One video. Subjects are followed one at a time: what one is does not depend on which others there are.
-
-    Args:
-        segmenter: The network.
-        frames: (height, width, 3) RGB each, all of one size.
-    """
+    """One video. Subjects are followed one at a time: what one is does not depend on which others there are."""
 
     def __init__(self, segmenter: Segmenter, frames: Sequence[NDArray[np.uint8]]) -> None:
         from transformers.models.sam2_video.modeling_sam2_video import Sam2VideoInferenceSession
@@ -83,15 +70,7 @@ class VideoSegments:
         )
 
     def begin(self, frame: int, box: Box) -> Bools:
-        """Forget the last subject and begin with another one.
-
-        Args:
-            frame: Where it is seen.
-            box: Around it.
-
-        Returns:
-            (height, width) its mask there.
-        """
+        """Forget the last subject and begin with the one in a box of a frame; gives its (height, width) mask there."""
         session, side = self._session, self._segmenter.side_px
         session.reset_tracking_data()
         scale = torch.tensor([side / self._width, side / self._height])
@@ -106,9 +85,6 @@ class VideoSegments:
     def follow(self, frame: int) -> Bools:
         """The subject's mask in a frame; frames are asked for one after the other.
 
-        Args:
-            frame: The frame after the last one.
-
         Returns:
             (height, width), empty where the network does not see the subject.
         """
@@ -119,15 +95,7 @@ class VideoSegments:
 
 
 def prepared_frame(frame: NDArray[np.uint8], side_px: int) -> Tensor:
-    """A frame as SAM 2 wants it.
-
-    Args:
-        frame: (height, width, 3) RGB.
-        side_px: Side of the network's square; proportions are not kept.
-
-    Returns:
-        (3, side, side).
-    """
+    """A (height, width, 3) RGB frame as SAM 2 wants it, (3, side, side); proportions are not kept."""
     pixels = torch.tensor(frame, dtype=torch.float32).permute(2, 0, 1)[None]
     resized = functional.interpolate(pixels, (side_px, side_px), mode="bilinear", antialias=True)[0].round()
     mean, deviation = (torch.tensor(values)[:, None, None] for values in (_MEAN, _DEVIATION))

@@ -36,9 +36,6 @@ class ExpectedValues(Stored):
     """A file of ``--expected``: numbers that a run should give.
 
     Attributes:
-        model: Name of the planner.
-        protocol: Who judges.
-        split: On which split.
         source: Where the numbers come from, in words.
         values: Per cent of ``collision`` and metres of ``l2`` by horizon.
         allowed: Largest difference that is allowed, by the same names.
@@ -66,13 +63,7 @@ class _Published:
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """What a run should give.
-
-    Attributes:
-        of: Whose numbers they are, in words.
-        protocol: Who judges.
-        numbers: Each number, wherever it is printed.
-    """
+    """Numbers that a run should give, judged by one protocol; ``of`` says in words whose numbers they are."""
 
     of: str
     protocol: str
@@ -184,14 +175,7 @@ def reproduce(
 
 
 def compared(record: RunRecord, expected: Expected) -> Reproduction:
-    """A run beside the numbers that it should give.
-
-    Args:
-        record: The run, judged by the protocol of the numbers.
-        expected: The numbers.
-
-    Returns:
-        Every number with ours.
+    """A run, judged by the protocol of the numbers, beside the numbers that it should give.
 
     Raises:
         InputError: If the run is not whole: failed samples, or not the whole split.

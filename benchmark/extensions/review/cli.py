@@ -126,7 +126,7 @@ def _show_page(
 
 
 def _say(dataset: "DataSet", split: str | None, *, json_output: bool) -> None:
-    """What stands now."""
+    """Print the verdicts so far."""
     from benchmark.records.review import REVIEW_FILE
 
     review = dataset.review(split)

@@ -36,16 +36,7 @@ class _Shown:
 
 
 def drawn_for_inspection(names: Sequence[str], count: int | None, seed: int) -> tuple[str, ...]:
-    """Some of the scenes, drawn by seed as the paper's random subset; in their order.
-
-    Args:
-        names: All of them.
-        count: How many; ``None`` for all.
-        seed: Of the draw.
-
-    Returns:
-        The names.
-    """
+    """Some of the scenes, drawn by seed as the paper's random subset, in their order; all where no count is given."""
     if count is None or count >= len(names):
         return tuple(names)
     drawn = set(sorted(names, key=lambda name: content_seed("inspection", name, seed))[:count])
@@ -56,16 +47,7 @@ class Inspection:
     """The scenes of one sitting, their pictures and their verdicts; may be asked from several threads."""
 
     def __init__(self, data: DataSet, names: Sequence[str], inspector: str = "") -> None:
-        """Look up what there is already.
-
-        Args:
-            data: The data set, beside whose root verdicts are recorded.
-            names: Scenes to look at, in this order.
-            inspector: Who looks, if they want to be named.
-
-        Raises:
-            InputError: If the file of verdicts is damaged.
-        """
+        """Look up earlier verdicts, which lie beside the root of the data set."""
         self.data, self.names, self.inspector = data, tuple(names), inspector
         self._tokens = scene_tokens(data.root, data.version)
         self._shown: OrderedDict[str, _Shown] = OrderedDict()
@@ -92,11 +74,7 @@ class Inspection:
         return {"data": self.data.name, "root": str(self.data.root), "inspector": self.inspector, "scenes": rows}
 
     def describe(self, index: int) -> dict[str, Any]:
-        """One scene: when its pictures were taken, and where adversaries are in them.
-
-        Raises:
-            InputError: If there is no such scene, or it is broken.
-        """
+        """One scene: times of its pictures, and places of adversaries in them."""
         with self._lock:
             shown = self._ready(index)
             start_us = int(shown.scene.timestamps_us[0])
@@ -114,11 +92,7 @@ class Inspection:
         }
 
     def cameras(self, index: int, place: int) -> bytes:
-        """All cameras at one sample, as WebP.
-
-        Raises:
-            InputError: If there is no such scene or sample, or an image is broken.
-        """
+        """All cameras at one sample, as WebP."""
         with self._lock:
             shown = self._ready(index)
             if not shown.cells:
@@ -126,11 +100,7 @@ class Inspection:
             return mosaic(shown.cells, self._frame(shown, place).views)
 
     def above(self, index: int, place: int) -> bytes:
-        """The scene from above at one sample, as PNG.
-
-        Raises:
-            InputError: If there is no such scene or sample, or it is broken.
-        """
+        """The scene from above at one sample, as PNG."""
         with self._lock:
             shown = self._ready(index)
             frame = self._frame(shown, place).frame
@@ -138,17 +108,7 @@ class Inspection:
             return png(picture)
 
     def record(self, index: int, verdict: Any, reason: Any) -> None:
-        """Record what the inspector says of a scene.
-
-        Args:
-            index: Of the scene.
-            verdict: ``accepted``, ``rejected``, or ``None`` to take back what was said.
-            reason: Why, one line.
-
-        Raises:
-            InputError: If there is no such scene, the verdict is none, a rejection has no reason, or it cannot be
-                written.
-        """
+        """Record a verdict on a scene: ``accepted``, ``rejected`` (with a reason), or ``None`` to take it back."""
         name = self._name(index)
         said = None
         if verdict is not None:

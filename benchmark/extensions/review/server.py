@@ -36,26 +36,15 @@ _POLICY: Final = (
 
 
 class ReviewServer(ThreadingHTTPServer):
-    """Shows an inspection until somebody says that it is done.
+    """Server of an inspection until the inspector says that it is done.
 
-    Attributes:
-        inspection: What is shown.
-        secret: First part of every address.
-        done: Whether the inspector said so.
+    ``secret`` is the first part of every address.
     """
 
     daemon_threads = True
 
     def __init__(self, inspection: Inspection, port: int = 0) -> None:
-        """Listen on this machine alone.
-
-        Args:
-            inspection: What is shown.
-            port: Where; 0 takes a free one.
-
-        Raises:
-            InputError: If the port is taken.
-        """
+        """Listen on this machine alone; port 0 takes a free one."""
         self.inspection, self.secret, self.done = inspection, secrets.token_urlsafe(24), False
         try:
             super().__init__((ADDRESS, port), _Handler)
@@ -112,7 +101,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(HTTPStatus.BAD_REQUEST, "application/json", _json({"error": str(error)}))
 
     def _place(self) -> str:
-        """The address without the secret; refuses whoever does not know it or calls the machine by another name."""
+        """Address without the secret; refuses clients that do not know it or call the machine by another name."""
         if self.headers.get("Host") not in self.server.hosts:
             raise _Refused(HTTPStatus.FORBIDDEN, "this page answers on 127.0.0.1 alone")
         _, secret, place = [*self.path.partition("?")[0].split("/", 2), "", ""][:3]

@@ -86,7 +86,7 @@ def check_submission(
 
 
 def facts_of_record(record: Record) -> RecordFacts:
-    """What the first file of a record says."""
+    """Facts in the first file of a record."""
     return record.run if isinstance(record, RunRecord) else record.facts
 
 

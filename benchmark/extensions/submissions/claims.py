@@ -16,17 +16,11 @@ if TYPE_CHECKING:
 
 
 def claims_of(facts: RecordFacts, failed: int, units: int, unit: str, data_name: str) -> Iterator[Said]:
-    """What can be seen without the data set.
+    """Findings that need no data set.
 
     Args:
-        facts: Of the record.
         failed: Rows that have no plan, or whose drive failed.
         units: Rows.
-        unit: What a row is: ``sample`` or ``drive``.
-        data_name: The data set that records must be of.
-
-    Yields:
-        Findings.
     """
     if facts.data.name != data_name:
         yield (
@@ -40,15 +34,7 @@ def claims_of(facts: RecordFacts, failed: int, units: int, unit: str, data_name:
 
 
 def split_findings(facts: RecordFacts, data: "DataSet") -> Iterator[Said]:
-    """Whether a record ran on the split that the data set has, and says of it what the data set says.
-
-    Args:
-        facts: Of the record.
-        data: The data set.
-
-    Yields:
-        Findings.
-    """
+    """Check that a record ran on the split that the data set has, and describes the data set as it describes itself."""
     scenes = list(data.scene_names(facts.split))
     if sorted(facts.scenes) != sorted(scenes):
         yield (

@@ -7,10 +7,10 @@ from typing import Any
 
 
 class Level(StrEnum):
-    """What a finding means.
+    """Meaning of a finding.
 
-    An error keeps a record out. ``suspicious`` is what honest planners were never seen to do, and proves nothing. A
-    note is for the reader.
+    An error keeps a record out. ``suspicious`` marks a behaviour that honest planners were never seen to show, and
+    proves nothing. A note is for the reader.
     """
 
     ERROR = "error"
@@ -20,12 +20,12 @@ class Level(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that is wrong with a submission, or worth knowing.
+    """One fault of a submission, or a remark on it.
 
     Attributes:
         directory: Of the record, or of the submission.
         level: Whether it keeps the record out.
-        sentence: What, and what to do.
+        sentence: The fault, and its remedy.
     """
 
     directory: Path

@@ -16,15 +16,7 @@ _OWN_WEIGHTS: Final = "checkpoint_sha256"
 
 
 def planner_findings(facts: RecordFacts, ours_like: OursLike) -> Iterator[Said]:
-    """What a record says of its planner, beside what it is.
-
-    Args:
-        facts: Of the record.
-        ours_like: Knows this program's planners.
-
-    Yields:
-        Findings.
-    """
+    """Compare a record's claims about its planner with the planner itself."""
     planner = facts.planner
     for what, claimed in (("weights", planner.weights_sha256), ("code", planner.code_sha256)):
         if claimed is not None and not _SHA256.fullmatch(claimed):

@@ -35,15 +35,7 @@ _BEFORE_US: Final = round(1e6 * PLAN_STEP_S) * np.array([-2, -1, 0])
 
 
 def leak_findings(record: RunRecord | DriveRecord, data: "DataSet") -> Iterator[Said]:
-    """What looks as if plans knew the recorded future; nothing of planners that are privileged.
-
-    Args:
-        record: A run record, or one of drives.
-        data: The data set.
-
-    Yields:
-        One finding with its figures, or none.
-    """
+    """Signs that plans knew the recorded future, one finding at most; none of privileged planners."""
     facts = record.run if isinstance(record, RunRecord) else record.facts
     if facts.planner.privileged:
         return
@@ -55,15 +47,7 @@ def leak_findings(record: RunRecord | DriveRecord, data: "DataSet") -> Iterator[
 
 
 def figures_of(record: RunRecord | DriveRecord, data: "DataSet") -> LeakFigures:
-    """What the plans of a record are like beside the recorded future.
-
-    Args:
-        record: A run record, or one of drives.
-        data: The data set.
-
-    Returns:
-        The figures.
-    """
+    """Figures that compare the plans of a record with the recorded future."""
     if isinstance(record, DriveRecord):
         return leak_figures([each for row in record.rows for each in _moments_of_drive(row, data.scene(row.scene))])
     scenes = groupby(record.rows, key=lambda row: row.scene)
@@ -73,15 +57,7 @@ def figures_of(record: RunRecord | DriveRecord, data: "DataSet") -> LeakFigures:
 
 
 def moments_of_run(rows: Sequence[SampleRow], truths: Sequence[SampleTruth]) -> dict[int, Moment]:
-    """What can be looked at in one scene of a run.
-
-    Args:
-        rows: Of the scene, in time order.
-        truths: Of the same samples.
-
-    Returns:
-        Those that have a plan, a recorded second before and 3 s after, by their number.
-    """
+    """Moments of one scene of a run, by number: a plan, a recorded second before and 3 s after."""
     steps = [None if row.recorded_future[0] is None else np.array(row.recorded_future[0][:2], float) for row in rows]
     speeds: dict[int, tuple[float, float]] = {}
     for index, row in enumerate(rows):
@@ -102,7 +78,7 @@ def moments_of_run(rows: Sequence[SampleRow], truths: Sequence[SampleTruth]) -> 
 
 
 def _dangerous(truths: Sequence[SampleTruth], speeds: Sequence[float]) -> Bools:
-    """(N,) whether a car that keeps its speed and direction touches somebody within 3 s."""
+    """(N,) whether a car that keeps its speed and direction touches an object within 3 s."""
     if not truths:
         return np.zeros(0, bool)
     times = PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
@@ -113,7 +89,7 @@ def _dangerous(truths: Sequence[SampleTruth], speeds: Sequence[float]) -> Bools:
 def _moments_of_drive(row: DriveRow, scene: Scene) -> list[Moment]:
     """Instants of a drive at which the car was where the recorded one was, long enough before the recording ends.
 
-    Nobody is in danger there: what others do in a drive depends on the drive.
+    None of them counts as dangerous: the actions of others in a drive depend on the drive.
     """
     found = []
     times = np.array(row.ticks.time_us[row.primed :], np.int64)

@@ -52,14 +52,7 @@ _RESCORE: Final = "run challenger-bench rescore"
 
 
 def protocols_of(record: RunRecord) -> Iterator[Said]:
-    """Whether a run was judged by everybody who judges every run, in this version of them.
-
-    Args:
-        record: The record.
-
-    Yields:
-        Findings.
-    """
+    """Check that all protocols that judge every run judged this one, in their present versions."""
     unknown = sorted(set(record.run.protocols) - set(PROTOCOLS))
     if unknown:
         yield Level.ERROR, f"is judged by {', '.join(unknown)}, which this version does not know; {_RESCORE}"
@@ -72,14 +65,7 @@ def protocols_of(record: RunRecord) -> Iterator[Said]:
 
 
 def run_anew(record: RunRecord, data: "DataSet") -> Iterator[Said]:
-    """Whether the data set and the plans give what a run record says.
-
-    Args:
-        record: The record, of scenes that the data set has.
-        data: The data set.
-
-    Yields:
-        Findings.
+    """Check that the data set and the plans give what a run record says.
 
     Raises:
         InputError: If the data set is another one, or the rows are not of its samples.
@@ -127,14 +113,7 @@ def run_anew(record: RunRecord, data: "DataSet") -> Iterator[Said]:
 
 
 def drives_anew(record: DriveRecord, data: "DataSet") -> Iterator[Said]:
-    """Whether the stored plans drive, score and sum up to what a record of drives says.
-
-    Args:
-        record: The record, of scenes that the data set has.
-        data: The data set.
-
-    Yields:
-        Findings.
+    """Check that the stored plans drive, score and sum up to what a record of drives says.
 
     Raises:
         InputError: If the data set is another one, or the plans lead elsewhere than the record says.

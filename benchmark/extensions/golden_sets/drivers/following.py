@@ -18,13 +18,9 @@ _RSS_BRAKING: Final = 6.0
 
 
 def following_distances(speed: Floats) -> dict[str, Floats]:
-    """Gaps at which drivers follow a leader of their own speed, as the official tables start.
+    """Gaps in metres at which ``cc``, ``rss`` and ``fsm`` follow a leader of their own speed (m/s).
 
-    Args:
-        speed: (...) m/s.
-
-    Returns:
-        (...) metres of ``cc``, ``rss`` and ``fsm``.
+    Official tables start so.
     """
     later = np.maximum(speed - REACTION_S * _RSS_BRAKING, 0.0)
     return {
@@ -35,18 +31,12 @@ def following_distances(speed: Floats) -> dict[str, Floats]:
 
 
 def cut_in(ego_speed: Floats, other_speed: Floats, gap: Floats, side_speed: float) -> tuple[OtherCar, Floats]:
-    """Cut-ins of one side speed, from the left.
+    """Cut-ins of one side speed, from the left; (C,) m/s, and (C,) gaps in metres from bumper to bumper.
 
     The other first gathers side speed while both drive; when it has it, it is `SIDE_M` off and ``gap`` ahead.
 
-    Args:
-        ego_speed: (C,) m/s.
-        other_speed: (C,) m/s.
-        gap: (C,) metres, bumper to bumper.
-        side_speed: m/s.
-
     Returns:
-        The other car until it has crossed, and a while; (C,) where the ego starts.
+        The other car until it has crossed, and a while; (C,) start of the ego.
     """
     offset = SIDE_M + WIDTH_M
     gathering = int(np.ceil(side_speed / _SIDE_STEP))
@@ -66,16 +56,9 @@ def cut_in(ego_speed: Floats, other_speed: Floats, gap: Floats, side_speed: floa
 
 
 def braking_leader(speed: Floats, deceleration: Floats, gap: Floats, steps: int) -> tuple[OtherCar, Floats]:
-    """Leaders that brake to a stand from the first step, followed at their own speed.
+    """Leaders that brake to a stand from the first step, followed at their own speed, and (C,) starts of the ego.
 
-    Args:
-        speed: (C,) m/s.
-        deceleration: (C,) m/s^2.
-        gap: (C,) metres, bumper to bumper.
-        steps: How many.
-
-    Returns:
-        The leader, and (C,) where the ego starts.
+    Speeds are (C,) m/s, decelerations m/s^2, gaps metres from bumper to bumper.
     """
     leader = np.maximum(speed[:, None] - STEP_S * deceleration[:, None] * np.arange(steps), 0.0)
     along = gap[:, None] + LENGTH_M + np.cumsum(STEP_S * leader, axis=1)

@@ -31,7 +31,6 @@ class GoldenScene:
     """One scene with S samples and P plans for each.
 
     Attributes:
-        stored: Its arrays.
         now: (S, 11) states of the car.
         plans: (S, P, 6, 3) poses in the frame of the rear axle.
         history: (S, 4, 8) the beginnings of states at -1.5, -1, -0.5 and 0 s.

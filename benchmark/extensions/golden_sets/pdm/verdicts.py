@@ -20,25 +20,15 @@ VERDICTS: Final = ("nc", "dac", "ddc", "ttc", "lk", "hc")
 
 
 class ModeComparison:
-    """Compares what is said of motions of one kind.
-
-    Attributes:
-        comparison: Gathers the errors.
-        scene: The golden scene.
-        mode: ``lqr`` or ``direct``: whose official answers.
-    """
+    """Comparison of the verdicts on motions of one kind, ``lqr`` or ``direct``."""
 
     def __init__(self, comparison: Comparison, scene: GoldenScene, mode: str) -> None:
         self.comparison, self.scene, self.mode = comparison, scene, mode
 
     def compare(self, states: Floats) -> list[SubScores]:
-        """Compare all plans of all samples.
+        """Compare all plans of all samples, of (S, P, 31, 11) motions.
 
-        Args:
-            states: (S, P, 31, 11) the motions.
-
-        Returns:
-            The sub-scores of each sample's plans, EP by the reference.
+        Gives each sample's sub-scores, EP by the reference.
         """
         scene, found = self.scene, []
         differences, ec = comfort_of_pairs(scene, states)
@@ -105,14 +95,7 @@ class ModeComparison:
 
 
 def compare_filter(comparison: Comparison, scene: GoldenScene, states: Floats, scores: list[SubScores]) -> None:
-    """Compare the scores in which what the recorded driver fails is forgiven.
-
-    Args:
-        comparison: Gathers the errors.
-        scene: The golden scene.
-        states: (S, P, 31, 11) tracked motions.
-        scores: The sub-scores of each sample's plans.
-    """
+    """Compare the scores that forgive faults of the recorded driver; motions are (S, P, 31, 11), tracked."""
     ec = comfort_of_pairs(scene, states)[1]
     for sample, ours in enumerate(scores):
         recorded = states[sample, scene.recorded][None]
@@ -137,7 +120,7 @@ def comfort_of_pairs(scene: GoldenScene, states: Floats) -> tuple[Floats, Floats
 
 
 def surroundings(scene: GoldenScene, sample: int) -> Surroundings:
-    """What the plans of one sample of a scene are judged by."""
+    """Surroundings that the plans of one sample of a scene are judged by."""
     frames = scene.key_frames
     start, stop = int(frames.offsets[sample]), int(frames.offsets[sample + 1])
     some = slice(start, stop)

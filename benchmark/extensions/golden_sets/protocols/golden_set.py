@@ -29,12 +29,7 @@ class GoldenScene:
     """One scene with S samples and P plans for each.
 
     Attributes:
-        name: Name of the file without its ending.
-        truths: S samples.
         plans: (S, P, 6, 2) waypoints in the lidar frame, metres.
-        plan_names: P names.
-        inputs: What the samples were made from.
-        official: What the official code says.
         exact: What exact polygons say, if the set has that.
         with_roads: Whether it is of the form that has roads and the past, with the verdicts of further protocols.
     """
@@ -108,16 +103,9 @@ def _held(now: Floats, poses: Floats, truth: SampleTruth) -> Floats:
 
 
 def remarks(folder: GoldenFolder, paths: list[Path], with_roads: Collection[str]) -> list[str]:
-    """What a reader should know about the files of a set.
+    """Remarks on the files of a set: without exact verdicts, listed in the manifest but absent, or not as it describes.
 
-    Args:
-        folder: The set.
-        paths: All of `golden_inputs`.
-        with_roads: Names of those of the form that has no exact verdicts.
-
-    Returns:
-        Short texts: files without exact verdicts, files that the manifest lists and the folder lacks, files that are
-        not those the manifest describes.
+    ``with_roads`` names the files of the form that has no exact verdicts.
     """
     found = [counted(len(paths), "file")]
     names = [path.stem for path in paths if path.stem not in with_roads]

@@ -30,13 +30,9 @@ def compare_equal(
     ours: Mapping[str, tuple[NDArray[Any], str]],
     of: Bools | None = None,
 ) -> None:
-    """Compare what must be equal.
+    """Compare quantities that must be equal, of all samples or of some.
 
-    Args:
-        comparison: Where the errors go.
-        stored: Golden arrays; verdicts may be stored as numbers.
-        ours: By quantity our values, and the array of golden ones.
-        of: Samples that are compared.
+    ``ours`` holds by quantity our values and the name of the golden array, where verdicts may be stored as numbers.
     """
     for quantity, (values, array) in ours.items():
         comparison.same(quantity, values, stored.floats(array, *values.shape), of)
@@ -45,10 +41,7 @@ def compare_equal(
 def compare_official(comparison: Comparison, scene: GoldenScene, outcomes: Mapping[str, list[Outcomes]]) -> None:
     """Compare all four protocols, VAD with both category tables.
 
-    Args:
-        comparison: Where the errors go.
-        scene: The scene.
-        outcomes: For each protocol its verdicts on each of the P plans.
+    Outcomes of each protocol are for each of the P plans.
     """
     stacked, complete = stack(scene.truths), complete_samples(scene)
     compare_equal(comparison, scene.official, {"samples that count": (complete, "sample_valid")})
@@ -59,15 +52,7 @@ def compare_official(comparison: Comparison, scene: GoldenScene, outcomes: Mappi
 
 
 def drawn(name: str, truths: StackedTruths) -> NDArray[np.uint8]:
-    """The rasters on which a protocol looks for collisions.
-
-    Args:
-        name: ``uniad``, ``vad`` or ``vad-23``.
-        truths: S samples.
-
-    Returns:
-        (S, 6, 200, 200) ones where occupied.
-    """
+    """Rasters on which ``uniad``, ``vad`` or ``vad-23`` looks for collisions: (S, 6, 200, 200), 1 where occupied."""
     definition = PROTOCOLS[name]
     assert isinstance(definition, raster.RasterProtocol)
     objects, steps = np.nonzero(definition.counted_objects(truths))

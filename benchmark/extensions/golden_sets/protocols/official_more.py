@@ -45,13 +45,7 @@ def judged_further(scene: GoldenScene) -> dict[str, list[Outcomes]]:
 
 
 def compare_further(comparison: Comparison, scene: GoldenScene, outcomes: Mapping[str, list[Outcomes]]) -> None:
-    """Compare all of them.
-
-    Args:
-        comparison: Where the errors go.
-        scene: A scene with roads.
-        outcomes: What `judged_further` says.
-    """
+    """Compare all further protocols on a scene with roads; ``outcomes`` are of `judged_further`."""
     official, stacked = scene.official, stack(scene.truths)
     _compare_stp3(comparison, official, stacked, outcomes["stp3"])
     _compare_bev_planner(comparison, official, stacked, outcomes["bev-planner"])
@@ -85,14 +79,7 @@ def _compare_stp3(
 
 
 def warped_cells(truths: StackedTruths) -> NDArray[np.uint8]:
-    """The rasters of ``stp3`` in the present frame.
-
-    Args:
-        truths: S samples.
-
-    Returns:
-        (S, 6, 200, 200) ones where occupied; row is forward, column is left.
-    """
+    """Rasters of ``stp3`` in the present frame: (S, 6, 200, 200), 1 where occupied; row is forward, column is left."""
     definition = PROTOCOLS["stp3"]
     assert isinstance(definition, stp3.STP3)
     samples = len(truths.ego_future)

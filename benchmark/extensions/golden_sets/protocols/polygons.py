@@ -25,11 +25,7 @@ _FROZEN: Final = ("all", "uniad", "vad")
 def compare_polygons(comparison: Comparison, scene: GoldenScene, exact: GoldenArrays, judged: list[Outcomes]) -> None:
     """Compare contacts at the waypoints and every 0.1 s, of plans and of the recorded ego, and headings of plans.
 
-    Args:
-        comparison: Where the errors go.
-        scene: The scene.
-        exact: Its exact verdicts.
-        judged: What ``exact`` says about each of the P plans.
+    ``judged`` holds what ``exact`` says of each of the P plans.
     """
     stacked, shape = stack(scene.truths), scene.plans.shape[:3]
     steps = exact.verdicts("cont_all", *shape[:2], _INSTANTS).reshape(*shape, INSTANTS_PER_STEP).any(axis=-1)
@@ -42,14 +38,7 @@ def compare_polygons(comparison: Comparison, scene: GoldenScene, exact: GoldenAr
 
 
 def object_sets(truths: StackedTruths) -> dict[str, Bools]:
-    """Which objects are there now and at the six steps, in the eyes of each protocol.
-
-    Args:
-        truths: S samples with M objects.
-
-    Returns:
-        (M, 7) verdicts for ``all``, ``uniad``, ``vad`` and ``sd``.
-    """
+    """Objects that ``all``, ``uniad``, ``vad`` and ``sd`` count now and at the six steps: (M, 7) verdicts each."""
     counted = {name: PROTOCOLS[name].counted_objects(truths) for name in ("uniad", "vad", "sparsedrive")}
     now = truths.annotated[:, 0]
     before = {

@@ -53,7 +53,7 @@ def compare_deviations(comparison: Comparison, folder: GoldenFolder) -> None:
 
 
 def _inputs(stored: GoldenArrays) -> dict[str, list[SceneTracks]]:
-    """Scenes by variant, in order of their names; NaN where somebody is absent."""
+    """Scenes by variant, in order of their names; NaN where an object is absent."""
     found: dict[str, list[SceneTracks]] = {}
     for name in sorted(name for name in stored.names if name.endswith("/position")):
         scene, variant, _ = name.split("/")

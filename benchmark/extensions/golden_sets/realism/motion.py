@@ -53,7 +53,7 @@ def compare_motion(comparison: Comparison, folder: GoldenFolder) -> None:
 
 
 def _scene(stored: GoldenArrays) -> tuple[Tracks, Integers]:
-    """The recording that a file is: everybody, and the indices of the keyframes."""
+    """Recording of a file: all objects, and the indices of the keyframes."""
     seconds, categories = stored.floats("seconds", None), tuple(stored.texts("categories"))
     shape = (len(categories), len(seconds))
     ego, agents = stored.floats("ego", len(seconds), 5), stored.floats("agents", *shape, 5)

@@ -27,7 +27,6 @@ class InfoComparison:
     """Gathers the errors of each key over roots.
 
     Args:
-        comparison: Takes the errors.
         tolerances: By repository, and by the names of keys between commas; a number is a largest difference, of map
             elements a sentence says it, and all other keys must be equal.
     """
@@ -43,13 +42,7 @@ class InfoComparison:
         self._found.verdicts("tables of the roots", list(changed.values()), where=where)
 
     def files(self, root: str, official: GoldenFile, ours: InfoFiles) -> None:
-        """Compare the files of one repository for one root.
-
-        Args:
-            root: Name of the root.
-            official: The converter's.
-            ours: What is exported as converted.
-        """
+        """Compare the files of one repository for one root, exported as converted."""
         reader, content = REPOSITORIES[official.repository], official.read()
         named: dict[str, Part] = {reader.file_name(ours.version, part): part for part in ours.parts}
         part = named.get(official.official_name)

@@ -34,11 +34,9 @@ Tolerances = Mapping[str, Mapping[str, Any]]
 
 @dataclass(frozen=True, slots=True)
 class GoldenFile:
-    """One file of a converter.
+    """One file of a converter, a compressed pickle.
 
     Attributes:
-        repository: Whose.
-        path: The compressed pickle.
         official_name: What the converter called it.
         counts: Number of infos of its train and val file.
         left_out: Keys that were taken out of its infos to save room.
@@ -63,11 +61,8 @@ class GoldenRoot:
     """A root that files were made from.
 
     Attributes:
-        version: Version folder.
         tables: How its tables are to be had, in the words of the manifest.
-        recipe: How it was made.
         sha256: Of its tables, by name.
-        files: What the converters wrote for it.
     """
 
     version: str
@@ -84,13 +79,7 @@ class GoldenRoot:
 
 @dataclass(frozen=True, slots=True)
 class GoldenInfos:
-    """A golden set.
-
-    Attributes:
-        folder: Its directory.
-        tolerances: By repository and keys.
-        roots: By name.
-    """
+    """A golden set: roots by name, tolerances by repository and keys."""
 
     folder: Path
     tolerances: Tolerances
@@ -107,15 +96,7 @@ class GoldenInfos:
         return cls(golden.path, tolerances, roots)
 
     def unpack(self, name: str, folder: Path) -> Path:
-        """Make a root from the set.
-
-        Args:
-            name: The root's.
-            folder: Where to; roots that are there already are taken as they are.
-
-        Returns:
-            The root.
-        """
+        """Make a root from the set; one that is there already is taken as it is."""
         root = folder / name
         if root.exists():
             return root

@@ -13,12 +13,7 @@ CheckRow = tuple[float, ...]
 
 
 def checks_of(engine: Engine, waiting: Waiting | None, number: int) -> list[CheckRow]:
-    """The checks of one state.
-
-    Args:
-        engine: The run.
-        waiting: The state that is to be checked, if there is one.
-        number: Of the state.
+    """Checks of one state.
 
     Returns:
         A row of `CHECK_COLUMNS` for each moment that is looked at: up to the first contact, then those of the plan

@@ -20,7 +20,7 @@ def plans_of(stored: GoldenArrays, name: str, counts: list[int]) -> list[Floats]
 
 
 def with_nan(value: Any) -> Any:
-    """What a JSON file says, with NaN for the word ``nan``."""
+    """Values of a JSON file, with NaN for the word ``nan``."""
     if isinstance(value, dict):
         return {name: with_nan(inner) for name, inner in value.items()}
     return float("nan") if value == _NAN else value

@@ -39,13 +39,9 @@ def compare_run(
     *,
     turning_freely: frozenset[str],
 ) -> None:
-    """Drive a run again.
+    """Drive a run of the published engine again and compare it with the stored arrays.
 
     Args:
-        comparison: Takes the errors.
-        engine: The run.
-        run: What the published engine said of it.
-        stored: Its arrays.
         turning_freely: Actors whose headings are not compared.
     """
     replay = _Replay(comparison, engine, stored, run["key"], turning_freely)
