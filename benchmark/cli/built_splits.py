@@ -149,29 +149,21 @@ def frozen_scenes(
 
 
 def build_one(
-    source: "DataSet",
-    one: SplitToBuild,
-    settings: "BuildSettings",
-    unlike: "Sequence[str]",
-    *,
-    profile: bool,
-    dry_run: bool,
+    source: "DataSet", one: SplitToBuild, settings: "BuildSettings", unlike: "Sequence[str]", *, profile: bool
 ) -> Built:
     """Build a split; what is said of it names where the preset departs from its name and where the time went."""
     if one.frozen is not None:
-        from generation.pipeline.dry_run import estimate_frozen
         from generation.splits.building import build_frozen
 
-        if one.freeze is not None and not dry_run:
+        if one.freeze is not None and not settings.dry_run:
             from generation.splits.format import write_frozen
 
             write_frozen(one.freeze, one.frozen.frozen)
-        built = (estimate_frozen if dry_run else build_frozen)(source, one.frozen, settings, as_split=one.split)
+        built = build_frozen(source, one.frozen, settings, as_split=one.split)
         return Built(built.summary(), built.as_json())
-    from generation.pipeline.dry_run import estimate_build
     from generation.pipeline.split import build_split
 
-    report = (estimate_build if dry_run else build_split)(source, one.split, settings)
+    report = build_split(source, one.split, settings)
     runtime = report.runtime if profile else None
     told = {"departures": list(unlike)} if unlike else {}
     timed = {} if runtime is None else {"runtime": runtime.model_dump()}

@@ -234,7 +234,7 @@ def generate_command(options: GenerateOptions) -> None:
         return
     built = []
     for one, of_split in zip(wanted, own, strict=True):
-        built.append(build_one(source, one, of_split, unlike, profile=options.profile, dry_run=options.dry_run))
+        built.append(build_one(source, one, of_split, unlike, profile=options.profile))
         if not options.json_output:
             typer.echo(built[-1].text if options.seeds is None else f"{one.split}: {built[-1].text}")
     if options.json_output:

@@ -129,7 +129,6 @@ def data_unpack_command(options: DataUnpackOptions) -> None:
                 typer.echo(f"  {each.name}: generate --from {options.to / 'splits' / each.name}.json --data RECORDINGS")
         return
     from benchmark.machine.workers import LocalProcesses
-    from generation.pipeline.dry_run import estimate_frozen
     from generation.pipeline.settings import BuildSettings
     from generation.splits.rebuilding import rebuild
 
@@ -143,8 +142,9 @@ def data_unpack_command(options: DataUnpackOptions) -> None:
         renderer=None if options.renderer == "none" else api.schematic_renderer((width, height)),
         frames=options.frames,
         executor=LocalProcesses(processes),
+        dry_run=options.dry_run,
     )
-    report = estimate_frozen(source, chosen, settings) if options.dry_run else rebuild(source, found, chosen, settings)
+    report = rebuild(source, found, chosen, settings)
     if options.json_output:
         print_json({**said, "built": {"root": str(settings.out), **report.as_json()}})
     else:

@@ -68,6 +68,11 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
         InputError: If the split is another, a scene is unknown, nothing survives, another command is writing there, the
             output is built from a frozen split, or it cannot be written.
     """
+    if settings.dry_run:
+        # It counts with what is defined here.
+        from generation.pipeline.dry_run import estimate_build
+
+        return estimate_build(source, split, settings)
     names = ready_to_build(source, split, settings)
     if split == "val-r":
         return _build_originals(source, names, settings)

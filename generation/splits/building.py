@@ -152,6 +152,11 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *,
         InputError: If these are other recordings, a scene is unknown, the output holds a split that was searched or is
             of another frozen one, another command is writing there, or it cannot be written.
     """
+    if settings.dry_run:
+        # It counts with what is defined here.
+        from generation.pipeline.dry_run import estimate_frozen
+
+        return estimate_frozen(source, split, settings, as_split=as_split)
     plan, chosen, report = ready_to_rebuild(source, split, settings, as_split)
     # Everything is looked at before anything is written.
     jobs, tables, masked = frozen_jobs(source, plan, chosen, split)

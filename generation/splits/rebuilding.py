@@ -26,6 +26,6 @@ def rebuild(source: DataSet, package: Package, split: NamedSplit, settings: Buil
     report = build_frozen(source, split, settings)
     said = {} if package.review is None else dict(package.review.verdicts)
     own = {name: verdict for name, verdict in said.items() if name in set(report.written)}
-    if own:
+    if own and not settings.dry_run:
         record_verdicts(settings.out, own)
     return report
