@@ -12,14 +12,7 @@ from generation.search.hyperparameters import HyperParameters
 
 
 class ConsideredVehicle(BaseModel):
-    """One four-wheeled vehicle.
-
-    Attributes:
-        agent: Its index in the scene.
-        agent_id: Its instance identifier.
-        category: nuScenes category.
-        reason: Why it is not tried, ``None`` for one that is.
-    """
+    """One four-wheeled vehicle, and the reason why it is not tried (``None`` for one that is)."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -33,7 +26,6 @@ class Eligibility(BaseModel):
     """Which vehicles of one scene are tried; what is no four-wheeler is only counted.
 
     Attributes:
-        scene_name: The scene.
         objects: Everything that is annotated.
         vehicles: All four-wheeled vehicles in the scene's order.
     """
@@ -61,11 +53,7 @@ class Eligibility(BaseModel):
     def row(self, earlier: tuple[str, ...]) -> dict[str, Any]:
         """One line of ``candidates.jsonl``.
 
-        Args:
-            earlier: Instances that are adversaries already when these vehicles are looked at.
-
-        Returns:
-            JSON values.
+        ``earlier`` are the instances that are adversaries already when these vehicles are looked at.
         """
         return {
             "scene": self.scene_name,
@@ -89,15 +77,9 @@ def not_tried_together(looks: Sequence[Eligibility]) -> dict[str, int]:
 
 
 def eligibility_of(scene: Scene, hyper: HyperParameters, seed: int) -> Eligibility:
-    """Look at every object of a scene.
+    """Which vehicles of a scene are tried and why the others are not.
 
-    Args:
-        scene: The recorded scene, or one with adversaries in it.
-        hyper: Limits of the choice.
-        seed: Which choice, where more than ``hyper.candidate_limit`` vehicles qualify.
-
-    Returns:
-        Which of them are tried, and why the others are not.
+    ``seed`` chooses where more than ``hyper.candidate_limit`` qualify.
     """
     reasons: dict[int, NotTried | None] = {agent: unfit(scene, agent, hyper) for agent in range(len(scene.agents))}
     drawn = set(draw(scene, [agent for agent, reason in reasons.items() if reason is None], hyper, seed))

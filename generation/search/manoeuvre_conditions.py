@@ -77,16 +77,7 @@ class EgoThen:
 
     @classmethod
     def of(cls, scene: Scene, frames: tuple[int, ...], way: EgoWay | None = None) -> Self:
-        """The ego of a scene.
-
-        Args:
-            scene: The scene.
-            frames: S frame indices.
-            way: Of its ego, where it is known.
-
-        Returns:
-            Its motion.
-        """
+        """The ego of a scene at S frame indices; ``way`` is its way, where that is known."""
         way = way or EgoWay.of(scene)
         seconds, at = scene.seconds, np.asarray(frames)
         half_length = 0.5 * way.length_m
@@ -133,16 +124,9 @@ class Placed:
 
     @classmethod
     def of(cls, ego: EgoThen, center: Floats, speed: Floats, size: Floats) -> "Placed":
-        """Place candidates.
+        """Place candidates at the ego's S frames.
 
-        Args:
-            ego: The ego at S frames.
-            center: (B, S, 3) poses of the box centres.
-            speed: (B, S) m/s.
-            size: (2,) length and width.
-
-        Returns:
-            The placement.
+        (B, S, 3) poses of box centres, (B, S) speeds in m/s, (2,) length and width.
         """
         station, offset, turn = ego.way.places(center, ego.frames[0], ego.frames[-1])
         cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
@@ -337,15 +321,10 @@ def family_and_side(kind: Manoeuvre) -> tuple[str, float]:
 
 
 def missing(kind: Manoeuvre, placed: Placed, *, ready: bool = True) -> Floats:
-    """Metres that are missing until the conditions of a kind hold, frame by frame.
+    """Metres, (B, S) and at most `MOST_MISSING_M`, that are missing until the conditions of a kind hold.
 
     Args:
-        kind: One of `asked_manoeuvres.ASKABLE`.
-        placed: B candidates at S frames.
         ready: For cut-ins: whether the vehicle was outside on that side just now, and may come in.
-
-    Returns:
-        (B, S) metres, at most `MOST_MISSING_M`.
     """
     family, side = family_and_side(kind)
     found = _MISSING[family](placed, side)

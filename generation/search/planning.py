@@ -30,11 +30,10 @@ from generation.search.verify import EGO, Discard, Finding, contacts
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """What was planned and executed.
+    """Executed track of an adversary, and how it was planned.
 
     Attributes:
         poses: (F, 3) executed poses from the launch on.
-        plans: Trace, one entry per planning frame.
         rounds: Candidates and scores of the same frames, where they are kept.
         gave_up: Why the rest was not planned: what `verify` could only discard; ``None`` if nothing was left out.
     """
@@ -50,16 +49,10 @@ class Planning:
     """Planning frames of one adversary, one after the other.
 
     Attributes:
-        scene: The scene that it is planned in.
-        agent: Its index.
         start: Frame of the launch.
-        hyper: Settings.
-        diversify: Spread of the initial batch.
-        model: Physics.
         rng: Source of every random number.
         stages: Seconds of physics and scoring are added here.
         keep_rounds: Whether the candidates of every round are kept; no result depends on it.
-        asked: Kind of manoeuvre that is asked for, if any.
         road_around: (3,) pose around which the road is looked at; by default the ego's, at each planning frame.
     """
 
@@ -140,15 +133,9 @@ class Planning:
         return (yield from refine(self.diversify, evaluate, previous, self.hyper, self.rng))
 
     def evaluation(self, frame: int, state: VehicleState, track: Floats) -> Callable[[Floats], Evaluated]:
-        """What simulates and scores candidates at a planning frame.
+        """Function that simulates and scores (B, 16, 3) waypoints at a planning frame.
 
-        Args:
-            frame: Frame index.
-            state: Motion of the vehicle there.
-            track: (F, 3) executed poses of the box centre from the launch to ``frame``.
-
-        Returns:
-            A function of (B, 16, 3) waypoints.
+        ``track`` holds the (F, 3) executed poses of the box centre from the launch to ``frame``.
         """
         offsets = self.offsets(frame)
         steps = max(offsets[-1], min(self.hyper.executed_frames, len(self.scene.timestamps_us) - 1 - frame))
