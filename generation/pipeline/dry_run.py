@@ -17,11 +17,7 @@ from generation.splits.packaged import NamedSplit
 
 
 def estimate_build(source: DataSet, split: str, settings: BuildSettings) -> BuildReport:
-    """What `generation.pipeline.split.build_split` would do; arguments and errors as there.
-
-    Returns:
-        A report with an estimate.
-    """
+    """What `generation.pipeline.split.build_split` would do, with an estimate; arguments and errors as there."""
     names = ready_to_build(source, split, settings)
     if split != "val-r":
         search = search_of(source, names, settings)
