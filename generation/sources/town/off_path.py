@@ -46,12 +46,7 @@ _GAP_M: Final = 0.25
 
 @dataclass(frozen=True, slots=True)
 class PlannedEgo:
-    """The ego as it would drive.
-
-    Attributes:
-        path: Where it goes.
-        stations: (FRAMES,) where on it at 12 Hz, in steps of `STATION_M`.
-    """
+    """The ego as it would drive: its path, and the (FRAMES,) places on it at 12 Hz, in steps of `STATION_M`."""
 
     path: Path
     stations: Floats
@@ -87,11 +82,6 @@ def driven_off_path(
 
     An excursion is taken where the ego can drive it within a driver's limits, stays on the road and touches nobody; it
     is made smaller until it can, or left out.
-
-    Args:
-        world: Everybody else.
-        planned: The ego as it would drive.
-        rng: Decides the excursions.
 
     Returns:
         (FRAMES, 3) rear-axle poses, and the excursions in the order of time.

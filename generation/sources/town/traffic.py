@@ -21,12 +21,7 @@ _HEAVY_ROLES = (Role.ROAD, Role.STRAIGHT, Role.LEFT)
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """What drives around and how often.
-
-    Attributes:
-        bodies: Kinds of vehicles.
-        shares: Their shares, adding up to one.
-    """
+    """Vehicles of the traffic, and the shares of their kinds, which add up to one."""
 
     bodies: tuple[Body, ...]
     shares: tuple[float, ...]
@@ -63,9 +58,7 @@ class Start:
     """Where a vehicle begins.
 
     Attributes:
-        lane: Name of the lane.
         along_m: Front axle along the lane; negative begins on a lane before it.
-        speed_mps: Speed there.
         lateral_m: Offset to the left of the lane's middle.
     """
 
@@ -86,20 +79,13 @@ def add_vehicle(
     pace: Floats | None = None,
     change_chance: float = 0.15,
 ) -> bool:
-    """Plan a vehicle and add it if it can drive there and is seen for some seconds.
+    """Plan a vehicle and add it if it can drive there and is seen for some seconds; says whether it was added.
 
     Args:
-        world: Who is there already.
-        start: Where it begins.
-        body: What it is.
-        rng: Chance.
         likes: Weight of each lane for its route.
         eagerness: Factor on the speed limit.
         pace: (SECONDS,) factor on the speed in each second.
         change_chance: Chance of a lane change per road.
-
-    Returns:
-        Whether it was added.
     """
     heavy = body.length > 6.0
 
@@ -153,10 +139,7 @@ def following(town: Town, legs: list[Leg]) -> Callable[[TownLane], float]:
 class LanePoints:
     """All points of all lanes of a town, to find the lanes near a place.
 
-    Attributes:
-        names: Name of the lane of each point.
-        poses: (N, 3) x, y, heading.
-        along: (N,) arc length on the lane.
+    (N, 3) poses x, y, heading; (N,) arc length ``along`` the lane, which ``names`` names for each point.
     """
 
     names: tuple[str, ...]

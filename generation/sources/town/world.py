@@ -20,13 +20,9 @@ _KERB_TOLERANCE_M = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """One participant's motion.
+    """Motion of one participant: (FRAMES, 5) boxes, or (1, 5) for things that stand still.
 
-    Attributes:
-        category: nuScenes category.
-        height: Metres.
-        boxes: (FRAMES, 5) boxes, or (1, 5) for things that stand still.
-        parked: Whether it stands there without a driver.
+    ``parked`` says that it stands there without a driver.
     """
 
     category: str
@@ -40,10 +36,8 @@ class World:
     """Everything placed so far.
 
     Attributes:
-        town: Where.
         ego_rear: (FRAMES, 3) rear-axle poses of the ego, once it is planned.
         ego_boxes: (FRAMES, 5) its metric footprint.
-        tracks: The others.
     """
 
     town: Town
@@ -54,14 +48,8 @@ class World:
     def drive(self, path: Path, *, start_mps: int, eagerness: float, pace: Floats) -> Floats | None:
         """Plan a vehicle among those already there.
 
-        Args:
-            path: Where it goes.
-            start_mps: Its speed at the start.
-            eagerness: Factor on the speed limit that it likes to drive.
-            pace: (SECONDS,) factor on that in each second.
-
-        Returns:
-            (FRAMES, 3) rear-axle poses, or ``None`` if it cannot drive without touching somebody.
+        (FRAMES, 3) rear-axle poses, ``None`` if it cannot drive without a touch. ``eagerness`` is a factor on the
+        speed limit that it likes to drive, ``pace`` (SECONDS,) one on that in each second.
         """
         stations = self.stations(path, start_mps=start_mps, eagerness=eagerness, pace=pace)
         return None if stations is None else between_grid(path.rear, stations)
@@ -82,10 +70,9 @@ class World:
         return stations if self.is_free(boxes, path.body) else None
 
     def is_free(self, boxes: Floats, body: Body | None = None, *, gap_m: float = _SMALLEST_GAP_M) -> bool:
-        """Whether a track touches nobody and, for vehicles, stays on the road where it is seen.
+        """Whether a track, (FRAMES, 5) or (1, 5) boxes, touches none and, for vehicles, keeps to the road where seen.
 
         Args:
-            boxes: (FRAMES, 5) or (1, 5) boxes.
             body: The vehicle, or ``None`` for those who may leave the road.
             gap_m: Free space demanded around it.
         """
