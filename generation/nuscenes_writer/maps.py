@@ -28,19 +28,10 @@ _DEVKIT_MASKS = {
 def write_maps(
     plan: DataSetPlan, root: Path, vocabulary: Vocabulary, fragments: Sequence[Mapping[str, Any]]
 ) -> tuple[list[Row], list[Row]]:
-    """Write a root's ``maps`` folder.
+    """Write a root's ``maps`` folder; gives rows of the ``log`` and of the ``map`` table.
 
     Args:
-        plan: The data set.
-        root: The root that is being finished.
-        vocabulary: Rows of the source.
         fragments: Its scenes: ``location``, ``map`` (key of the stored road map) and ``log`` (row) of each.
-
-    Returns:
-        Rows of the ``log`` and of the ``map`` table.
-
-    Raises:
-        InputError: If the disk refuses.
     """
     copied = _copy_source_maps(plan, root)
     logs = {row["token"]: row for row in (*vocabulary.log, *(fragment["log"] for fragment in fragments))}
