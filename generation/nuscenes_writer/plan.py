@@ -221,7 +221,7 @@ def digest(value: Any) -> Any:
 
 
 def require_plain_name(what: str, name: str) -> None:
-    """Refuse names that would leave their folder or confuse a shell: letters, digits and ``. _ + -`` alone are allowed."""
+    """Refuse names that would leave their folder or confuse a shell: letters, digits and ``. _ + -`` are allowed."""
     if not _PLAIN_NAME.fullmatch(name):
         raise InputError(f"{what} name {name!r} cannot be a file name; use letters, digits, dot, dash and underscore")
 

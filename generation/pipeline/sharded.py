@@ -23,7 +23,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class BuiltShard:
-    """Work that a shard of a build did: ``searched`` its recorded scenes, or ``drawn`` its scenes of the new data set."""
+    """Work of one shard of a build: ``searched`` its recorded scenes, or ``drawn`` its scenes of the new data set."""
 
     did: Literal["searched", "drawn"]
     finished: FinishedShard

@@ -119,7 +119,7 @@ def _write_one(plan: DataSetPlan, timing: Path, shipped: tuple[Scene, WritingJob
 
 
 def publish_reports(root: Path, files: dict[str, bytes]) -> None:
-    """Write what a build says of itself; a finished data set that something else was said of is not finished any more."""
+    """Write the reports of a build on itself; a data set finished with other reports is not finished any more."""
     if unfinish_others(root, files):
         for name, data in files.items():
             write_bytes(root / name, data)

@@ -22,7 +22,7 @@ _ADULT, _CHILD = "human.pedestrian.adult", "human.pedestrian.child"
 def add_parked(world: World, near: Floats, rng: np.random.Generator, *, share: float, most: int) -> None:
     """Fill part of the parking places along the ego's way; road works block a few of those at the kerb.
 
-    ``near`` are (K, 2) points of that way; ``share`` of the places are taken, by ``most`` cars.
+    ``near`` are (K, 2) points of that way; ``share`` of the places are taken, by at most ``most`` cars.
     """
     places = [place for place in world.town.standing if _distance(near, place.pose[:2]) < _PARKED_REACH_M]
     kerb = [index for index, place in enumerate(places) if not place.in_car_park]
