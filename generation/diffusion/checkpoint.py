@@ -22,10 +22,7 @@ _MOST_LAYERS: Final = 256
 def save_denoiser(path: Path, denoiser: TrajectoryDenoiser, facts: dict[str, Any]) -> None:
     """Write a denoiser that `load_denoiser` gives back.
 
-    Args:
-        path: A .safetensors file.
-        denoiser: The network.
-        facts: What else to remember, for example seed and steps.
+    ``facts`` are remembered with it, for example seed and steps.
     """
     write_tensors(path, denoiser.state_dict(), {**facts, "denoiser": asdict(denoiser.config)})
 

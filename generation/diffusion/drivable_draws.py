@@ -54,14 +54,6 @@ class Draws:
 
 
 def most_drivable(excess: Floats, at_least: int) -> NDArray[np.int64]:
-    """Which trajectories can be driven.
-
-    Args:
-        excess: (N,) how far beyond drivable each is.
-        at_least: How many are wanted; the least bad ones fill up.
-
-    Returns:
-        Indices, drivable ones first and in order.
-    """
+    """Indices of trajectories that can be driven, in order; the least bad others fill up to ``at_least``."""
     order = np.argsort(excess, kind="stable")
     return np.asarray(order[: max(int((excess == 0).sum()), at_least)], dtype=np.int64)

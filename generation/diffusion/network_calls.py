@@ -26,8 +26,6 @@ class NetworkCalls:
     """A network at work.
 
     Attributes:
-        denoiser: The network.
-        device: Where it runs.
         block: Trajectories of one call, filled up where there are fewer; ``None`` leaves them as many as there are.
     """
 
@@ -37,11 +35,8 @@ class NetworkCalls:
         """Put a network to work.
 
         Args:
-            denoiser: The network.
-            device: Where it runs.
             block: Trajectories of one call.
             conditioned: Whether it is told how vehicles move now, if it can be.
-            dropout: Whether it answers with dropout on.
         """
         self.denoiser = denoiser.to(device).train(dropout)
         self.device, self.block = device, block
@@ -108,17 +103,7 @@ class NetworkCalls:
 
 
 def device_of(name: str) -> torch.device:
-    """A device that computes.
-
-    Args:
-        name: For example ``cpu`` or ``cuda``.
-
-    Returns:
-        The device.
-
-    Raises:
-        InputError: If this machine cannot compute on it.
-    """
+    """A device, for example ``cpu`` or ``cuda``, on which this machine can compute."""
     try:
         device = torch.device(name)
         torch.ones(1, device=device).cpu()

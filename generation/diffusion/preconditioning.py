@@ -137,14 +137,9 @@ class GaussianPreconditioner(nn.Module):
             self.register_buffer("edges", torch.tensor(SPEED_EDGES_M_S), persistent=False)
 
     def fit(self, actions: Floats, present: Tensor | None = None) -> None:
-        """Take means and covariances from data.
+        """Take means and covariances from (N, 16, 3) standardised training actions.
 
-        Args:
-            actions: (N, 16, 3) standardised training actions.
-            present: (N, 4) `present_features`, which a preconditioner that can be told needs.
-
-        Raises:
-            InputError: If they are needed and not there.
+        ``present`` are (N, 4) `present_features`, which a preconditioner that can be told needs.
         """
         flat = torch.tensor(actions.reshape(len(actions), ACTIONS), dtype=torch.float64)
         for buffer, value in zip((self.mean, self.axes, self.variances), _moments(flat), strict=True):
@@ -169,9 +164,6 @@ class GaussianPreconditioner(nn.Module):
             noisy: (B, 16, 3) noisy actions.
             timesteps: (1,) or (B,) 0..99.
             present: (1, 4) or (B, 4) `present_features`; ``None`` says nothing of how the vehicles move now.
-
-        Returns:
-            Input of the network and what puts its answer together.
         """
         return self.shares(timesteps, present).split(noisy)
 
@@ -202,7 +194,6 @@ class GaussianPreconditioner(nn.Module):
 
         Args:
             noise: (B, 16, 3) standard normal.
-            present: As in `split`.
 
         Returns:
             (B, 16, 3) actions at timestep 99.

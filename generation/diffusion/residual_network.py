@@ -38,14 +38,7 @@ def present_features(previous: Tensor) -> Tensor:
 
 
 def known_speed(present: Tensor) -> tuple[Tensor, Tensor]:
-    """Speed out of `present_features`.
-
-    Args:
-        present: (B, 4).
-
-    Returns:
-        (B,) m/s; (B,) whether it is known.
-    """
+    """Speed out of (B, 4) `present_features`: (B,) m/s, and (B,) whether it is known."""
     return 10.0 * present[:, 0], present[:, 3] > 0.5
 
 
@@ -80,7 +73,6 @@ class ResidualNetwork(nn.Module):
     Args:
         width: Features between blocks.
         hidden: Features inside a block.
-        blocks: How many.
         dropout: Active in training mode only.
         level_features: Noise level (B,) to (B, 64).
         conditioned: Whether the network can be told how the vehicle moves now.
@@ -111,15 +103,11 @@ class ResidualNetwork(nn.Module):
         return tuple(block.level(features) for block in cast("Iterable[ResidualBlock]", self.blocks))
 
     def forward(self, noisy: Tensor, level: Tensor, present: Tensor | None = None) -> Tensor:
-        """Ask.
+        """(B, 16, 3) prediction of order one; zero before training.
 
         Args:
-            noisy: (B, 16, 3).
             level: (1,) or (B,) noise levels, in the unit the sinusoid expects.
             present: (1, 4) or (B, 4) `present_features`; ``None`` says nothing of how the vehicles move now.
-
-        Returns:
-            (B, 16, 3) of order one; zero before training.
         """
         return self.answer(noisy, self.shifts(level), present)
 
