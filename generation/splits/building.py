@@ -181,19 +181,9 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *,
 def ready_to_rebuild(
     source: DataSet, split: NamedSplit, settings: BuildSettings, as_split: str
 ) -> tuple[DataSetPlan, list[tuple[FrozenScene, int]], FrozenReport]:
-    """Refuse what cannot be built from a frozen split.
+    """Refuse what cannot be built from a frozen split, as `build_frozen` does.
 
-    Args:
-        source: The recordings.
-        split: The frozen split.
-        settings: What and where.
-        as_split: Name of the split that is written.
-
-    Returns:
-        The data set to write, its scenes with the numbers of their variants, and what is said of both.
-
-    Raises:
-        InputError: As of `build_frozen`.
+    It gives the data set to write, its scenes with the numbers of their variants, and the report on both.
     """
     require_seed(as_split, split.frozen.search.seed, f"frozen split {split.name}")
     chosen = split.chosen(settings.scenes, settings.limit)
@@ -221,11 +211,7 @@ def _faults(jobs: Sequence[WritingJob], judged: Sequence[Sequence[SceneJudgement
 
 
 def require_not_frozen(root: Path) -> None:
-    """Refuse to search in a root that is built from a frozen split.
-
-    Raises:
-        InputError: If it is.
-    """
+    """Refuse to search in a root that is built from a frozen split."""
     mark = root / STATE_FOLDER / _MARK
     if mark.exists():
         kept = read_kept_json(mark)
@@ -284,19 +270,10 @@ def _plan(source: DataSet, split: NamedSplit, as_split: str, settings: BuildSett
 def frozen_jobs(
     source: DataSet, plan: DataSetPlan, chosen: Sequence[tuple[FrozenScene, int]], split: NamedSplit
 ) -> tuple[list[WritingJob], list[str], dict[str, dict[str, int]]]:
-    """How scenes of a frozen split are written.
+    """Way in which scenes of a frozen split are written.
 
-    Args:
-        source: The recordings.
-        plan: The data set.
-        chosen: The scenes, each with the number of its variant.
-        split: The frozen split.
-
-    Returns:
-        How each scene is written, the hash of its tables, and the masked steps of all scenes.
-
-    Raises:
-        InputError: If a scene does not fit its recording.
+    ``chosen`` has each scene with the number of its variant; with the jobs come the hash of each scene's tables,
+    and the masked steps of all scenes.
     """
     made: dict[int, tuple[WritingJob, str]] = {}
     masked = []

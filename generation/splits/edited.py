@@ -38,11 +38,7 @@ Edited = tuple[tuple[Path, Exchanged], ...]
 
 
 def read_edited(path: Path) -> Edited:
-    """Read a ScenarioNet file, or a folder of them.
-
-    Raises:
-        InputError: If there is none, or one is refused.
-    """
+    """Read a ScenarioNet file, or a folder of them."""
     return tuple((file, read_exchanged(file)) for file in find_scenarionet(path))
 
 
@@ -108,18 +104,10 @@ def _recorded(source: DataSet, made: Exchanged, file: Path) -> Scene:
 
 
 def edited_scene(scene: Scene, recorded: Scene, file: Path) -> FrozenScene:
-    """What an edited scene changes in its recording.
+    """Change of an edited scene in its recording: the scene with its adversaries, without hashes.
 
-    Args:
-        scene: The edited scene.
-        recorded: The recording.
-        file: Where it was read from, for messages.
-
-    Returns:
-        The scene with its adversaries, in the order in which they depart from the recording; without hashes.
-
-    Raises:
-        InputError: As in `edited_split`.
+    The adversaries are in the order in which they depart from the recording; ``file`` is for messages. Errors as in
+    `edited_split`.
     """
     _require_same_drive(scene, recorded, file)
     rows = _rows(scene, recorded, file)

@@ -28,21 +28,11 @@ _UNKNOWN: Final = "0" * 64
 def freeze(
     source: DataSet, plan: DataSetPlan, chains: Sequence[Chain], search: Search, chosen: Choice, executor: Executor
 ) -> FrozenSplit:
-    """Freeze scenes.
+    """Freeze scenes, best first; nothing depends on where images are drawn.
 
     Args:
-        source: The recordings.
         plan: The data set that was built, whose images are compared later.
-        chains: The scenes, best first.
-        search: What decided them.
         chosen: How they were chosen.
-        executor: Where images are drawn; nothing depends on it.
-
-    Returns:
-        The frozen split.
-
-    Raises:
-        InputError: If workers are lost.
     """
     assert plan.source is not None
     images = image_facts(plan, source.scene(chains[0].scene_name))

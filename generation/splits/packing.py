@@ -55,9 +55,7 @@ class PackedSplit(Stored):
     """One frozen split of a package.
 
     Attributes:
-        name: Its name.
         content: Hash of all that it says (`FrozenSplit.content_id`).
-        scenes: How many it has.
         recordings: Name of the data set that it was made from.
         fingerprint: Content hash of that.
     """
@@ -73,10 +71,7 @@ class Manifest(Stored):
     """``manifest.json``, the first file of a package.
 
     Attributes:
-        format: What the package is.
-        schema_version: Version of the format.
         made_with: Version of the program.
-        splits: Its frozen splits.
         files: Every other file.
     """
 

@@ -23,13 +23,6 @@ _REPORT_DIGITS: Final = 6
 def adversarial(frozen: FrozenScene, scene: Scene) -> Scene:
     """A recorded scene with the adversaries of a frozen one.
 
-    Args:
-        frozen: The frozen scene.
-        scene: The recording.
-
-    Returns:
-        The scene as it is written.
-
     Raises:
         InputError: If the recording is another one: a vehicle is not in it, was elsewhere at the launch, or the number
             of frames differs.
@@ -95,15 +88,9 @@ def rounded_pose(pose: Floats | tuple[float, float, float]) -> Pose:
 
 
 def scene_report(frozen: FrozenScene, scene: Scene, seed: int) -> dict[str, Any]:
-    """What ``challenger.json`` says of a rebuilt scene: what a search says of it, described anew from the track.
+    """Report on a rebuilt scene for ``challenger.json``: as of a search, described anew from the track.
 
-    Args:
-        frozen: The frozen scene.
-        scene: The scene with its adversaries.
-        seed: Of the search.
-
-    Returns:
-        JSON values; numbers are rounded, so that they are the same on every machine.
+    Numbers are rounded, so that they are the same on every machine.
     """
     reports = [_attempt(each, frozen.source, scene, seed) for each in frozen.adversaries]
     if len(reports) == 1:
