@@ -45,15 +45,7 @@ class Renderer(Protocol):
 
 
 def require_frames(scene: Scene, frames: Sequence[int]) -> None:
-    """Refuse frames that a scene does not have.
-
-    Args:
-        scene: The scene.
-        frames: Frame indices that are asked for.
-
-    Raises:
-        InputError: If one is not in the scene.
-    """
+    """Refuse frames that a scene does not have."""
     count = len(scene.timestamps_us)
     for frame in frames:
         if not 0 <= frame < count:

@@ -57,13 +57,9 @@ class PlanView:
 
 @dataclass(slots=True)
 class Ground:
-    """Plan views around wherever the ego is.
+    """Plan views around the place of the ego.
 
-    Attributes:
-        polygons: What is painted.
-        colours: RGB of each coat.
-        base: RGB of what nothing covers.
-        style: How rough it is.
+    ``colours`` has the RGB of each coat, ``base`` that of the ground that nothing covers.
     """
 
     polygons: tuple[PaintedPolygons, ...]
@@ -97,14 +93,7 @@ class Ground:
         return float(x), float(y)
 
     def around(self, position: Floats) -> tuple[PlanView, PlanView, PlanView]:
-        """Fine, middle and coarse plan views around a place.
-
-        Args:
-            position: (2,) metres, global.
-
-        Returns:
-            Three plan views of falling resolution.
-        """
+        """Fine, middle and coarse plan views around a place, (2,) metres, global."""
         centre = self.centre_of(position)
         if self._plans is None or centre != self._centre:
             snapped = np.array(centre)
