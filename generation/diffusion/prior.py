@@ -324,8 +324,8 @@ def diversify(waypoints: Floats, rng: np.random.Generator) -> Floats:
     """Make the first batch varied: the reference's ``aug_traj``, which the paper does not mention.
 
     Quarters of the batch in order: unchanged; x scaled by 0.2-0.8; x scaled by 1.2-1.8; x and y scaled by 0.5-1.5,
-    one factor per trajectory. Headings stay; the vehicle's are found by tracking later. ``waypoints`` are (B, 16,
-    3).
+    one factor per trajectory. Headings stay; the vehicle's are found by tracking later. ``waypoints`` are
+    (B, 16, 3).
     """
     varied = np.array(waypoints, dtype=np.float64)
     first, second, third = (len(varied) * quarter // 4 for quarter in (1, 2, 3))

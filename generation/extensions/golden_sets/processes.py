@@ -27,8 +27,6 @@ class Parity:
     """The file ``parity.npz`` with the network that it is about; notes which arrays were asked for.
 
     Attributes:
-        comparison: Takes the results.
-        stored: The file.
         network: With the set's weights, in evaluation mode.
         taken: Names of arrays that were compared or used.
     """

@@ -25,9 +25,6 @@ def on_raster_tie(points: Floats, global_to_index: Floats, tie: float = TIE) -> 
         points: (..., 2) metres, global.
         global_to_index: (2, 3) affine map to raster coordinates, which are rounded to the nearest integer.
         tie: Cells.
-
-    Returns:
-        (...) whether a coordinate is within the tie of a half integer.
     """
     coordinate = points @ global_to_index[:, :2].T + global_to_index[:, 2]
     from_border = np.abs(coordinate - np.floor(coordinate) - 0.5)
@@ -40,7 +37,6 @@ def touching_tie(box: Floats, others: Floats, reading: CollisionReading) -> bool
     Args:
         box: (5,) box of a candidate.
         others: (M, 5) boxes that are present.
-        reading: What counts as a collision.
 
     Returns:
         Whether the verdict with all limits `TIE` wider differs from the one with all limits `TIE` narrower.

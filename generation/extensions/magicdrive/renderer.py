@@ -46,11 +46,9 @@ _KEEP_EVERY_STEPS: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class RenderSettings:
-    """How to draw.
+    """Settings of a drawing.
 
     Attributes:
-        geometry: Sizes of the pictures.
-        look: Light and weather that are asked for.
         seed: Of noise and of the looks of objects. Both depend on the recorded scene besides and not on who drives
             adversarially in it, so that a scene and its variants look alike.
         sampling: Steps and guidance.
@@ -86,11 +84,9 @@ class MagicDriveRenderer:
         """Say what is drawn with what; nothing is loaded.
 
         Args:
-            settings: How to draw.
             files: The weights; ``None`` for estimates only.
             work: Folder for what is kept between stages. Only the speed of later commands depends on it.
             config: Sizes of the transformer; the published ones by default.
-
         """
         self.settings, self.files, self.work = settings, files, work
         self.config = config or MagicDriveConfig.full()

@@ -27,7 +27,6 @@ class SamplingOptions:
 
     Attributes:
         steps: Evaluations of each branch.
-        guidance: Scale of guidance.
         mode: What the null branch is told, see `GuidedModel.of`.
         together: Whether both branches are one batch: the same velocities, fewer and larger kernels, twice the memory.
         keep_keys_values: Whether keys and values of the conditions are kept: the same velocities, 1 % fewer operations.
@@ -69,27 +68,17 @@ class SamplingState:
     seed: int
 
     def save(self, path: Path, key: str) -> None:
-        """Write the state, whole or not at all.
+        """Write the state, whole or not at all, as .safetensors.
 
-        Args:
-            path: A .safetensors file.
-            key: Content key of everything that the state depends on.
-
-        Raises:
-            InputError: If it cannot be written.
+        ``key`` is the content key of everything that the state depends on.
         """
         keep_tensor(path, key, self.latent, {"step": self.step, "seed": self.seed})
 
     @classmethod
     def load(cls, path: Path, key: str) -> "SamplingState | None":
-        """Read a state.
+        """Read a state, on the processor.
 
-        Args:
-            path: A file of `save`.
-            key: Content key of what is being sampled.
-
-        Returns:
-            The state, on the processor; ``None`` if it is absent, damaged or of something else, to be made again.
+        ``None`` if it is absent, damaged or of something else than ``key``, to be made again.
         """
         found = kept_tensor(path, key)
         if found is None:
@@ -103,9 +92,7 @@ def timesteps(height: int, width: int, frames: int, steps: int, *, rounded: bool
 
     Args:
         height: Of an image, pixels.
-        width: Of an image, pixels.
         frames: Of the clip.
-        steps: How many timesteps.
         rounded: Whether the size is computed with in bfloat16, as in the published pipeline.
 
     Returns:
@@ -121,15 +108,9 @@ def timesteps(height: int, width: int, frames: int, steps: int, *, rounded: bool
 
 
 def first_state(model: MagicDriveDiT, conditions: Conditions, seed: int) -> SamplingState:
-    """Pure noise, the same on every device.
+    """State of pure noise before the first step, the same on every device.
 
-    Args:
-        model: The network.
-        conditions: Of the clip.
-        seed: Of all noise; make it of content.
-
-    Returns:
-        The state before the first step.
+    ``seed`` is that of all noise; make it of content.
     """
     size = model.size_of(conditions)
     shape = (1, model.config.packed_channels, size.frames, size.rows, size.columns)
@@ -150,11 +131,8 @@ def sample(
     """Sample the latents of one clip.
 
     Args:
-        model: The network.
         conditions: Of the clip, on any device.
         state: From `first_state`, or one that was saved after a step.
-        options: How.
-        given: Latent frames that are known.
         on_step: Called after each step, for progress and for saving.
 
     Returns:

@@ -51,13 +51,9 @@ class Surrounded:
 
     @classmethod
     def of(cls, scene: Scene, agent: int, frame: int, clock_us: int) -> Self:
-        """Those of a scene.
+        """Surroundings of an adversary in a scene in which all others are where they will be.
 
-        Args:
-            scene: The scene, everybody where they will be.
-            agent: The adversary.
-            frame: The planning frame.
-            clock_us: Any time of the drive's clock.
+        ``clock_us`` is any time of the drive's clock.
         """
         now_us = int(scene.timestamps_us[frame])
         frames = (scene.timestamps_us[frame:] - now_us) / 1e6
@@ -78,14 +74,11 @@ class Surrounded:
         return cls(frames, seconds, boxes, present, reach, low, high, size)
 
     def clear_for(self, poses: Floats, first: int = 0) -> float:
-        """How long a motion touches nobody.
+        """Seconds until the last instant before a motion touches another; infinite where it never does.
 
         Args:
             poses: (F, 3) of the box centre at the planning frame and at those after it.
             first: Frame of them from which on it is looked at.
-
-        Returns:
-            Seconds to the last instant before it touches somebody; infinite where it never does.
         """
         known = self.frame_seconds[: len(poses)]
         count = int(np.searchsorted(self.seconds, known[-1] + 1e-9, side="right"))
@@ -196,12 +189,7 @@ def braked(poses: Floats, first: int, seconds: Floats, braking_m_s2: float) -> F
 def in_order(scores: Floats, most: int) -> Iterator[tuple[int, int]]:
     """Round and index of the best candidates, the best first, and of as many from all over the rest.
 
-    Args:
-        scores: (R, B), lower is better; infinite ones are left out.
-        most: How many at most.
-
-    Yields:
-        Their places.
+    They are of (R, B) scores, lower is better; infinite ones are left out, and there are at most ``most``.
     """
     flat = scores.ravel()
     order: Integers = np.argsort(flat, kind="stable")

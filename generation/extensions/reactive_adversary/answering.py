@@ -18,11 +18,9 @@ from generation.extensions.reactive_adversary.allowed import AHEAD_FRAMES
 
 @dataclass(frozen=True, slots=True)
 class Answering:
-    """Everybody else, who answers what the adversary and the ego do.
+    """All others, who answer what the adversary and the ego do.
 
     Attributes:
-        policy: How they drive.
-        memory: What it remembers.
         handover: The vehicle that the adversary drives.
         own: (F, 3) poses of it, driven and expected, from the hand-over on.
     """
@@ -34,16 +32,9 @@ class Answering:
 
 
 def with_expected_others(scene: Scene, others: Answering, moment: Moment, frame: int) -> Scene:
-    """The scene with everybody where they will be, if they answer.
+    """The scene, with the ego as it is expected, and all others where they will be, if they answer.
 
-    Args:
-        scene: With the ego as it is expected.
-        others: Everybody else.
-        moment: Now.
-        frame: The planning frame.
-
-    Returns:
-        The scene; beyond what is looked at, its tracks are held.
+    Beyond what is looked at, its tracks are held.
     """
     times = scene.timestamps_us
     last = min(frame + AHEAD_FRAMES, len(times) - 1)

@@ -71,10 +71,7 @@ class CarefulAhead:
     """A careful human in the ego's place, and everybody else.
 
     Attributes:
-        way: The ego's way.
-        frame: The planning frame.
         station: Of the ego's centre, metres.
-        speed: m/s.
         others: Everybody but the adversary who is ever in the ego's strip.
         steps: (S,) frames after the planning frame.
         lost: Whether the careful human is hit by others if there is no adversary.
@@ -92,12 +89,7 @@ class CarefulAhead:
     def of(cls, scene: Scene, agent: int, frame: int, speed: float, look_frames: int = LOOK_FRAMES) -> Self:
         """The careful human of a planning frame.
 
-        Args:
-            scene: With the ego as it is expected to drive on.
-            agent: The adversary.
-            frame: The planning frame.
-            speed: Of the ego there, m/s.
-            look_frames: How far is looked.
+        ``scene`` has the ego as it is expected to drive on, ``speed`` is the ego's, m/s.
         """
         last = min(frame + look_frames, len(scene.timestamps_us) - 1)
         steps = tuple(range(EVERY_FRAMES, last - frame + 1, EVERY_FRAMES)) or (last - frame,)
@@ -110,18 +102,14 @@ class CarefulAhead:
     def hit(self, motion: SimulatedMotion, size: Floats) -> Bools:
         """(B,) whether the careful human is hit, or would surely be soon after.
 
-        Args:
-            motion: Of B candidates.
-            size: (2,) length and width of the adversary.
+        ``size`` is (2,) length and width of the adversary.
         """
         return self.hits(self.placed(motion, size))
 
     def met(self, placed: Bodies, *, in_front: bool = True) -> Bools:
-        """(B,) whether an ego that does not react and somebody meet.
+        """(B,) whether an ego that does not react and one of B bodies meet.
 
-        Args:
-            placed: B bodies.
-            in_front: Whether only those count who are in front of it: who comes from the side may hit the ego.
+        ``in_front`` counts only bodies in front of it: one that comes from the side may hit the ego.
         """
         time = np.arange(len(self.steps) + 1) * EVERY_FRAMES / FRAME_HZ
         station, half = self.station + self.speed * time, 0.5 * self.way.length_m
@@ -183,9 +171,6 @@ class CarefulAhead:
         """(B,) metres that are missing to stop behind the ego, for who comes up behind it, if it brakes from now on.
 
         It is planned anew after a second, and brakes no earlier.
-
-        Args:
-            placed: B bodies.
         """
         at, half = min(BLIND_FRAMES // EVERY_FRAMES, len(self.steps)), 0.5 * self.way.length_m
         speed = np.maximum(placed.rear[:, at] - placed.rear[:, at - 1], 0.0) * (FRAME_HZ / EVERY_FRAMES)

@@ -27,17 +27,12 @@ def considered_frame(
     *,
     as_made: bool,
 ) -> Mapping[str, Any]:
-    """What is kept of a planning frame.
+    """Record of a planning frame.
 
     Args:
         scene: The scene as it was planned in.
-        agent: The adversary.
-        frame: The planning frame.
-        state: Its motion there.
         found: The search; ``None`` where there was none.
         picked: Round and index of what was driven; ``None`` where no candidate was.
-        hyper: Settings of the search.
-        model: Its physics.
         as_made: Whether the track that the scene was made with went on.
 
     Returns:

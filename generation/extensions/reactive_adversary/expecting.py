@@ -82,9 +82,7 @@ def expected_ego(scene: Scene, seen: Seen, plan: PlanInForce | None, knows: Know
 
     Args:
         scene: The scene, of which the route and its heights are taken.
-        seen: Where the ego has been.
         plan: Its plan in force; looked at by those alone who know it.
-        knows: What is expected.
 
     Returns:
         Its track at all frames of the scene; that of the scene itself where the recording is known.

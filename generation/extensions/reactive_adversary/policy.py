@@ -42,18 +42,15 @@ _FAR_M: Final = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """What an adversary remembers; a value.
+    """Memory of an adversary; a value.
 
     Attributes:
-        others: Memory of everybody else's policy.
         seen: Where the ego has been.
         state: Its motion at the end of what is planned.
         track: (F, 3) what is planned, from the hand-over on.
         ahead: (60, 3) how what was planned last would have gone on.
         ending: (K, 3) how it goes on to the scene's last frame where nothing better is found: it touches nobody, if the
             others do as they were expected to do when it was looked at.
-        randomness: State of its generator of random numbers.
-        replanned: Its planning frames.
         as_made: Whether it is still on the track that the scene was made with.
     """
 
@@ -70,14 +67,13 @@ class Memory:
 
 @dataclass(frozen=True, slots=True)
 class _Chosen:
-    """What is driven next.
+    """Motion that is driven next.
 
     Attributes:
         executed: (F, 3) poses after the planning frame.
         ahead: (60, 3) those after them, as they are meant.
         ending: (K, 3) those after them to the last frame that touch nobody, as far as is known.
         state: The motion at the end of what is driven.
-        replanning: What is noted of it.
         as_made: Whether the adversary stays on the track that the scene was made with.
         picked: Round and index of the candidate that it is, if it is one.
     """
@@ -96,15 +92,9 @@ class Adversary:
     """The policy.
 
     Attributes:
-        scene: The scene that is driven.
-        agent: Index of the vehicle.
         start: Frame of its hand-over.
         run: Its seed.
-        settings: Budget, knowledge and search.
         others: Policy of everybody else.
-        prior: Diffusion model.
-        diversify: Spread of first batches.
-        name: Of the policy.
         draws: It draws from the content of the scene and its run, whatever the engine gives.
     """
 
@@ -349,14 +339,9 @@ class Adversary:
 
 
 def driven_motion(poses: Floats, length_m: float) -> SimulatedMotion:
-    """The motion of one track, as if a candidate had done it.
+    """Motion of one track, (S + 1, 3) of the box centre, one a frame, as if a candidate had done it.
 
-    Args:
-        poses: (S + 1, 3) of the box centre, one a frame.
-        length_m: Length of the vehicle.
-
-    Returns:
-        A batch of one; what the tracker asked for is not known.
+    What the tracker asked for is not known.
     """
     axle = rear_axle(poses, length_m)
     heading = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])

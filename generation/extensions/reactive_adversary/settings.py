@@ -40,13 +40,11 @@ def in_the_loop() -> HyperParameters:
 
 @dataclass(frozen=True, slots=True)
 class AdversarySettings:
-    """An adversary in the loop.
+    """Settings of an adversary in the loop.
 
     Attributes:
         knows: What it expects of the ego.
         every_frames: It is planned anew after so many frames of 1/12 s.
-        others: Policy of everybody else.
-        hyper: Its search.
         keep_considered: Whether what it considered is kept; nothing else depends on it.
 
     Raises:
