@@ -34,11 +34,8 @@ def normal_noise(rng: np.random.Generator, count: int) -> torch.Tensor:
 def sample_actions(denoiser: TrajectoryDenoiser, count: int, steps: int | None, rng: np.random.Generator) -> Floats:
     """The full reverse process from noise, with the reference's small stochasticity.
 
-    Args:
-        steps: Network calls; ``None`` asks at each of the 100 steps.
-
-    Returns:
-        (count, 16, 3) standardised actions, told nothing of the vehicle.
+    (count, 16, 3) standardised actions, told nothing of the vehicle; ``steps`` of ``None`` asks the network at each
+    of the 100.
     """
     device = next(denoiser.parameters()).device
 

@@ -175,11 +175,7 @@ class DenoiserLayer(nn.Module):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """Parts of a prediction that do not depend on the noisy actions.
-
-    Attributes:
-        timesteps: (1,) or (B,) 0..99.
-    """
+    """Parts of a prediction that do not depend on the noisy actions. ``timesteps`` are (1,) or (B,), 0..99."""
 
     timesteps: Tensor
     shares: Shares | None

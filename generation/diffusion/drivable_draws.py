@@ -20,11 +20,9 @@ REDRAWN_BESIDE: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class Draws:
-    """What was drawn for one request so far.
+    """Trajectories drawn for one request so far: (N, 16, 3), in the order of drawing.
 
-    Attributes:
-        waypoints: (N, 16, 3), in the order of drawing.
-        excess: (N,) how far beyond drivable each is (`Motion.excess`).
+    ``excess`` says how far beyond drivable each is, (N,) (`Motion.excess`).
     """
 
     waypoints: Floats

@@ -25,19 +25,14 @@ product's last bits depend on its shape: so an answer does not depend on who ask
 class NetworkCalls:
     """A network at work.
 
-    Attributes:
-        block: Trajectories of one call, filled up where there are fewer; ``None`` leaves them as many as there are.
+    ``block`` trajectories make one call, filled up where there are fewer; ``None`` leaves them as many as there
+    are.
     """
 
     def __init__(
         self, denoiser: TrajectoryDenoiser, device: torch.device, block: int | None, *, conditioned: bool, dropout: bool
     ) -> None:
-        """Put a network to work.
-
-        Args:
-            block: Trajectories of one call.
-            conditioned: Whether it is told how vehicles move now, if it can be.
-        """
+        """Put a network to work. ``conditioned`` tells it how vehicles move now, if it can be told."""
         self.denoiser = denoiser.to(device).train(dropout)
         self.device, self.block = device, block
         self._conditioned = conditioned and denoiser.config.conditioned
@@ -49,7 +44,7 @@ class NetworkCalls:
         return torch.cat(list(parts)).to(self.device)
 
     def present(self, previous: Sequence[Floats], sizes: Sequence[int]) -> Tensor | None:
-        """What the network is told of every request.
+        """Features of the vehicles of all requests, as the network is told them.
 
         Args:
             previous: (3,) pose half a second ago of each request.

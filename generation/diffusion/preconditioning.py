@@ -38,13 +38,12 @@ class _Gaussian:
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """What a network is asked and what is known without it.
+    """Question to a network, and the part of the answer that is known without it.
 
     Attributes:
         whitened: (B, 16, 3) input of the network.
         guess: (B, 48) noise already explained, along the axes.
         left: (1 or B, 48) standard deviation left to explain along each axis.
-        gaussian: Whose axes they are.
     """
 
     whitened: Tensor
@@ -158,12 +157,9 @@ class GaussianPreconditioner(nn.Module):
                 buffer[kind].copy_(value)
 
     def split(self, noisy: Tensor, timesteps: Tensor, present: Tensor | None = None) -> Split:
-        """Take apart what is known.
+        """Take apart what is known of (B, 16, 3) noisy actions at (1,) or (B,) timesteps, 0..99.
 
-        Args:
-            noisy: (B, 16, 3) noisy actions.
-            timesteps: (1,) or (B,) 0..99.
-            present: (1, 4) or (B, 4) `present_features`; ``None`` says nothing of how the vehicles move now.
+        ``present`` are (1, 4) or (B, 4) `present_features`; ``None`` says nothing of how the vehicles move now.
         """
         return self.shares(timesteps, present).split(noisy)
 
@@ -192,11 +188,7 @@ class GaussianPreconditioner(nn.Module):
     def start(self, noise: Tensor, present: Tensor | None = None) -> Tensor:
         """Draw of the last forward step's distribution, which keeps signal and is far from standard normal.
 
-        Args:
-            noise: (B, 16, 3) standard normal.
-
-        Returns:
-            (B, 16, 3) actions at timestep 99.
+        (B, 16, 3) standard normal noise becomes (B, 16, 3) actions at timestep 99.
         """
         gaussian, alpha_bar = self._gaussian(present), self.alpha_bars[-1]
         spread = (alpha_bar * gaussian.variances + 1.0 - alpha_bar).sqrt()

@@ -120,10 +120,9 @@ class TrajectoryPrior:
     ) -> Self:
         """Load weights.
 
-        Args:
-            path: safetensors of ours, or the published checkpoint (a bare state dict); ``None`` is the packaged model.
-            device: Where the network runs, for example ``cuda``. Other kinds of device round differently, so their
-                results have content keys of their own.
+        ``None`` is the packaged model; otherwise safetensors of ours, or the published checkpoint
+        (a bare state dict). Other kinds of device round differently, so their results have content keys of their
+        own.
         """
         weights = PACKAGED_WEIGHTS if path is None else path
         settings = settings or SamplerSettings()

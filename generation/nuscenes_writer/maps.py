@@ -30,8 +30,7 @@ def write_maps(
 ) -> tuple[list[Row], list[Row]]:
     """Write a root's ``maps`` folder; gives rows of the ``log`` and of the ``map`` table.
 
-    Args:
-        fragments: Its scenes: ``location``, ``map`` (key of the stored road map) and ``log`` (row) of each.
+    Each of ``fragments`` has ``location``, ``map`` (key of the stored road map) and ``log`` (row) of a scene.
     """
     copied = _copy_source_maps(plan, root)
     logs = {row["token"]: row for row in (*vocabulary.log, *(fragment["log"] for fragment in fragments))}

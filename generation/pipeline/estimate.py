@@ -36,9 +36,7 @@ class Estimate:
 
     Attributes:
         attempts: Vehicles left to try, with those of later adversaries where several are wanted.
-        attempt_s: Processor seconds of one of them.
         scenes: Scenes to render, at most or expected.
-        scene_s: Processor seconds of rendering one of them.
         workers: Processes that share the planning, ``None`` where it is not known.
     """
 
@@ -83,8 +81,7 @@ def planning_estimate(
 ) -> tuple[int, float]:
     """Attempts that are left, and processor seconds of one of them.
 
-    Args:
-        adversaries: Wanted in each scene: whoever is kept begins a chain that tries about as many vehicles again.
+    Each kept adversary begins a chain that tries about as many vehicles again, up to ``adversaries`` in each scene.
     """
     if not units:
         return 0, 0.0

@@ -17,10 +17,9 @@ from generation.search.ranking import ranked
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Scenes that are written.
+    """Scenes that are written, best first.
 
     Attributes:
-        chains: The scenes, best first.
         staging: The data set that the surrogate was judged on.
         staged: Content keys in it by name of the scene.
         left_out: Scenes that an inspector rejected, each with the number of its variant.

@@ -130,8 +130,7 @@ def require_all_planned(record: RunRecord) -> None:
 def take_over(staging: DataSetPlan, plan: DataSetPlan, keys: Sequence[str]) -> None:
     """Put finished scenes of one data set into another without drawing them again; `write_scene` finds them complete.
 
-    Args:
-        plan: Where they go; the same in all that the bytes of a scene depend on.
+    The two are the same in all that the bytes of a scene depend on.
     """
     for key in keys:
         fragment = stored_fragment(staging, key)

@@ -135,10 +135,9 @@ class Chain:
 
 @dataclass(frozen=True, slots=True)
 class Requested:
-    """How often one kind of manoeuvre was asked for.
+    """Requests for one kind of manoeuvre.
 
-    Attributes:
-        tried: Those of them that drive in a direction in which they can do it (`asked_manoeuvres.able`).
+    ``tried`` counts the vehicles that drive in a direction in which they can do it (`asked_manoeuvres.able`).
     """
 
     vehicles: int = 0
@@ -151,7 +150,6 @@ class SearchResult:
 
     Attributes:
         eligibility: Every look at the vehicles of a scene, after the instances that were adversaries already.
-        tried: Every attempt, in the order of stages and scenes.
         chains: Generated scenes with the wanted number of adversaries.
         requests: Where manoeuvres were asked for: how many vehicles each kind was asked of and how many were tried.
     """
@@ -200,7 +198,6 @@ def search_chains(
     The result is the same whatever the executor.
 
     Args:
-        adversaries: Wanted in each scene.
         together: Attempts that a worker plans side by side; no result depends on it.
         keep_rounds: Whether rounds are kept of the last adversary of each chain: the others are as they are shown.
         keep: Whether choices of vehicles are written.

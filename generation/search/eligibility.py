@@ -23,11 +23,9 @@ class ConsideredVehicle(BaseModel):
 
 
 class Eligibility(BaseModel):
-    """Which vehicles of one scene are tried; what is no four-wheeler is only counted.
+    """Four-wheeled vehicles of one scene, in its order, and which of them are tried.
 
-    Attributes:
-        objects: Everything that is annotated.
-        vehicles: All four-wheeled vehicles in the scene's order.
+    ``objects`` only counts everything that is annotated.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -51,17 +51,11 @@ _SIDES: Final = {"left": 1.0, "right": -1.0}
 
 @dataclass(frozen=True, slots=True)
 class EgoThen:
-    """The ego at the S frames that count.
+    """The ego at S frames: (S,) their indices, their times, stations of its centre, and speeds in m/s.
 
     Attributes:
-        way: Its whole way.
-        frames: (S,) of the scene.
-        seconds: (S,) their times.
-        station: (S,) of its centre.
-        speed: (S,) m/s.
         soon: (S,) station of its front 3 s later; beyond the scene's end it goes on as fast as at the end.
         recent: (S,) station of its rear 3 s before, not before the scene's first frame.
-        half_length: Of the ego.
         half_width: Of the ego, and of the strip that it sweeps.
     """
 
@@ -101,8 +95,6 @@ class Placed:
     """Candidates beside the ego, (B, S) each.
 
     Attributes:
-        ego: The ego.
-        station: Of the centre.
         offset: Of the centre, left of the path is positive.
         turn: Heading relative to the path's.
         speed: Of the vehicle, m/s.
@@ -323,8 +315,7 @@ def family_and_side(kind: Manoeuvre) -> tuple[str, float]:
 def missing(kind: Manoeuvre, placed: Placed, *, ready: bool = True) -> Floats:
     """Metres, (B, S) and at most `MOST_MISSING_M`, that are missing until the conditions of a kind hold.
 
-    Args:
-        ready: For cut-ins: whether the vehicle was outside on that side just now, and may come in.
+    ``ready`` is for cut-ins: whether the vehicle was outside on that side just now, and may come in.
     """
     family, side = family_and_side(kind)
     found = _MISSING[family](placed, side)

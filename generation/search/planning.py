@@ -34,7 +34,6 @@ class Driven:
 
     Attributes:
         poses: (F, 3) executed poses from the launch on.
-        rounds: Candidates and scores of the same frames, where they are kept.
         gave_up: Why the rest was not planned: what `verify` could only discard; ``None`` if nothing was left out.
     """
 
@@ -49,10 +48,8 @@ class Planning:
     """Planning frames of one adversary, one after the other.
 
     Attributes:
-        start: Frame of the launch.
         rng: Source of every random number.
         stages: Seconds of physics and scoring are added here.
-        keep_rounds: Whether the candidates of every round are kept; no result depends on it.
         road_around: (3,) pose around which the road is looked at; by default the ego's, at each planning frame.
     """
 

@@ -39,10 +39,8 @@ def initial_state(scene: Scene, agent: int, frame: int, limits: DriverLimits | N
     """Motion of a recorded vehicle at the hand-over, so that the new track goes on where the old one stops.
 
     Speed is signed along the heading and then not negative (the reference lost the sign: reversing cars shot
-    ahead). The state is that of the rear axle.
-
-    Args:
-        limits: The state is brought inside them; without any, only the steering inside that of the physics.
+    ahead). The state is that of the rear axle. It is brought inside ``limits``; without any, only the steering
+    inside that of the physics.
     """
     velocity, acceleration, yaw_rate = _motion(scene, agent, frame)
     yaw = float(scene.agents.yaw[agent, frame])

@@ -56,9 +56,8 @@ def near_on_the_road(scene: Scene, agent: int) -> tuple[bool, bool]:
 def reference_launch(scene: Scene, agent: int) -> int | None:
     """First frame, not before 20, at which the reference code takes a vehicle over.
 
-    Returns:
-        The frame; ``None`` if there is none up to frame 140, and where the vehicle was not there over the history that
-        is read, which the reference code does not ask: it goes on with positions of nothing.
+    ``None`` if there is none up to frame 140, and where the vehicle was not there over the history that is read,
+    which the reference code does not ask: it goes on with positions of nothing.
     """
     valid = scene.agents.valid[agent]
     near = valid & (lidar_distance(scene, agent) < LAUNCH_WITHIN_M)

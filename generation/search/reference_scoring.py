@@ -185,7 +185,6 @@ class ReferenceContacts:
         sure: (B, S) nearer to something than half the short edges; no other test is made there.
         collision: (B, S) those, and those whose inflated box is met.
         hits_ego: (B,) whose box meets the ego's and no other object's at one of the first 14 poses.
-        tests: Pairs of boxes that were intersected.
     """
 
     sure: Bools

@@ -59,12 +59,7 @@ class Refinement:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """One round as it was searched.
-
-    Attributes:
-        waypoints: (B, 16, 3) candidates before the simulation.
-        start: (B,) random initial scores.
-    """
+    """One round as it was searched: (B, 16, 3) candidates before the simulation, and (B,) random initial scores."""
 
     waypoints: Floats
     evaluated: Evaluated

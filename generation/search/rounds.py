@@ -31,9 +31,8 @@ def rounds_of(
 ) -> TraceFrame:
     """Candidates and scores that were searched at one planning frame.
 
-    Returns:
-        Candidates relative to the origin of the scene's sheet, and scores by which rounds compare: the challenge is
-        normalised over all rounds of the frame together.
+    Candidates are relative to the origin of the scene's sheet; for scores by which rounds compare, the challenge is
+    normalised over all rounds of the frame together.
     """
     steps = max(SHOWN_FRAMES, hyper.scored_frames[-1])
     length_m, origin_m = float(scene.agents.size[agent, 0]), np.array(origin_of(scene))

@@ -89,11 +89,8 @@ def surroundings(
 ) -> Surroundings:
     """Everything but one agent at some frames; the ego comes last.
 
-    Objects that are absent throughout are left out.
-
-    Args:
-        raster: Drivable area around the ego at the planning frame.
-        raster_ego: Whether the ego is there as the rasters of protocols show it, too (`HyperParameters.raster_ego`).
+    Objects that are absent throughout are left out. ``raster`` is around the ego at the planning frame; with
+    ``raster_ego`` the ego is there as the rasters of protocols show it, too (`HyperParameters.raster_ego`).
     """
     at = np.asarray(frames)
     others = scene.agents.valid[:, at].any(axis=1)

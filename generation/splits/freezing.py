@@ -30,9 +30,7 @@ def freeze(
 ) -> FrozenSplit:
     """Freeze scenes, best first; nothing depends on where images are drawn.
 
-    Args:
-        plan: The data set that was built, whose images are compared later.
-        chosen: How they were chosen.
+    The images of the data set of ``plan``, which was built, are compared later.
     """
     assert plan.source is not None
     images = image_facts(plan, source.scene(chains[0].scene_name))

@@ -70,9 +70,7 @@ class PackedSplit(Stored):
 class Manifest(Stored):
     """``manifest.json``, the first file of a package.
 
-    Attributes:
-        made_with: Version of the program.
-        files: Every other file.
+    ``files`` are all the others, ``made_with`` is the version of the program.
     """
 
     format: Literal["challenger-bench split package"] = FORMAT

@@ -23,9 +23,7 @@ _REPORT_DIGITS: Final = 6
 def adversarial(frozen: FrozenScene, scene: Scene) -> Scene:
     """A recorded scene with the adversaries of a frozen one.
 
-    Raises:
-        InputError: If the recording is another one: a vehicle is not in it, was elsewhere at the launch, or the number
-            of frames differs.
+    It must be that recording: each vehicle in it and, at the launch, in its place, and as many frames.
     """
     changed = scene
     for each in frozen.adversaries:

@@ -50,7 +50,6 @@ class TrackFile:
     """One source.
 
     Attributes:
-        licence: Licence in words.
         tracks: Per vehicle (T, 3) rear-axle poses x, y, unwrapped heading at ``hz``, metres.
         smoothing_s: Span of the local quadratic fit, `SMOOTHING_SPAN_S` or `ROUGH_SPAN_S`.
     """

@@ -61,12 +61,7 @@ def window_actions(windows: Windows) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """Windows of one step.
-
-    Attributes:
-        actions: (B, 16, 3) standardised actions.
-        previous: (B, 3) pose half a second before each.
-    """
+    """Windows of one step: (B, 16, 3) standardised actions, and (B, 3) pose half a second before each."""
 
     actions: Floats
     previous: Floats
@@ -74,13 +69,12 @@ class Drawn:
 
 @dataclass(frozen=True, slots=True)
 class WindowPool:
-    """What training draws from.
+    """Pool of windows that training draws from.
 
     Attributes:
         actions: (N, 16, 3) standardised actions, source after source.
         previous: (N, 3) pose half a second before each window.
         upto: (N,) chance of each window and all before it; the last is one.
-        shares: Share of a batch that each source has.
     """
 
     actions: Floats
@@ -126,8 +120,7 @@ class WindowPool:
 def source_shares(count: NDArray[np.int64]) -> Floats:
     """Shares, (S,), of a batch for sources of so many windows.
 
-    Returns:
-        (S,) shares: in proportion to the roots, none above `MOST_OF_ONE_SOURCE` unless there are too few others.
+    They are in proportion to the roots, none above `MOST_OF_ONE_SOURCE` unless there are too few others.
     """
     share = np.sqrt(count.astype(np.float64))
     share /= share.sum()

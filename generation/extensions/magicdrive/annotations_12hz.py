@@ -56,9 +56,8 @@ def interpolated_annotations(scene: Scene, frames: NDArray[np.int64]) -> BoxTrac
 
     ``frames`` are (T,) from the first to the last keyframe.
 
-    Returns:
-        Centres on straight lines, rotations on great arcs, at the fraction of frames passed since the earlier
-        keyframe; sizes of the earlier keyframe.
+    Centres lie on straight lines, rotations on great arcs, at the fraction of frames passed since the earlier
+    keyframe; sizes are those of the earlier keyframe.
     """
     annotations, keyframes = scene.annotations, scene.keyframes
     left = np.clip(np.searchsorted(keyframes, frames, side="right") - 1, 0, len(keyframes) - 1)
@@ -77,10 +76,7 @@ def interpolated_annotations(scene: Scene, frames: NDArray[np.int64]) -> BoxTrac
 def slerp(first: Floats, second: Floats, fraction: Floats) -> Floats:
     """Rotations between two rotations, at constant speed on the shorter great arc.
 
-    Args:
-        first: (..., 4) quaternions; normalised here.
-        second: (..., 4) quaternions; normalised here.
-        fraction: (...) 0 at ``first``, 1 at ``second``; broadcast against the leading axes.
+    Quaternions, (..., 4), are normalised here; ``fraction``, (...), is broadcast against the leading axes.
     """
     first = np.asarray(first, np.float64) / np.linalg.norm(first, axis=-1, keepdims=True)
     second = np.asarray(second, np.float64) / np.linalg.norm(second, axis=-1, keepdims=True)

@@ -28,16 +28,10 @@ class VideoDecoder:
 
     @torch.no_grad()
     def frames(self, latent: Tensor) -> Tensor:
-        """Decode one view.
+        """Decode one view, (16, t, h, w) as the transformer gives it, of unit spread.
 
-        Args:
-            latent: (16, t, h, w) as the transformer gives them, of unit spread.
-
-        Returns:
-            (T, 8h, 8w, 3) uint8 on the processor; T is 4t, or 4t - 3 where t is odd.
-
-        Raises:
-            InputError: If the pictures are not finite.
+        (T, 8h, 8w, 3) uint8 on the processor; T is 4t, or 4t - 3 where t is odd. Pictures that are not finite are
+        refused.
         """
         scaled = latent[None].to(self._device, self._network.dtype) / self._network.config.scaling_factor
         pictures = self._network.decode(scaled).sample[0]

@@ -74,7 +74,6 @@ class Block(nn.Module):
 
         Args:
             temporal: Whether sequences are places over latent frames, or frames over places.
-            between_views: Whether views look at their neighbours.
             skip: Whether it has the projection that hands its output to the base stream.
         """
         super().__init__()

@@ -110,12 +110,8 @@ def corners_of(floor: Floats, size: Floats, yaw: Floats) -> Floats:
 def in_front(corners: Floats, camera_from_lidar: Floats) -> Bools:
     """Which boxes have a corner in front of a camera's lens, inside its image or not.
 
-    Args:
-        corners: (T, n, 8, 3) lidar frame, metres.
-        camera_from_lidar: (V, T, 4, 4) lidar frame to camera axes.
-
-    Returns:
-        (V, T, n) verdicts.
+    (V, T, n) verdicts on (T, n, 8, 3) corners, lidar frame, metres; ``camera_from_lidar`` is (V, T, 4, 4), lidar
+    frame to camera axes.
     """
     towards, offset = camera_from_lidar[:, :, 2, :3], camera_from_lidar[:, :, 2, 3]
     depth = np.einsum("vta,tnca->vtnc", towards, corners) + offset[..., None, None]

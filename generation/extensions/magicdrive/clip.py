@@ -36,12 +36,9 @@ class Clip:
     """The conditions of one clip in numbers and words; V views in the model's order, T frames, n boxes.
 
     Attributes:
-        frames: (T,) frame indices in the scene.
         cams: (V, T, 3, 7) intrinsic matrix at 1600 x 900 pixels beside the camera->lidar transform.
         rel_pos: (T, 4, 4) transforms of points from the first lidar frame to this one.
         maps: (T, 8, cells, cells) masks from above.
-        height: Image height, pixels.
-        width: Image width, pixels.
     """
 
     scene: str
@@ -62,11 +59,9 @@ class Clip:
     def conditions(
         self, text: TextStates, negative_text: TextStates | None, *, latent_width: int, seed: int = OFFICIAL_SEED
     ) -> Conditions:
-        """The clip as tensors for the model.
+        """The clip as tensors for a model of hidden width ``latent_width``.
 
-        Args:
-            latent_width: Hidden width C of the model.
-            seed: Of the objects' latent vectors; the same objects with the same seed look alike.
+        ``seed`` is of the objects' latent vectors; the same objects with the same seed look alike.
         """
         boxes = self.boxes
         return Conditions(
@@ -93,16 +88,9 @@ def clip_of(
     width: int = 400,
     look: PromptLook = PromptLook.RECORDED,
 ) -> Clip:
-    """Conditions of the model for some frames of a scene.
+    """Conditions of the model for some frames of a scene, which has six cameras and a map.
 
-    Args:
-        scene: A recorded, rendered or adversarial scene with six cameras and a map.
-        frames: Frame indices in order; the last one may be repeated (see `padded_frames`).
-        look: Light and weather in the prompt.
-
-    Raises:
-        InputError: If a frame is not in the scene, the frames turn back, their number is none of the model's, a
-            camera or the map is missing, or a number is not finite.
+    The frames are in order, as many as the model can have; the last one may be repeated (see `padded_frames`).
     """
     chosen = np.asarray(frames, dtype=np.int64)
     _check_frames(scene, chosen)

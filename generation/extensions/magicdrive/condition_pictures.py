@@ -76,9 +76,8 @@ def condition_pictures(
 ) -> dict[str, bytes]:
     """All pictures of one clip: PNG files by what they show.
 
-    Args:
-        frames: Frames of the scene at which boxes, visibility and map are drawn; all of them in the clip.
-        images: What the cameras saw there, any size; ``None`` for a dark ground.
+    ``frames`` of the scene, all in the clip, are those at which boxes, visibility and map are drawn. ``images`` are
+    of the cameras there, any size; ``None`` for a dark ground.
     """
     places = [int(np.flatnonzero(clip.frames == frame)[0]) for frame in frames]
     adversaries = [slot for slot, name in enumerate(clip.boxes.ids) if name in scene.adversaries]

@@ -60,9 +60,8 @@ class Operations:
 def operations(config: MagicDriveConfig, clip: Workload, *, as_published: bool = False) -> Operations:
     """Count one evaluation of the network.
 
-    Args:
-        as_published: Count what the published code computes: keys and values of every condition token of every view and
-            frame, and projections between views once for each neighbour.
+    ``as_published`` counts what the published code computes: keys and values of every condition token of every view
+    and frame, and projections between views once for each neighbour.
     """
     size, square = clip.size, config.hidden**2
     cells = config.views * size.frames

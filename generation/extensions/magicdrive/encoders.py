@@ -91,16 +91,10 @@ class BoxEncoder(TemporalEncoder):
         self._build_block(config)
 
     def forward(self, corners: Tensor, classes: Tensor, masks: Tensor, latent: Tensor) -> Tensor:
-        """Encode the boxes as one view sees them.
+        """Encode the boxes as one view sees them, to (t, n, C).
 
-        Args:
-            corners: (T, n, 8, 3) metres.
-            classes: (T, n), -1 where absent.
-            masks: (T, n): 1 seen, 0 absent or not seen, -1 hidden.
-            latent: (n, C).
-
-        Returns:
-            (t, n, C).
+        Corners are (T, n, 8, 3) metres; classes (T, n), -1 where absent; masks (T, n), 1 seen, 0 absent or not
+        seen, -1 hidden; latents (n, C).
         """
         dtype = self.bbox_proj.weight.dtype
         mean, log_variance = self.mean_var[classes % CLASSES, :, None].unbind(-2)

@@ -55,10 +55,8 @@ class Stage:
 class RenderingEstimate:
     """Cost of a scene.
 
-    Attributes:
-        size: Of the pictures that the model draws, height and width.
-        tera_operations: That the device does in a second, 10^12.
-        measured: Whether that was measured here, or given.
+    ``size`` is height and width of the pictures that the model draws; the device does ``tera_operations``, 10^12,
+    in a second, which were ``measured`` here, or else given.
     """
 
     frames: int

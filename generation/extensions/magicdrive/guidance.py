@@ -46,9 +46,7 @@ class GuidedModel:
     ) -> None:
         """Take branches that are encoded already.
 
-        Args:
-            scale: Guidance; 1 is the first branch alone.
-            together: Whether both branches are one batch, which takes twice the memory.
+        A scale of 1 is the first branch alone; both ``together`` as one batch take twice the memory.
         """
         self._model, self._scale = model, scale
         self._branches = (Encoded.batched([conditional, unconditional]),) if together else (conditional, unconditional)
@@ -68,7 +66,6 @@ class GuidedModel:
         """Encode both branches.
 
         Args:
-            conditions: Of one clip, on the network's device.
             mode: ``rflow-slice`` takes the map away from the null branch, ``rflow`` leaves it there.
             together: Whether both branches are one batch, which takes twice the memory.
             keep_keys_values: Whether to keep what the blocks make of the conditions, for speed; not with ``together``.

@@ -24,7 +24,6 @@ class ImageGeometry:
     """Sizes of the pictures that are drawn and of those that are written.
 
     Attributes:
-        height: Of a picture that the model draws, pixels.
         output: Enlarged to the camera's full size, which is that of the published data sets and what SparseDrive's crop
             needs, or ``model`` for pictures as they are drawn. At full size the rows that the model does not draw, 4 of
             900 at 224 x 400, repeat the first one below.

@@ -78,10 +78,7 @@ class FinalLayer(nn.Module):
     def forward(self, x: Tensor, time: Tensor, time_of_given: Tensor, given: Tensor | None) -> Tensor:
         """Projection of (b, V, t, S, C) tokens to (b, V, t, S, numbers of a patch).
 
-        Args:
-            time: (b, C) of the step.
-            time_of_given: (b, C) of frames that are given.
-            given: (b, t) bool, or ``None`` if no frame is.
+        ``time``, (b, C), is of the step, ``time_of_given`` of frames that are ``given``, (b, t) bool.
         """
         out = self._modulated(x, time)
         if given is not None:
@@ -173,7 +170,6 @@ class MagicDriveDiT(nn.Module):
         """Encode all conditions of one clip that do not depend on the timestep; gives a batch of one.
 
         Args:
-            conditions: Of one clip, on the network's device.
             box_repeats: How often each box counts: the null branch has one empty box in place of many equal ones.
             rows_multiple: To what rows of tokens are padded; as the configuration says by default.
             keep_keys_values: Whether to keep what the blocks make of the tokens, for speed.

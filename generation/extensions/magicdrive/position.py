@@ -31,14 +31,8 @@ def grid_embedding(
 ) -> Tensor:
     """Position of each token in a frame (section 6), stretched so that images of all sizes span alike.
 
-    Args:
-        rows: Rows of tokens, padding included.
-        pixels: Height and width of the image.
-        channels: Of a token.
-        rounded: Whether frequencies are rounded to bfloat16.
-
-    Returns:
-        (rows * columns, channels): sines and cosines of the column, then of the row.
+    (rows * columns, channels): sines and cosines of the column, then of the row. ``rows`` have padding included;
+    ``pixels`` are height and width of the image; ``rounded`` takes frequencies to bfloat16.
     """
     scale = math.sqrt(pixels[0] * pixels[1]) / _TRAINED_SIDE_PIXELS
     side = round(math.sqrt(rows * columns))

@@ -80,9 +80,7 @@ _CHANGES: Final = {
 def prompt_of(scene: Scene, look: PromptLook = PromptLook.RECORDED) -> Prompt:
     """The prompt of a scene: where it is, and its description as it stands.
 
-    Args:
-        look: Light and weather; as recorded, or another one, for which the prompt is rewritten and a negative prompt
-            added.
+    For another ``look`` than the recorded one it is rewritten, and a negative prompt added.
     """
     location, description = scene.road_map.location, scene.description
     if description == IMPORTED:

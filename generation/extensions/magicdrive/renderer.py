@@ -51,7 +51,6 @@ class RenderSettings:
     Attributes:
         seed: Of noise and of the looks of objects. Both depend on the recorded scene besides and not on who drives
             adversarially in it, so that a scene and its variants look alike.
-        sampling: Steps and guidance.
         device: ``cpu``, ``cuda`` (with several workers all GPUs of the machine), ``cuda:1``; ``auto`` for GPUs where
             there are any.
         tera_operations: Operations that the device does in a second, 10^12, for estimates; measured by default.
@@ -83,10 +82,8 @@ class MagicDriveRenderer:
     ) -> None:
         """Say what is drawn with what; nothing is loaded.
 
-        Args:
-            files: The weights; ``None`` for estimates only.
-            work: Folder for what is kept between stages. Only the speed of later commands depends on it.
-            config: Sizes of the transformer; the published ones by default.
+        Without ``files`` there are estimates only; ``work`` keeps tensors between stages, and only the speed of
+        later commands depends on it.
         """
         self.settings, self.files, self.work = settings, files, work
         self.config = config or MagicDriveConfig.full()

@@ -23,7 +23,7 @@ _TRAINED_PIXELS: Final = 512 * 512
 
 @dataclass(frozen=True, slots=True)
 class SamplingOptions:
-    """How to sample; the defaults are those of the published pipeline.
+    """Options of sampling; the defaults are those of the published pipeline.
 
     Attributes:
         steps: Evaluations of each branch.
@@ -55,12 +55,9 @@ class GivenFrames:
 
 @dataclass(frozen=True, slots=True)
 class SamplingState:
-    """Everything that sampling needs to go on.
+    """State of sampling, to go on from after ``step`` steps.
 
-    Attributes:
-        step: Steps that are done.
-        latent: (1, 96, t, h, w) float32.
-        seed: Of all noise.
+    ``latent`` is (1, 96, t, h, w) float32; ``seed`` is of all noise.
     """
 
     step: int
@@ -90,13 +87,7 @@ class SamplingState:
 def timesteps(height: int, width: int, frames: int, steps: int, *, rounded: bool) -> Tensor:
     """Timesteps at which the network is asked: the larger the video, the longer it stays near pure noise.
 
-    Args:
-        height: Of an image, pixels.
-        frames: Of the clip.
-        rounded: Whether the size is computed with in bfloat16, as in the published pipeline.
-
-    Returns:
-        (steps,) falling from 1000.
+    (steps,) falling from 1000. ``rounded`` computes with the size in bfloat16, as in the published pipeline.
     """
     number_type = torch.bfloat16 if rounded else torch.float32
     high, wide, long = torch.tensor([height, width, frames], dtype=torch.float32).to(number_type)[:, None]
@@ -128,19 +119,10 @@ def sample(
     given: GivenFrames | None = None,
     on_step: Callable[[SamplingState], None] | None = None,
 ) -> Tensor:
-    """Sample the latents of one clip.
+    """Sample the latents of one clip from `first_state`, or from a state that was saved after a step.
 
-    Args:
-        conditions: Of the clip, on any device.
-        state: From `first_state`, or one that was saved after a step.
-        on_step: Called after each step, for progress and for saving.
-
-    Returns:
-        (1, 96, t, h, w) float32 on the network's device (`generation.extensions.magicdrive.latents.unpacked_views`
-        takes the views apart).
-
-    Raises:
-        InputError: If velocities are not finite.
+    (1, 96, t, h, w) float32 on the network's device (`generation.extensions.magicdrive.latents.unpacked_views`
+    takes the views apart). ``on_step`` is called after each step. Velocities that are not finite are refused.
     """
     options = options or SamplingOptions()
     device = model.base_token.device

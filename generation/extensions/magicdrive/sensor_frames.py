@@ -71,9 +71,8 @@ def camera_parameters(sensors: SensorFrames) -> NDArray[np.float32]:
 def ego_motion(sensors: SensorFrames) -> NDArray[np.float32]:
     """Way of the ego for the model.
 
-    Returns:
-        (T, 4, 4) transforms of points from the first lidar frame to this one; the identity first, and no dust: entries
-        below one millionth are zero.
+    (T, 4, 4) transforms of points from the first lidar frame to this one; the identity first, and no dust: entries
+    below one millionth are zero.
     """
     motion = np.linalg.inv(sensors.lidar) @ sensors.lidar[0]
     motion[0] = np.eye(4)

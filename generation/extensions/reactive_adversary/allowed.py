@@ -76,9 +76,8 @@ class Surrounded:
     def clear_for(self, poses: Floats, first: int = 0) -> float:
         """Seconds until the last instant before a motion touches another; infinite where it never does.
 
-        Args:
-            poses: (F, 3) of the box centre at the planning frame and at those after it.
-            first: Frame of them from which on it is looked at.
+        ``poses`` are (F, 3) of the box centre at the planning frame and after it, looked at from the ``first`` of
+        them on.
         """
         known = self.frame_seconds[: len(poses)]
         count = int(np.searchsorted(self.seconds, known[-1] + 1e-9, side="right"))
@@ -119,15 +118,9 @@ class Surrounded:
     def endings(self, poses: Floats, executed: int) -> Iterator[Floats]:
         """Ways in which a motion may go on to the scene's last frame once its first frames are driven.
 
-        It goes on as it is known, and then at its speed; or it brakes on its own path, at once or any number of half
-        seconds later, and stands.
-
-        Args:
-            poses: (F, 3) of the box centre at the planning frame and at those after it.
-            executed: How many of them are driven in any case.
-
-        Yields:
-            (K + 1, 3) poses, those that brake gently first.
+        It goes on as it is known, and then at its speed; or it brakes on its own path, at once or any number of
+        half seconds later, and stands. They are (K + 1, 3) poses, those that brake gently first; ``poses`` are
+        (F, 3) of the box centre at the planning frame and after it, ``executed`` of them driven in any case.
         """
         count = len(self.frame_seconds)
         end = min(len(poses), count) - 1
@@ -157,8 +150,6 @@ def braked(poses: Floats, first: int, seconds: Floats, braking_m_s2: float) -> F
     """A motion that is driven to some frame and then braked on its own path.
 
     Args:
-        poses: (F, 3) of the box centre, one a frame.
-        first: Frame of them from which it brakes.
         seconds: (K,) of the frames; those beyond the F are reached on the last heading.
         braking_m_s2: Deceleration; 0 goes on at the speed that it has.
 

@@ -20,9 +20,7 @@ from generation.extensions.reactive_adversary.allowed import AHEAD_FRAMES
 class Answering:
     """All others, who answer what the adversary and the ego do.
 
-    Attributes:
-        handover: The vehicle that the adversary drives.
-        own: (F, 3) poses of it, driven and expected, from the hand-over on.
+    ``own`` are (F, 3) poses of the vehicle of the adversary, driven and expected, from the hand-over on.
     """
 
     policy: AgentPolicy[Any]

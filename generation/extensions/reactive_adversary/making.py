@@ -20,11 +20,7 @@ from generation.search.hyperparameters import HyperParameters
 
 @dataclass(frozen=True, slots=True)
 class InTheLoop:
-    """Maker of adversaries that are planned while a planner drives (`AdversaryMaker`).
-
-    Attributes:
-        settings: Budget, knowledge and search.
-    """
+    """Maker of adversaries that are planned while a planner drives (`AdversaryMaker`)."""
 
     settings: AdversarySettings
     prior: PriorFactory = field(default_factory=PackagedPrior)

@@ -89,11 +89,9 @@ class _Chosen:
 
 @dataclass(frozen=True, slots=True)
 class Adversary:
-    """The policy.
+    """Policy of an adversary from frame ``start``, its hand-over, on; ``run`` is its seed.
 
     Attributes:
-        start: Frame of its hand-over.
-        run: Its seed.
         others: Policy of everybody else.
         draws: It draws from the content of the scene and its run, whatever the engine gives.
     """

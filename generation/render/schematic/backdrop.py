@@ -27,9 +27,8 @@ _STEEPEST, _LEVELS = 0.6, 1 << 12
 class Band:
     """Rows of an image, ``first`` to before ``last``, that look at the ground from similar distances.
 
-    Attributes:
-        plan: Which plan view they read: 0 fine, 1 middle, 2 coarse.
-        samples: Vertical samples per pixel, averaged.
+    ``plan`` is the plan view that they read, 0 fine, 1 middle, 2 coarse; ``samples`` per pixel, vertical, are
+    averaged.
     """
 
     first: int

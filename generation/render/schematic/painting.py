@@ -77,9 +77,8 @@ def paint(
 ) -> None:
     """Fill polygons in a plan view, (h, w, 3) RGB, in place; pixels that no polygon covers stay.
 
-    Args:
-        world_to_pixel: (2, 3) affine map from metres to pixels (columns, rows).
-        colours: RGB of each coat; coats without a colour are left out.
+    ``world_to_pixel`` is the (2, 3) affine map from metres to columns and rows; coats without a colour are left
+    out.
     """
     window = _world_window(canvas, world_to_pixel)
     for layer in polygons:

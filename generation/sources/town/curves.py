@@ -68,10 +68,8 @@ def turn(
 ) -> Floats:
     """A drivable curve between two poses: straight, one arc, straight where that is possible, else a cubic.
 
-    (M, 2) polyline from ``start`` to ``end``, (2,) metres each, its vertices ``step_m`` apart.
-
-    Args:
-        max_radius_m: Upper bound on the radius of the arc; it is as large as the shorter leg allows below it.
+    (M, 2) polyline from ``start`` to ``end``, (2,) metres each, its vertices ``step_m`` apart. The arc is as large
+    as the shorter leg allows, its radius below ``max_radius_m``.
     """
     change = float(wrap_angle(np.array(end_heading - start_heading)))
     first, second = unit(start_heading), unit(end_heading)
@@ -114,10 +112,8 @@ def _cubic(start: Floats, first: Floats, end: Floats, second: Floats, step_m: fl
 def smoothed(line: Floats, *, spacing_m: float, deviation_m: float) -> Floats:
     """Round the curvature steps of a polyline so that a car can drive it; the ends are extended straight.
 
-    A Gaussian over arc length, summed tap by tap so that the bytes do not depend on a linear-algebra library.
-
-    Args:
-        deviation_m: Standard deviation of the Gaussian; an arc of radius R moves inwards by deviation^2 / (2 R).
+    A Gaussian over arc length, summed tap by tap so that the bytes do not depend on a linear-algebra library. With
+    standard deviation ``deviation_m`` an arc of radius R moves inwards by deviation^2 / (2 R).
     """
     reach = round(3 * deviation_m / spacing_m)
     taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) * spacing_m / deviation_m) ** 2)

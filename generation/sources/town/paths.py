@@ -70,11 +70,9 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """Where a vehicle goes, station by station (`STATION_M` apart), whatever its speed.
+    """Way of a vehicle, station by station (`STATION_M` apart), at any speed.
 
-    Attributes:
-        rear: (M, 3) x, y, yaw of the rear axle.
-        speed_limit: (M,) m/s by sign and by curvature.
+    (M, 3) x, y, yaw of the rear axle, and (M,) limits in m/s by sign and by curvature.
     """
 
     rear: Floats

@@ -55,11 +55,10 @@ MIXED = Fleet((COMPACT, SEDAN, SUV, VAN, TRUCK, BUS, MOTORCYCLE), (0.21, 0.33, 0
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where a vehicle begins.
+    """Begin of a vehicle.
 
-    Attributes:
-        along_m: Front axle along the lane; negative begins on a lane before it.
-        lateral_m: Offset to the left of the lane's middle.
+    ``along_m`` is its front axle along the lane, negative for a lane before it; ``lateral_m`` is to the left of the
+    lane's middle.
     """
 
     lane: str

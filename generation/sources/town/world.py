@@ -72,9 +72,7 @@ class World:
     def is_free(self, boxes: Floats, body: Body | None = None, *, gap_m: float = _SMALLEST_GAP_M) -> bool:
         """Whether a track, (FRAMES, 5) or (1, 5) boxes, touches none and, for vehicles, keeps to the road where seen.
 
-        Args:
-            body: The vehicle, or ``None`` for those who may leave the road.
-            gap_m: Free space demanded around it.
+        ``gap_m`` is the free space demanded around it; without ``body`` it may leave the road.
         """
         grown = boxes + np.array([0.0, 0.0, gap_m, gap_m, 0.0])
         for others in self._obstacles():
