@@ -22,7 +22,7 @@ CHUNK: Final = 256
 
 
 def bank_beside(weights: Path) -> Path:
-    """Where the bank of a weights file lies: ``NAME.bank.safetensors`` beside it."""
+    """Bank of a weights file: ``NAME.bank.safetensors`` beside it."""
     return weights.with_suffix(".bank.safetensors")
 
 

@@ -53,7 +53,7 @@ def load_denoiser(path: Path) -> TrajectoryDenoiser:
 
 
 def _config(path: Path, said: Any) -> DenoiserConfig:
-    """What a file says of its network, if there can be such a network."""
+    """Configuration of the network of a file, if there can be such a network."""
     kinds = {field.name: type(field.default) for field in fields(DenoiserConfig)}
     wrong = f"{path} says of its network what no trajectory denoiser is"
     if not isinstance(said, dict) or not set(said) <= set(kinds):

@@ -35,7 +35,7 @@ class DenoiserConfig:
         preconditioned: Whether a Gaussian of the data carries the linear part (`GaussianPreconditioner`).
         attention: Whether waypoints are tokens of a transformer; otherwise they are one vector
             (`generation.diffusion.residual_network`), and heads, history and logits play no part.
-        conditioned: Whether the network can be told how the vehicle moves now (`present_features`), so that nobody
+        conditioned: Whether the network can be told how the vehicle moves now (`present_features`), so that no vehicle
             brakes into reverse. The published network cannot; one that can answers without where it is not told.
     """
 
@@ -246,7 +246,7 @@ class TrajectoryDenoiser(nn.Module):
         return split.join(self._answer(split.whitened, step, present))
 
     def step(self, timesteps: Tensor, present: Tensor | None = None) -> Step:
-        """What `forward` knows without the actions, to use for many of them; arguments as there."""
+        """Parts of `forward` that need no actions, to use for many of them; arguments as there."""
         shares = None if self.preconditioner is None else self.preconditioner.shares(timesteps, present)
         return Step(timesteps, shares, None if self.config.attention else self._shifts(timesteps))
 
@@ -282,7 +282,7 @@ class TrajectoryDenoiser(nn.Module):
         return noise
 
     def start(self, noise: Tensor, present: Tensor | None = None) -> Tensor:
-        """Where the full reverse process begins.
+        """Actions with which the full reverse process begins.
 
         The reference begins at standard normal noise although its forward process ends at 0.72 of that; a
         preconditioned network begins where its forward process ends.

@@ -39,7 +39,7 @@ class Draws:
         return type(self)(np.concatenate([self.waypoints, waypoints]), np.concatenate([self.excess, excess]))
 
     def missing(self, count: int) -> int:
-        """How many more to draw so that ``count`` are drivable, by the share that was so far; 0 if there are enough."""
+        """Number of further draws so that ``count`` are drivable, by the share so far; 0 if there are enough."""
         drivable = int((self.excess == 0).sum())
         if drivable >= count:
             return 0

@@ -25,8 +25,7 @@ product's last bits depend on its shape: so an answer does not depend on who ask
 class NetworkCalls:
     """A network at work.
 
-    ``block`` trajectories make one call, filled up where there are fewer; ``None`` leaves them as many as there
-    are.
+    ``block`` trajectories make one call, filled up where there are fewer; with ``None`` they are not.
     """
 
     def __init__(
@@ -90,7 +89,7 @@ class NetworkCalls:
         return (answers[0] if len(answers) == 1 else torch.cat(answers))[:count]
 
     def _step(self, timestep: Tensor, present: Tensor | None, kind: int) -> Step:
-        """What the network knows without the actions; the same in every request at this timestep and of this kind."""
+        """Parts of a call that need no actions; the same in every request at this timestep and of this kind."""
         key = (float(timestep), kind)
         if key not in self._steps:
             self._steps[key] = self.denoiser.step(timestep, present)

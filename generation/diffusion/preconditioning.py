@@ -57,7 +57,7 @@ class Split:
         return self.gaussian.back(along).view_as(answer)
 
     def residual(self, noise: Tensor) -> Tensor:
-        """What the network should answer to the noise that was added, along the axes: (B, 48), of unit variance.
+        """Right answer of the network to the noise that was added, along the axes: (B, 48), of unit variance.
 
         The inverse of `join` but for the axes.
         """
@@ -70,7 +70,7 @@ class Split:
 
 @dataclass(frozen=True, slots=True)
 class Shares:
-    """What is known at one noise level, whatever the actions: (1 or B, 48) each.
+    """Knowledge at one noise level, for all actions: (1 or B, 48) each.
 
     Attributes:
         gaussian: Whose axes they are.
@@ -101,7 +101,7 @@ class GaussianPreconditioner(nn.Module):
     With data of mean m and covariance V diag(l) V' and noisy x = sqrt(ab) x0 + s eps, along each axis the variance of
     x is v = ab l + s^2, the best linear guess of the noise is s (x - sqrt(ab) m) / v and the variance left to explain
     is ab l / v (the preconditioning of Karras et al. 2022, section 5, with a full covariance). Axes along which
-    driving hardly varies keep their smoothness whatever the network says.
+    driving hardly varies keep their smoothness at any answer of the network.
 
     Attributes:
         mean: (48,) mean action.
@@ -164,7 +164,7 @@ class GaussianPreconditioner(nn.Module):
         return self.shares(timesteps, present).split(noisy)
 
     def shares(self, timesteps: Tensor, present: Tensor | None = None) -> Shares:
-        """What `split` knows without the actions; arguments as there."""
+        """Parts of `split` that need no actions; arguments as there."""
         gaussian, alpha_bar = self._gaussian(present), self.alpha_bars[timesteps.long()][:, None]
         variance = alpha_bar * gaussian.variances + (1.0 - alpha_bar)
         return Shares(

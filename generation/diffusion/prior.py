@@ -40,7 +40,7 @@ BOTH_AXES: Final = (0.5, 1.5)
 
 
 class Samples(StrEnum):
-    """Where new candidates come from: drawn afresh by the fast solver or by the reference's process, or stored ones."""
+    """Source of new candidates: drawn afresh by the fast solver or by the reference's process, or stored ones."""
 
     FRESH = "fresh"
     REFERENCE = "reference"
@@ -49,7 +49,7 @@ class Samples(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class SamplerSettings:
-    """How the network is asked.
+    """Settings of the questions to the network.
 
     Attributes:
         samples: ``fresh`` draws every batch from noise by the fast solver, ``reference`` by the reference's 100 steps,
@@ -120,8 +120,8 @@ class TrajectoryPrior:
     ) -> Self:
         """Load weights.
 
-        ``None`` is the packaged model; otherwise safetensors of ours, or the published checkpoint
-        (a bare state dict). Other kinds of device round differently, so their results have content keys of their
+        ``None`` is the packaged model; otherwise safetensors of ours, or the published checkpoint (a
+        bare state dict). Other kinds of device round differently, so their results have content keys of their
         own.
         """
         weights = PACKAGED_WEIGHTS if path is None else path

@@ -23,7 +23,7 @@ SHARPEST_RAD: Final = 0.5
 
 
 def present_features(previous: Tensor) -> Tensor:
-    """How a vehicle moves now, in numbers of order one.
+    """Motion of a vehicle now, in numbers of order one.
 
     Args:
         previous: (..., 3) pose half a second ago in the frame of the vehicle now, metres and radians.
@@ -98,7 +98,7 @@ class ResidualNetwork(nn.Module):
         nn.init.zeros_(self.decoder.bias)
 
     def shifts(self, level: Tensor) -> tuple[Tensor, ...]:
-        """What noise levels (1,) or (B,), in the unit the sinusoid expects, add in each block: (1 or B, hidden)."""
+        """Shifts by noise levels (1,) or (B,), in the unit the sinusoid expects, in each block: (1 or B, hidden)."""
         features = self.level_encoder(level)
         return tuple(block.level(features) for block in cast("Iterable[ResidualBlock]", self.blocks))
 

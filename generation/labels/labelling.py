@@ -17,7 +17,7 @@ TIME_TO_COLLISION_STEP_S = 0.1
 
 
 class Side(StrEnum):
-    """Where the other vehicle is, seen from the ego."""
+    """Side of the ego on which the other vehicle is."""
 
     FRONT = "front"
     REAR = "rear"

@@ -194,7 +194,7 @@ def _sided(met: Encounter, run: slice, left: Manoeuvre, right: Manoeuvre) -> Man
 
 
 def _succession(met: Encounter, run: slice) -> float:
-    """Shortest time between the vehicle in the ego's way and the ego there, whoever comes first."""
+    """Shortest time between the vehicle in the ego's way and the ego there, in either order."""
     passed = np.searchsorted(np.maximum.accumulate(met.ego.rear), met.other.front[run])
     since = met.seconds[run] - met.seconds[np.minimum(passed, len(met.seconds) - 1)]
     # What the ego had passed before the first frame, it passed nobody knows when.

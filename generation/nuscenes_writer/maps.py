@@ -61,7 +61,7 @@ def _add_empty_maps(root: Path, locations: Collection[str]) -> None:
 
 
 def _location(logs: Mapping[str, Row], log_token: str) -> str | None:
-    """Where a log was recorded; the maps of v1.0-mini also list logs that only v1.0-trainval has."""
+    """Place where a log was recorded; the maps of v1.0-mini also list logs that only v1.0-trainval has."""
     return str(logs[log_token]["location"]) if log_token in logs else None
 
 

@@ -80,7 +80,7 @@ def written_scene(
 
     Raises:
         InputError: If the scene has no keyframes or numbers that are not finite, the name is no file name, the target
-            holds somebody else's data set, or the disk refuses.
+            holds another writer's data set, or the disk refuses.
     """
     require_sound(scene)
     if isinstance(plan.renderer, CuttingRenderer):

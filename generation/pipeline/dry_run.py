@@ -40,7 +40,7 @@ def estimate_frozen(
 
 
 def _search_estimate(source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings) -> BuildReport:
-    """How much there is to do."""
+    """Estimate of the work that there is to do."""
     chosen = first_units(search, source, names, keep=False)
     units = [unit for _, of_scene in chosen for unit in of_scene]
     with_rounds = settings.keep_rounds and settings.adversaries == 1

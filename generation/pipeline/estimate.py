@@ -32,7 +32,7 @@ _PREVIOUS = np.array([-4.0, 0.0, 0.0])
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """How much work there is, and about how long it takes.
+    """Amount of work, and about how long it takes.
 
     Attributes:
         attempts: Vehicles left to try, with those of later adversaries where several are wanted.
@@ -156,7 +156,7 @@ def _draw(renderer: Renderer, scene: Scene, frames: Sequence[int]) -> None:
 
 
 def workers_of(executor: Executor) -> int | None:
-    """How many processes an executor has, where that is known."""
+    """Number of processes of an executor, where that is known."""
     return executor.workers if isinstance(executor, LocalProcesses) else None
 
 

@@ -1,4 +1,4 @@
-"""Which generated scenes are written: the most challenging ones that nobody rejected and that the surrogate fails."""
+"""Which generated scenes are written: the most challenging that no inspector rejected and the surrogate fails."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -85,7 +85,7 @@ def _most_challenging(found: SearchResult, chains: Sequence[Chain], settings: Bu
 
 
 def writing_jobs(chains: Sequence[Chain], plan: DataSetPlan) -> list[WritingJob]:
-    """How generated scenes are written: names that do not depend on the rank, variant numbers that do."""
+    """Jobs of generated scenes: names that do not depend on the rank, variant numbers that do."""
     seen: dict[str, int] = {}
     jobs = []
     for chain in chains:

@@ -88,7 +88,7 @@ def _drawn(
 def _all_searched(
     source: DataSet, split: str, search: Search, names: Sequence[str], settings: BuildSettings
 ) -> Selected | None:
-    """What the search chose, if every attempt is kept."""
+    """Choice of the search, if every attempt is kept."""
     try:
         return selected(source, split, search, names, replace(settings, executor=_NothingLeft()), keep=False)
     except _SomethingLeft:

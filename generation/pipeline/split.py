@@ -303,7 +303,7 @@ def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], setti
 
 
 def _report_files(report: BuildReport, found: SearchResult, written: Sequence[Chain]) -> dict[str, bytes]:
-    """What a build says of itself, by file name."""
+    """Reports of a build on itself, by file name."""
     name_of = {link.unit: chain.name for chain in written for link in chain.links}
     attempts = []
     for tried in found.tried:

@@ -221,7 +221,7 @@ def publish(written: WrittenScenes) -> None:
 
 
 def _kept_file(folder: Path) -> dict[str, tuple[SceneJudgement, ...]] | None:
-    """What was published before; nothing if it is damaged, so that it is written again."""
+    """File that was published before; nothing if it is damaged, so that it is written again."""
     try:
         found = read_judgements_file(folder)
     except InputError:
@@ -260,7 +260,7 @@ def _rounds(plan: DataSetPlan, job: WritingJob, key: str) -> bytes | None:
 
 
 def _leave_other_layout(plan: DataSetPlan) -> None:
-    """Take away what an earlier build wrote in the other layout: whoever opens the folder would read that one."""
+    """Take away what an earlier build wrote in the other layout: a reader of the folder would open that one."""
     if not plan.state.is_dir():
         return
     suffixed = plan.layout == "suffixed"
@@ -280,7 +280,7 @@ def _leave_other_layout(plan: DataSetPlan) -> None:
 
 
 def unfinish(root: Path) -> None:
-    """Take the mark of a finished data set away, so that nobody reads it beside reports of another build.
+    """Take the mark of a finished data set away, lest it be read beside reports of another build.
 
     Rounds and judgements go with it: they belong to the search that the reports are about.
     """

@@ -70,7 +70,7 @@ class CuttingRenderer(Renderer, Protocol):
 
 @runtime_checkable
 class LongRenderer(Renderer, Protocol):
-    """A renderer that takes so long that nobody draws a few pictures to find out."""
+    """A renderer that takes so long that a few pictures are not drawn to find out."""
 
     def scene_seconds(self, scene: Scene) -> float:
         """About how long a scene takes."""

@@ -41,7 +41,7 @@ class Wish:
     start: int
 
     def at(self, frame: int, offsets: tuple[int, ...], track: Floats) -> Callable[[Floats, Floats], Floats]:
-        """How far candidates are from what was asked for, at a planning frame.
+        """Distance of candidates from the manoeuvre that was asked for, at a planning frame.
 
         Args:
             offsets: S frames after it that are scored; every half second of them is looked at.

@@ -45,7 +45,7 @@ class StoredAttempt(BaseModel):
 
     @classmethod
     def of(cls, unit: Unit, result: Searched) -> "StoredAttempt":
-        """What is stored of an attempt."""
+        """Stored form of an attempt."""
         poses = result.poses.tolist() if result.kept else []
         return cls(agent=unit.agent, report=result.attempt, poses=tuple((x, y, yaw) for x, y, yaw in poses))
 
@@ -81,12 +81,12 @@ def eligibility(
 
 
 def eligibility_store(search: Search) -> ResultStore[Eligibility]:
-    """Where choices of vehicles are kept."""
+    """Store of choices of vehicles."""
     return ResultStore(search.state / "surveys", Eligibility)
 
 
 def attempt_store(search: Search) -> ResultStore[StoredAttempt]:
-    """Where finished attempts are kept."""
+    """Store of finished attempts."""
     return ResultStore(search.state / "attempts", StoredAttempt)
 
 

@@ -101,7 +101,7 @@ def staying_share(scene: Scene, agent: int, hyper: HyperParameters) -> float:
 
 
 def nearness(scene: Scene, agent: int, hyper: HyperParameters) -> float:
-    """How soon after its launch an eligible vehicle can be in the ego's way: 1 at once, 1/2 after 3 s; more than 0."""
+    """Nearness in time of a launched eligible vehicle to the ego's way: 1 at once, 1/2 after 3 s; more than 0."""
     launch = launch_frame(scene, agent, hyper)
     return float("nan") if launch is None else 1.0 / (1.0 + reach_at(scene, agent, launch, hyper) / 3.0)
 

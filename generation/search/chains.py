@@ -47,7 +47,7 @@ class Tried:
 
     @property
     def attempt(self) -> Attempt:
-        """What is reported of it."""
+        """Report on it."""
         return self.stored.report
 
     @property
@@ -90,7 +90,7 @@ class Chain:
 
     @property
     def earlier(self) -> tuple[Earlier, ...]:
-        """What the next adversary finds."""
+        """Adversaries that the next one finds."""
         return tuple(
             Earlier(link.key, link.unit.agent, link.agent_id, link.attempt.launch_frame)
             for link in self.links
@@ -112,7 +112,7 @@ class Chain:
 
     @property
     def judgements(self) -> tuple[SceneJudgement, ...]:
-        """What is said of each adversary in the scene with all of them."""
+        """Judgement on each adversary in the scene with all of them."""
         return self.links[-1].attempt.judgements
 
     def adversarial(self, scene: Scene) -> Scene:
@@ -122,7 +122,7 @@ class Chain:
         return scene
 
     def report(self) -> dict[str, Any]:
-        """What ``challenger.json`` says of the scene: the adversary's report, or one for each of several.
+        """Report for ``challenger.json`` on the scene: the adversary's report, or one for each of several.
 
         Judgements are in a file of their own (`benchmark.datasets.judged`): better definitions make no other data set.
         """
@@ -195,7 +195,7 @@ def search_chains(
 
     Every vehicle that is chosen in a recorded scene and passes verification begins a chain. In each chain, vehicles
     are chosen again and tried; the one that challenges most goes on, and a chain in which none passes is dropped.
-    The result is the same whatever the executor.
+    The result is the same with every executor.
 
     Args:
         together: Attempts that a worker plans side by side; no result depends on it.

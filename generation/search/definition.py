@@ -132,7 +132,7 @@ class Search:
         }
 
     def rounds_facts(self, unit: Unit) -> dict[str, Any]:
-        """What the rounds of an attempt say of the search."""
+        """Facts on the search that the rounds of an attempt keep."""
         return {
             "trace": TRACE_VERSION,
             "algorithm": ALGORITHM_VERSION,

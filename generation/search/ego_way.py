@@ -90,7 +90,7 @@ def smooth_speed(station: Floats, seconds: Floats) -> Floats:
 
 
 def overrun(station: Floats, speed: Floats) -> Floats:
-    """How far ahead of the recorded ego one would be that had kept its speed.
+    """Distance ahead of the recorded ego at which one would be that had kept its speed.
 
     ``o(t) = max over t' in {t, t - 0.5 s, ..., t - 3 s} of s(t') + u(t') (t - t') - s(t)``.
 

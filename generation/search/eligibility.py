@@ -41,7 +41,7 @@ class Eligibility(BaseModel):
         return tuple(vehicle for vehicle in self.vehicles if vehicle.reason is None)
 
     def not_tried(self) -> dict[str, int]:
-        """How many objects are not tried, by reason."""
+        """Number of objects that are not tried, by reason."""
         counts = {NotTried.NOT_FOUR_WHEELED.value: self.objects - len(self.vehicles)}
         for vehicle in self.vehicles:
             if vehicle.reason is not None:
@@ -67,7 +67,7 @@ class Eligibility(BaseModel):
 
 
 def not_tried_together(looks: Sequence[Eligibility]) -> dict[str, int]:
-    """How many objects of several scenes are not tried, by reason."""
+    """Number of objects of several scenes that are not tried, by reason."""
     counts: Counter[str] = Counter()
     for look in looks:
         counts.update(look.not_tried())

@@ -24,7 +24,7 @@ from benchmark.scene import Scene
 def recorded_contacts(
     scene: Scene, instances: Collection[str], protocols: Iterable[str]
 ) -> dict[str, tuple[Bools, Bools]]:
-    """Where protocols find the recorded ego in contact: at the key frames of the data set, as they see it from each.
+    """Contacts that protocols find of the recorded ego: at the key frames of the data set, as they see it from each.
 
     Returns:
         For each protocol two times (K, 6) verdicts for K samples and the steps after them, False where the recording

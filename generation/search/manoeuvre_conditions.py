@@ -152,45 +152,45 @@ class Placed:
 
     @cached_property
     def closing(self) -> Floats:
-        """How much faster the ego is along the path, m/s."""
+        """Speed by which the ego is faster along the path, m/s."""
         return self.ego.speed - self.along
 
     def inside(self) -> Floats:
-        """What is missing to reach into the strip."""
+        """Metres missing to reach into the strip."""
         return _short(BEYOND_M + self.side_gap)
 
     def outside(self, side: float) -> Floats:
-        """What is missing to be beside the strip, clear of it: on a side, or on the nearer one (0)."""
+        """Metres missing to be beside the strip, clear of it: on a side, or on the nearer one (0)."""
         to_side = np.abs(self.offset) if side == 0.0 else side * self.offset
         return _short(BESIDE_AIM_M - (to_side - self.half_width - self.ego.half_width))
 
     def overtaken(self) -> Floats:
-        """What is missing for its rear to be clear of the ego's front."""
+        """Metres missing for its rear to be clear of the ego's front."""
         return _short(PAST_M - self.room)
 
     def fallen_back(self) -> Floats:
-        """What is missing for its front to be clear of the ego's rear."""
+        """Metres missing for its front to be clear of the ego's rear."""
         return _short(PAST_M - self.distance_behind)
 
     def near_side(self, side: float, gap_m: float) -> Floats:
-        """What is missing to be outside the strip on a side and at most so far from it."""
+        """Metres missing to be outside the strip on a side and at most so far from it."""
         own = side * self.offset - self.half_width - self.ego.half_width
         return _short(own - gap_m + BEYOND_M) + _short(-own)
 
     def ahead(self) -> Floats:
-        """What is missing to have the centre ahead of the ego's."""
+        """Metres missing to have the centre ahead of the ego's."""
         return _short(BEYOND_M + self.ego.station - self.station)
 
     def behind(self) -> Floats:
-        """What is missing to have it behind."""
+        """Metres missing to have it behind."""
         return _short(BEYOND_M + self.station - self.ego.station)
 
     def reached(self) -> Floats:
-        """What is missing for the ego to be at the vehicle's place within 3 s."""
+        """Metres missing for the ego to be at the vehicle's place within 3 s."""
         return _short(self.station - self.half_length - self.ego.soon + BEYOND_M)
 
     def abreast(self) -> Floats:
-        """What is missing for the bodies to overlap along the path."""
+        """Metres missing for the bodies to overlap along the path."""
         return _short(np.maximum(self.room, self.distance_behind) + BEYOND_M)
 
     def headed(self, toward_rad: float) -> Floats:
@@ -307,7 +307,7 @@ BEHIND: Final = frozenset(("tailgating", "following"))
 
 
 def family_and_side(kind: Manoeuvre) -> tuple[str, float]:
-    """What a kind is called without its side, and the side: 1 left, -1 right, 0 for kinds without."""
+    """Name of a kind without its side, and the side: 1 left, -1 right, 0 for kinds without."""
     family, _, side = kind.value.rpartition("-")
     return (family, _SIDES[side]) if side in _SIDES else (kind.value, 0.0)
 

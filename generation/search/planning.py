@@ -157,7 +157,7 @@ class Planning:
         return tuple(offset for offset in self.hyper.scored_frames if offset <= left) or (left,)
 
     def rated(self, frame: int, offsets: tuple[int, ...], track: Floats) -> Callable[[SimulatedMotion], Terms]:
-        """What rates the motion of candidates at a planning frame."""
+        """Function that rates the motion of candidates at a planning frame."""
         raster = self._raster(frame)
         frames = tuple(frame + offset for offset in offsets)
         size = self.scene.agents.size[self.agent, :2]
@@ -180,7 +180,7 @@ class Planning:
         return rate
 
     def around(self, frames: tuple[int, ...], raster: DrivableRaster) -> Surroundings:
-        """What candidates can hit at some frames."""
+        """Surroundings that candidates can hit at some frames."""
         return surroundings(self.scene, self.agent, frames, raster, raster_ego=self.hyper.raster_ego)
 
     def _raster(self, frame: int) -> DrivableRaster:
@@ -194,7 +194,7 @@ class Planning:
     def _missing(
         self, frame: int, offsets: tuple[int, ...], track: Floats
     ) -> Callable[[Floats, Floats], Floats] | None:
-        """What says how far candidates are from what was asked for; ``None`` if nothing was, or it is done."""
+        """Function that says how far candidates are from the manoeuvre; ``None`` if nothing was, or it is done."""
         if self.asked is None or self.hyper.manoeuvre_weight == 0.0:
             return None
         wish = Wish(self.asked, self.scene, self.agent, self.start)

@@ -18,7 +18,7 @@ MOVING_M_S = 3.0
 
 
 class Ranked(Protocol):
-    """What ranking reads of a generated scene: its recording, its adversary and its `challenge_score`."""
+    """Contents of a generated scene that ranking reads: its recording, its adversary and its `challenge_score`."""
 
     @property
     def scene_name(self) -> str:
@@ -37,7 +37,7 @@ AnyRanked = TypeVar("AnyRanked", bound=Ranked)
 
 
 def challenge_score(scene: Scene, agent: int, start: int) -> float:
-    """How closely an adversary presses a moving ego over the scene, 0 to 1, higher is more challenging.
+    """Closeness with which an adversary presses a moving ego over the scene, 0 to 1, higher is more challenging.
 
     The paper ranks by "adversarial challenge score" without saying how frames are combined. Here: the mean, over the
     frames from the launch on, of the average of

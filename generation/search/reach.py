@@ -49,7 +49,7 @@ class Start:
 
 
 def reach_s(scene: Scene, way: EgoWay, start: Start, half_extent_m: float) -> Floats:
-    """How soon a vehicle can be in the ego's way, driving an arc at a steady change of speed on the road.
+    """Time until a vehicle can be in the ego's way, driving an arc at a steady change of speed on the road.
 
     (F,) seconds, infinite where it cannot, or where it could not stay in the area afterwards (``half_extent_m``:
     half the side of the square around the ego).

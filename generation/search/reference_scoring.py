@@ -96,7 +96,7 @@ def reference_surroundings(scene: Scene, agent: int, frames: tuple[int, ...], ra
     """Everything but one agent as the reference code sees it, the ego 7 m long around its lidar.
 
     It is challenged at its rear axle. Objects that are absent in a frame are left out. In the reference code they
-    are boxes without a size at the ego's lidar, well inside the ego's box: whoever touches one touches the ego, so
+    are boxes without a size at the ego's lidar, well inside the ego's box: touching one is touching the ego, so
     that no verdict changes. The first of the S frames is the planning frame, at which ``raster`` has the drivable
     area around the ego's lidar; ``ego_center`` of the result is the rear axle.
     """

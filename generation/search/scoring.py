@@ -22,7 +22,7 @@ ROUNDING_M2, UNDERSTATED = 1e-6, 1.0 - 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What a candidate can hit, leave and approach; S scored frames, M objects.
+    """Objects and road that a candidate can hit, leave and approach; S scored frames, M objects.
 
     Attributes:
         boxes: (S, M, 5) boxes of everything but the candidate; the ego's body is among them, with raster footprints
@@ -203,7 +203,7 @@ def collisions(boxes: Floats, around: Surroundings, reading: CollisionReading = 
 
 
 def columns(boxes: Floats, reading: CollisionReading) -> Floats:
-    """What collisions need of (S, N, 5) boxes, (8, S, N): x, y, half sizes, cosine and sine, inner and outer bound.
+    """Columns for collisions of (S, N, 5) boxes, (8, S, N): x, y, half sizes, cosine and sine, inner and outer bound.
 
     The bounds of two boxes add up. Nearer than the inner one is a collision, farther than the outer one is none, and
     boxes decide in between. `GEOMETRY` has the circles inside and around a box, which agree with the boxes.

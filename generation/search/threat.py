@@ -47,7 +47,7 @@ FREE_SHARE: Final = 0.6
 
 @dataclass(frozen=True)
 class Ahead:
-    """What is known at a planning frame of the S scored frames that count, half a second apart where there are such.
+    """Knowledge at a planning frame of the S scored frames that count, half a second apart where there are such.
 
     Attributes:
         columns: (S,) which of the scored frames they are.
@@ -237,7 +237,7 @@ def threat_rating(
 
 
 def hovering(center: Floats, size: Floats, around: Surroundings) -> Floats:
-    """(B,) share of frames with anybody within half a metre."""
+    """(B,) share of frames with another within half a metre."""
     grown = np.broadcast_to(np.asarray(size) + 2.0 * HOVER_M, (*center.shape[:2], 2))
     boxes = np.concatenate([center[..., :2], grown, center[..., 2:]], axis=-1)
     return np.asarray(collisions(boxes, around).mean(axis=1))

@@ -45,11 +45,11 @@ class FrozenReport:
         images: What the frozen hashes of images are of, if the images here could be compared.
         other_images: Scenes whose images differ.
         verified_by: Version of the search that verified the scenes; they are not verified anew.
-        unsolvable: Scenes that nobody could have avoided (``docs/severity.md``); kept as frozen.
-        masked_steps: By protocol, steps that are masked whatever is planned (`BuildReport.masked_steps`).
+        unsolvable: Scenes that no driver could have avoided (``docs/severity.md``); kept as frozen.
+        masked_steps: By protocol, steps that are masked for every plan (`BuildReport.masked_steps`).
         estimate: How much work there is (dry run only).
         split: Name of the split.
-        faults: What is wrong with the motion of adversaries, by scene; of edited scenes alone, which nobody verified.
+        faults: What is wrong with the motion of adversaries, by scene; of edited scenes alone, which are not verified.
     """
 
     name: str
@@ -86,7 +86,7 @@ class FrozenReport:
         return self.verified_by == EDITED
 
     def kept(self) -> dict[str, Any]:
-        """What ``report.json`` says: what does not depend on the machine."""
+        """Content of ``report.json``: all that does not depend on the machine."""
         return {
             "split": self.split,
             "frozen": {"name": self.name, "content": self.content},
@@ -116,7 +116,7 @@ class FrozenReport:
         )
 
     def _verification(self) -> str:
-        """What is said where a search would verify by other rules today."""
+        """Remark where a search would verify by other rules today."""
         if self.verified_by == ALGORITHM_VERSION:
             return ""
         if self.edited:
@@ -198,7 +198,7 @@ def ready_to_rebuild(
 
 
 def said_of_frozen(report: FrozenReport) -> dict[str, bytes]:
-    """What a build from a frozen split says of itself, by file name."""
+    """Reports of a build from a frozen split, by file name."""
     return {"report.json": (canonical_json(report.kept(), indent=1) + "\n").encode()}
 
 
@@ -223,7 +223,7 @@ def require_not_frozen(root: Path) -> None:
 
 
 def _require_room(root: Path, name: str, content: str) -> None:
-    """Refuse a root in which somebody searched, or that is built from another frozen split."""
+    """Refuse a root that was searched in, or that is built from another frozen split."""
     state = root / STATE_FOLDER
     if (root / "search.json").exists() or (state / "attempts").exists() or (state / "surveys").exists():
         raise InputError(f"{root} holds what generate searched for; build {name} in another --out, nothing was changed")
@@ -302,7 +302,7 @@ def frozen_jobs(
 def _other_images(
     plan: DataSetPlan, frozen: ImageFacts | None, chosen: Sequence[tuple[FrozenScene, int]], keys: Sequence[str]
 ) -> tuple[ImageFacts | None, tuple[str, ...]]:
-    """What was compared, and the scenes whose images are not those that were frozen."""
+    """Images that were compared, and the scenes whose images are not those that were frozen."""
     other = []
     for (scene, _), key in zip(chosen, keys, strict=True):
         fragment = stored_fragment(plan, key)

@@ -21,7 +21,7 @@ _NANOMETRE_DIGITS: Final = 9
 
 
 def tables_digest(plan: DataSetPlan, scene: Scene, frozen: FrozenScene) -> str:
-    """Hash of a scene's tables at its key frames, without cameras: whatever the layout, the renderer and the frames.
+    """Hash of a scene's tables at its key frames, without cameras: the same in any layout, with any frames.
 
     64 hexadecimal digits, made of numbers rounded to a nanometre.
     """

@@ -1,4 +1,4 @@
-"""Scenes that somebody edited in ScenarioNet files, as a frozen split: what differs from the recordings."""
+"""Scenes that were edited in ScenarioNet files, as a frozen split: what differs from the recordings."""
 
 from pathlib import Path
 from typing import Final
@@ -43,7 +43,7 @@ def read_edited(path: Path) -> Edited:
 
 
 def edited_split(source: DataSet, path: Path, edited: Edited | None = None) -> NamedSplit:
-    """What edited files change in the recordings, as a split that is built like any frozen one.
+    """Changes of edited files in the recordings, as a split that is built like any frozen one.
 
     Args:
         source: The recordings.

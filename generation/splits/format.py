@@ -93,14 +93,14 @@ class Recordings(_Frozen):
 
 
 class SearchFacts(_Frozen):
-    """Who searched.
+    """Facts on the search.
 
     Attributes:
         algorithm: Version of the algorithm.
         hyper: Hash of its settings.
         prior: Hash of its trajectory model.
         seed: The seed.
-        solvable: Whether scenes that nobody could have avoided were dropped; older files do not say, and none were.
+        solvable: Whether scenes that no driver could have avoided were dropped; older files do not say, and none were.
     """
 
     algorithm: str
@@ -125,7 +125,7 @@ class FrozenRejection(_Frozen):
 
 
 class Choice(_Frozen):
-    """How the scenes were chosen.
+    """Choice of the scenes.
 
     Attributes:
         scenes: Recorded scenes looked at.

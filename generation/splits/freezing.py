@@ -1,4 +1,4 @@
-"""Freezing a split: what a search found as a file from which anybody rebuilds it."""
+"""Freezing a split: what a search found as a file from which it can be rebuilt."""
 
 import functools
 from collections.abc import Iterator, Sequence
@@ -55,7 +55,7 @@ def freeze(
 
 
 def search_facts(search: Search) -> SearchFacts:
-    """Who searched, as frozen splits say it."""
+    """Facts on the search, as frozen splits say them."""
     said = search.as_json()
     return SearchFacts(
         algorithm=said["algorithm"],

@@ -89,7 +89,7 @@ class Manifest(Stored):
 
 @dataclass(frozen=True, slots=True)
 class PackageContents:
-    """What goes into a package.
+    """Contents of a package.
 
     Attributes:
         splits: Frozen splits.
@@ -114,7 +114,7 @@ class Packed:
 
 
 def split_file(name: str) -> str:
-    """Where a frozen split lies in a package."""
+    """Path of a frozen split in a package."""
     return f"splits/{name}.json"
 
 
@@ -124,7 +124,7 @@ def pack_split(path: Path, contents: PackageContents, executor: Executor) -> Pac
     Args:
         path: The file. One that is there is never replaced by another package.
         contents: What goes in.
-        executor: Where scenes are judged for the statistics that nobody judged yet.
+        executor: Where scenes are judged for the statistics that are not judged yet.
 
     Returns:
         What was written.

@@ -58,7 +58,7 @@ def _place(adversary: FrozenAdversary, scene: Scene) -> int:
 
 
 def _distance(scene: Scene, agent: int, frame: int, adversary: FrozenAdversary) -> float:
-    """How far apart the two bodies are at most, metres: the centres, and what the heading moves the corners."""
+    """Distance of the two bodies, at most, metres: the centres, and what the heading moves the corners."""
     x, y, yaw = adversary.recorded
     position, size = scene.agents.position[agent, frame], scene.agents.size[agent]
     if not scene.agents.valid[agent, frame]:
@@ -68,7 +68,7 @@ def _distance(scene: Scene, agent: int, frame: int, adversary: FrozenAdversary) 
 
 
 def tracks_of(frozen: FrozenScene) -> TracksAtHand:
-    """How the adversaries of a frozen scene were made: at 12 Hz, and then rounded along both axes."""
+    """Tracks by which the adversaries of a frozen scene were made: at 12 Hz, and then rounded along both axes."""
     launches = {each.instance: each.launch_frame for each in frozen.adversaries}
     return TracksAtHand(generated=True, launches=launches, rounded_m=float(np.hypot(0.5, 0.5)) * 10**-METRE_DIGITS)
 

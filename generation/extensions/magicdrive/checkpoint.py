@@ -34,7 +34,7 @@ def load_official(
 
     Returns:
         The network, ready to be asked. Where it rounds its inputs, the weights have been rounded to bfloat16 too,
-        whatever they are stored as.
+        in any precision that they are stored in.
 
     Raises:
         InputError: If the file is absent, damaged, would run code, holds NaN or infinity, or other tensors than the

@@ -55,7 +55,7 @@ class Photorealistic:
         )
 
     def executor(self, place: "Executor") -> "Executor | None":
-        """Where scenes are drawn; estimates for a GPU are wanted on machines that have none."""
+        """Executor of the drawing; estimates for a GPU are wanted on machines that have none."""
         from generation.extensions.magicdrive.command import rendering_executor
 
         return None if self.estimates_only else rendering_executor(place, self.device)

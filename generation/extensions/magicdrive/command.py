@@ -58,7 +58,7 @@ def magicdrive_renderer(
 
 
 def rendering_executor(place: Executor, device: str) -> Executor:
-    """Where scenes are drawn: one at a time on each GPU.
+    """Executor of the drawing: one scene at a time on each GPU.
 
     ``device`` is ``auto``, ``cpu``, ``cuda`` for all GPUs, or ``cuda:1`` for one.
 

@@ -244,7 +244,7 @@ def _colour(clip: Clip, place: int, slot: int, adversaries: Sequence[int]) -> st
 
 
 def _wedge(axes: "Axes", clip: Clip, view: int, place: int, length_m: float) -> None:
-    """What a camera sees, as a triangle from above."""
+    """Field of view of a camera, as a triangle from above."""
     camera = clip.cams[view, place].astype(np.float64)
     edges = np.array([[-camera[0, 2], 0.0, camera[0, 0]], [CALIBRATION_SIZE[0] - camera[0, 2], 0.0, camera[0, 0]]])
     rays = (edges / np.linalg.norm(edges, axis=1, keepdims=True)) @ camera[:, 3:6].T

@@ -16,8 +16,7 @@ _NAME: Final = "tensor"
 def keep_tensor(path: Path, key: str, tensor: Tensor, facts: dict[str, Any] | None = None) -> None:
     """Write a tensor, whole or not at all, as .safetensors.
 
-    ``key`` is the content key of everything that the tensor depends on; ``facts`` are plain values that belong to
-    it.
+    ``key`` is the content key of everything that the tensor depends on; ``facts`` are its plain values.
     """
     found = tensor.detach().cpu().contiguous()
     write_tensors(path, {_NAME: found}, {"facts": facts or {}, "key": key, "sha256": _sha256(found)})

@@ -27,7 +27,7 @@ def rounded_to_bfloat16(x: Tensor) -> Tensor:
 
 
 class RootMeanSquareNorm(nn.Module):
-    """Queries and keys are scaled to unit mean square; in single precision whatever the network computes in."""
+    """Queries and keys are scaled to unit mean square; in single precision, whichever the network computes in."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -69,7 +69,7 @@ class Rotation:
 
 
 class RotaryFrequencies(nn.Module):
-    """How far one frame turns each pair of channels; the numbers come with the weights."""
+    """Angles by which one frame turns each pair of channels; the numbers come with the weights."""
 
     def __init__(self, head_channels: int) -> None:
         super().__init__()

@@ -93,7 +93,7 @@ class FinalLayer(nn.Module):
 
 
 class MagicDriveDiT(nn.Module):
-    """The network."""
+    """Diffusion transformer of MagicDrive: velocities of a video's latents under conditions."""
 
     def __init__(self, config: MagicDriveConfig) -> None:
         super().__init__()

@@ -120,11 +120,11 @@ class MagicDriveRenderer:
         return scene if kept == count else scene.first_frames(kept)
 
     def camera_tracks(self, scene: Scene) -> Mapping[str, EgoTrack]:
-        """Where the ego is at the times of each camera: the model draws what a camera saw at its own sweep."""
+        """Tracks of the ego at the times of each camera: the model draws what a camera saw at its own sweep."""
         return camera_tracks(scene)
 
     def estimate(self, scene: Scene) -> RenderingEstimate:
-        """What a scene costs; nothing of it is drawn, and no weights are needed.
+        """Cost of a scene; nothing of it is drawn, and no weights are needed.
 
         Args:
             scene: The scene; its end is left out as `cut` does.

@@ -20,7 +20,7 @@ _NEGLIGIBLE: Final = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class SensorFrames:
-    """Where the sensors are at the frames of a clip; V cameras in the model's order.
+    """Places of the sensors at the frames of a clip; V cameras in the model's order.
 
     Attributes:
         lidar: (T, 4, 4) lidar frame to global frame, metres.

@@ -1,4 +1,4 @@
-"""What an adversary may drive: nobody but the ego is ever touched, and every plan ends well, to the last frame."""
+"""What an adversary may drive: none but the ego is ever touched, and every plan ends well, to the last frame."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -27,16 +27,16 @@ _CHUNK: Final = 10
 
 @dataclass(frozen=True, slots=True)
 class Surrounded:
-    """Everybody but an adversary and the ego, every 0.05 s from a planning frame to the scene's last.
+    """All others than an adversary and the ego, every 0.05 s from a planning frame to the scene's last.
 
     Attributes:
         frame_seconds: (K + 1,) of the frames that can be planned, since the planning frame; the first is 0.
-        seconds: (R,) instants after it, to the last frame: those at which the drive places everybody, and frames.
-        boxes: (R, N, 5) of everybody.
-        present: (R, N) who is there.
+        seconds: (R,) instants after it, to the last frame: those at which the drive places them, and frames.
+        boxes: (R, N, 5) of all.
+        present: (R, N) which are there.
         reach: (N,) half of the diagonals.
-        low: (C, N, 2) where nobody's centre is below within a run of instants; infinite for who is absent.
-        high: (C, N, 2) nor above.
+        low: (C, N, 2) below which no centre is within a run of instants; infinite where absent.
+        high: (C, N, 2) likewise above.
         size: (2,) length and width of the adversary, with the air around it.
     """
 
@@ -132,7 +132,7 @@ class Surrounded:
                     yield braked(poses, later, self.frame_seconds, braking)
 
     def ending(self, poses: Floats, executed: int) -> Floats | None:
-        """The first of them that touches nobody, ever; ``None`` if there is none."""
+        """The first of them that never touches another; ``None`` if there is none."""
         last = min(executed, len(self.frame_seconds) - 1)
         if self.clear_for(poses[: last + 1]) < np.inf:
             return None
@@ -142,7 +142,7 @@ class Surrounded:
         return None
 
     def longest(self, motions: Iterable[Floats]) -> Floats:
-        """The first of some motions that last longest before they touch somebody."""
+        """The first of some motions that last longest before they touch another."""
         return max(motions, key=self.clear_for)
 
 

@@ -1,4 +1,4 @@
-"""What others who answer will do: their own policy, run on for as long as scores look, from where everybody is now.
+"""What others who answer will do: their own policy, run on for as long as scores look, from where all are now.
 
 They are expected to answer an ego that does what is expected of it, and an adversary that goes on as it was planned.
 """
@@ -56,7 +56,7 @@ def with_expected_others(scene: Scene, others: Answering, moment: Moment, frame:
 
 
 def _run_on(others: Answering, moment: Moment, scene: Scene, steps: int) -> tuple[Floats, Floats, Floats]:
-    """(R,) microseconds, (R, N, 5) boxes and (R, N) presence of everybody, beginning now."""
+    """(R,) microseconds, (R, N, 5) boxes and (R, N) presence of all, beginning now."""
     times, boxes, present = [moment.time_us], [moment.boxes], [moment.present]
     ego = scene.ego.boxes
     frames = (scene.timestamps_us - moment.time_us) / 1e6

@@ -68,11 +68,11 @@ class Bodies:
 
 @dataclass(frozen=True, slots=True)
 class CarefulAhead:
-    """A careful human in the ego's place, and everybody else.
+    """A careful human in the ego's place, and all others.
 
     Attributes:
         station: Of the ego's centre, metres.
-        others: Everybody but the adversary who is ever in the ego's strip.
+        others: All but the adversary that are ever in the ego's strip.
         steps: (S,) frames after the planning frame.
         lost: Whether the careful human is hit by others if there is no adversary.
     """
@@ -120,7 +120,7 @@ class CarefulAhead:
         return np.asarray(over.any(axis=1) & ~over[:, 0] & ahead)
 
     def follows(self, now: Floats, size: Floats) -> bool:
-        """Whether somebody at (1, 3) is behind the ego."""
+        """Whether a vehicle at (1, 3) is behind the ego."""
         body = Bodies.of(self.way, now[None], size[None], (self.frame, self.frame))
         return bool(body.rear[0, 0] < self.station - 0.5 * self.way.length_m)
 
@@ -185,7 +185,7 @@ careful_ahead: Final = LastMade[Scene, CarefulAhead](CarefulAhead.of, kept=2)
 
 
 def _unsafe(rear: Floats, front: Floats, beside: Floats, station: Floats, speed: Floats, half: float) -> Bools:
-    """(..., B) whether a careful human has somebody in its way less than two seconds ahead."""
+    """(..., B) whether a careful human has a vehicle in its way less than two seconds ahead."""
     gap = rear[:, 0] - station - half
     closing = speed - (rear[:, 1] - rear[:, 0]) * (FRAME_HZ / EVERY_FRAMES)
     near = (gap <= 0.0) | ((closing > 0.0) & (gap <= CAREFUL_TIME_S * closing))
@@ -193,7 +193,7 @@ def _unsafe(rear: Floats, front: Floats, beside: Floats, station: Floats, speed:
 
 
 def _others(scene: Scene, agent: int, way: EgoWay, frame: int, steps: tuple[int, ...]) -> Bodies:
-    """Everybody but the adversary who is ever in the ego's strip; nobody who is in the ego's body now."""
+    """All but the adversary that are ever in the ego's strip; none that are in the ego's body now."""
     agents = scene.agents
     at = [frame, *(frame + step for step in steps)]
     there = np.flatnonzero(agents.valid[:, at].any(axis=1))

@@ -42,7 +42,7 @@ class Seen:
         return cls(scene.timestamps_us[:count], scene.ego.pose[:count], 0.0)
 
     def then(self, moment: Moment) -> Self:
-        """What is known now."""
+        """Knowledge of now."""
         x, y, yaw = moment.ego[[0, 1, 4]]
         back = EGO_CENTER_FROM_REAR_AXLE_M
         pose = np.array([[x - back * np.cos(yaw), y - back * np.sin(yaw), yaw]])

@@ -39,7 +39,7 @@ class InTheLoop:
 
     @property
     def facts(self) -> Mapping[str, Any]:
-        """What is measured."""
+        """Facts on the adversary that is measured."""
         return self.settings.facts(self.prior_fingerprint)
 
     def possible(self, scene: Scene) -> bool:
@@ -62,7 +62,7 @@ class InTheLoop:
 
 
 def adversary_that_answers(**settings: Any) -> InTheLoop:
-    """What ``drive --agents adversary`` puts among the agents; arguments and errors as of `AdversarySettings.of`."""
+    """Maker of the agent of ``drive --agents adversary``; arguments and errors as of `AdversarySettings.of`."""
     return InTheLoop.of(AdversarySettings.of(**settings))
 
 

@@ -17,7 +17,7 @@ Rgb = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Atmosphere:
-    """How a look lights the world.
+    """Light and weather of a look.
 
     Attributes:
         sky: Colour overhead.

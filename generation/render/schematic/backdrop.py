@@ -39,7 +39,7 @@ class Band:
 
 @dataclass(frozen=True, slots=True)
 class Backdrop:
-    """What of a view depends only on how the camera stands above the ground.
+    """Parts of a view that depend only on how the camera stands above the ground.
 
     Attributes:
         sky: (h, w, 3) sky; the haze colour below the horizon.

@@ -128,7 +128,7 @@ def _add_grain(pixels: NDArray[np.uint8], resolution_m: float, style: Style) -> 
 
 @functools.lru_cache(maxsize=4)
 def _grain(count: int, resolution_m: float, name: str) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """What a style's grain adds to a plan view of ``count`` pixels a side, and what it takes away; one of them is 0."""
+    """Grain that a style adds to a plan view of ``count`` pixels a side, and that it takes away; one of them is 0."""
     tile = grain_tile(round(_STEP_M / resolution_m), resolution_m, STYLES[name])
     repeats = -(-count // len(tile))
     around = np.tile(tile, (repeats, repeats, 1))[:count, :count]

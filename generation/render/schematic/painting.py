@@ -24,7 +24,7 @@ _KERB_M = 0.22
 
 
 class Coat(IntEnum):
-    """What a polygon is painted with; later coats cover earlier ones."""
+    """Paint of a polygon; later coats cover earlier ones."""
 
     CAR_PARK = 0
     PAVEMENT = 1

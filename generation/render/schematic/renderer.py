@@ -121,7 +121,7 @@ class Stage:
         self.scene, self.traffic = scene, self.traffic.in_scene(scene)
 
     def pictures(self, frame: int) -> Images:
-        """What the cameras see at a frame."""
+        """Pictures of the cameras at a frame."""
         ego = self.scene.ego
         position, rotation = ego.position[frame], ego.rotation[frame]
         pose = ego.pose[frame]

@@ -32,7 +32,7 @@ _NOISE_TILE: Final = 512
 
 @dataclass(frozen=True, slots=True)
 class Pipeline:
-    """What a camera does to the light that reaches it; see `developed`.
+    """Effects of a camera on the light that reaches it; see `developed`.
 
     Attributes:
         blur: Standard deviation of the lens's blur, as a share of the image's width.
@@ -55,7 +55,7 @@ class Pipeline:
 
 @dataclass(frozen=True, slots=True)
 class Style:
-    """How a scene is drawn beyond what is in it.
+    """Way of drawing a scene beyond its content.
 
     Attributes:
         name: Part of the renderer's name; empty for the first style.

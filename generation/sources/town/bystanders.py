@@ -88,7 +88,7 @@ def add_walkers(world: World, near: Floats, rng: np.random.Generator, *, wanted:
 
 
 def add_crossing_pedestrians(world: World, near: Floats, rng: np.random.Generator, *, wanted: int) -> None:
-    """Pedestrians who cross the road ahead of the ego; whoever is planned later gives way to them."""
+    """Pedestrians who cross the road ahead of the ego; vehicles that are planned later give way to them."""
     walks = [walk for walk in world.town.crossing_walks if _distance(near, walk.mean(axis=0)) < _CROSSING_REACH_M]
     if not walks:
         return
@@ -105,8 +105,8 @@ def add_meeting_pedestrians(
 
     Args:
         way: (K, 2) points of the ego's way, from where it starts.
-        wanted: How many; fewer where there is no pavement on both sides or somebody is in their way.
-        speed_mps: About how fast the ego drives where nobody hinders it.
+        wanted: How many; fewer where there is no pavement on both sides or another is in their way.
+        speed_mps: About how fast the ego drives where it is free to.
     """
     length, added = float(lengths_along(way)[-1]), 0
     for _ in range(_MEETING_TRIES * wanted):

@@ -21,7 +21,7 @@ EAST, NORTH, WEST, SOUTH = 0.0, np.pi / 2, np.pi, -np.pi / 2
 
 
 class NodeKind(StrEnum):
-    """What a node of the road graph is."""
+    """Kind of a node of the road graph."""
 
     CROSSING = "crossing"
     ROUNDABOUT = "roundabout"

@@ -16,7 +16,7 @@ WALKWAY_WIDTH_M = 2.6
 
 
 class Role(StrEnum):
-    """What a lane is for."""
+    """Purpose of a lane."""
 
     ROAD = "road"
     STRAIGHT = "straight"

@@ -2,7 +2,7 @@
 
 The rear axle follows the planned path at a lateral offset d(s) that depends on the station, and at a station that runs
 ahead of the planned one by e(t). Its heading is that of its own motion, the path's and atan(d' / (1 - curvature d)), so
-that it never slips sideways, at whatever speed. Offsets are quintic: away from the path, and back to it, without a jump
+that it never slips sideways, at any speed. Offsets are quintic: away from the path, and back to it, without a jump
 of velocity or acceleration.
 """
 
@@ -80,7 +80,7 @@ def driven_off_path(
 ) -> tuple[Floats, tuple[Excursion, ...]]:
     """Let the ego depart from its path and come back, as often as the scene has time for.
 
-    An excursion is taken where the ego can drive it within a driver's limits, stays on the road and touches nobody; it
+    An excursion is taken where the ego can drive it within a driver's limits, stays on the road and touches none; it
     is made smaller until it can, or left out.
 
     Returns:
@@ -120,7 +120,7 @@ def _drawn(planned: PlannedEgo, begin: float, rng: np.random.Generator) -> _Want
 
 
 def _size(main_range: tuple[float, float], aside: float, rng: np.random.Generator, *, main: bool) -> float:
-    """How far to one of the sides: within a range where it is the main thing, else anything up to a little."""
+    """Distance to one of the sides: within a range where it is the main thing, else anything up to a little."""
     side = float(rng.choice([-1.0, 1.0]))
     return side * float(rng.uniform(*main_range) if main else rng.uniform(0.0, aside))
 

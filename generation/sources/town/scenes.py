@@ -126,7 +126,7 @@ def _found(
 
 
 def _settled(split: Split, index: int, seed: int, crossing: int) -> tuple[World, PlannedEgo, Programme]:
-    """Everybody in a scene, and the ego as it would drive."""
+    """World of a scene with all in it, and the ego as it would drive."""
     if index < 0:
         raise InputError(f"the number of a town scene starts at 0, got {index}")
     town_scene_names(split, index + 1)
@@ -154,7 +154,7 @@ def _lane_points(location: str, seed: int) -> LanePoints:
 def _populate(
     town: Town, location: str, seed: int, programme: Programme, rng: np.random.Generator, crossing: int
 ) -> tuple[World, PlannedEgo] | None:
-    """One attempt at a scene: a route, then everybody in the order in which they have the right of way."""
+    """One attempt at a scene: a route, then all others in the order in which they have the right of way."""
     theme = programme.theme
     route = ego_route(town, theme, rng)
     if route is None:
@@ -253,7 +253,7 @@ def _scene(world: World, programme: Programme, split: str, index: int, seed: int
 
 
 def _agents(world: World, key: tuple[str, int, int]) -> tuple[Agents, Bools]:
-    """Everybody who is seen at a keyframe, in the order of placement; where absent, the nearest pose is held."""
+    """Agents that are seen at a keyframe, in the order of placement; where absent, the nearest pose is held."""
     rows: list[tuple[str, Floats, Bools, list[float], bool]] = []
     for track in world.tracks:
         boxes = np.broadcast_to(track.boxes, (FRAMES, 5))

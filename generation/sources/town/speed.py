@@ -1,4 +1,4 @@
-"""When a vehicle is where on its path: the cheapest speed profile that touches nobody.
+"""When a vehicle is where on its path: the cheapest speed profile that touches no other.
 
 Vehicles are planned one after another; each sees the whole motion of those before it. The plan is the exact optimum
 over a lattice of whole metres per second and one-second steps, then smoothed so that acceleration is continuous.

@@ -55,7 +55,7 @@ MIXED = Fleet((COMPACT, SEDAN, SUV, VAN, TRUCK, BUS, MOTORCYCLE), (0.21, 0.33, 0
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Begin of a vehicle.
+    """Start of a vehicle's drive.
 
     ``along_m`` is its front axle along the lane, negative for a lane before it; ``lateral_m`` is to the left of the
     lane's middle.
@@ -114,18 +114,18 @@ def add_vehicle(
 
 
 def natural_pace(rng: np.random.Generator) -> Floats:
-    """(SECONDS,) factors near one: nobody keeps a speed exactly."""
+    """(SECONDS,) factors near one: no driver keeps a speed exactly."""
     period, phase = float(rng.uniform(7.0, 16.0)), float(rng.uniform(0.0, 2 * np.pi))
     return np.asarray(1.0 + float(rng.uniform(0.03, 0.12)) * np.sin(2 * np.pi * np.arange(SECONDS) / period + phase))
 
 
 def indifferent(lane: TownLane) -> float:
-    """Weight of a lane for somebody who goes anywhere but rarely to the car park."""
+    """Weight of a lane for a driver who goes anywhere but rarely to the car park."""
     return 0.1 if lane.role is Role.CAR_PARK else 1.0
 
 
 def following(town: Town, legs: list[Leg]) -> Callable[[TownLane], float]:
-    """Weights for somebody who prefers to go where a route goes."""
+    """Weights for a driver who prefers to go where a route goes."""
     turns = {(town.lanes[leg.lane].road, town.lanes[leg.lane].role) for leg in legs}
 
     def likes(lane: TownLane) -> float:

@@ -86,7 +86,7 @@ class World:
         return body is None or self.is_on_road(boxes)
 
     def _obstacles(self) -> list[Floats]:
-        """Boxes of everybody: (J, FRAMES, 5) of those who move and (J, 1, 5) of those who stand."""
+        """Boxes of all: (J, FRAMES, 5) of those who move and (J, 1, 5) of those who stand."""
         moving = [track.boxes for track in self.tracks if len(track.boxes) > 1]
         if self.ego_boxes is not None:
             moving.append(self.ego_boxes)
@@ -107,7 +107,7 @@ class World:
         return np.asarray(np.hypot(boxes[:, 0] - self.ego_rear[:, 0], boxes[:, 1] - self.ego_rear[:, 1]))
 
     def present(self, boxes: Floats) -> Bools:
-        """(FRAMES,) whether somebody is near enough to be annotated."""
+        """(FRAMES,) whether a participant is near enough to be annotated."""
         return np.asarray(self.distance_to_ego(boxes) < ANNOTATION_RANGE_M)
 
     def place_ego(self, rear: Floats) -> None:

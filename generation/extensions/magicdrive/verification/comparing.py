@@ -128,7 +128,7 @@ def _compare(comparison: Comparison, golden: GoldenArrays, name: str, ours: Tens
 
 
 def _compare_inner(comparison: Comparison, clips: Clips, stored: GoldenArrays) -> None:
-    """What the blocks give in one evaluation of clip A; the same tolerance, since it is the same evaluation."""
+    """Compare the blocks in one evaluation of clip A; the same tolerance, since it is the same evaluation."""
     with _tapped(clips.network, stored.names) as taps:
         clips.forward("A")
     views = clips.network.config.views

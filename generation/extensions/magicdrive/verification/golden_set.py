@@ -137,7 +137,7 @@ class MagicDriveSet:
         )
 
     def case(self, name: str) -> Case:
-        """What the set stores of a clip, of that letter."""
+        """Stored clip of that letter."""
         stored, config = self.inputs, self.config
         views, caption = config.views, config.caption_channels
         prefix = f"{name}.in."
