@@ -12,7 +12,7 @@ FAR_M: Final = 10.0
 
 
 def distance(first: Tried, second: Tried) -> float:
-    """How much two adversaries of one recording differ, 0 to 2.
+    """Difference of two adversaries of one recording, 0 to 2.
 
     Returns:
         The mean distance of their centres at the frames at which both act, in units of 10 m and at most 1 at each

@@ -1,6 +1,6 @@
 """One unit of work: one vehicle of one scene becomes an adversary (Algorithm 1).
 
-Pure: the same scene, vehicle, seed, settings and prior give the same track, whoever computes it and when.
+Pure: the same scene, vehicle, seed, settings and prior give the same track, on any machine at any time.
 """
 
 import hashlib

@@ -194,7 +194,7 @@ class Placed:
         return _short(np.maximum(self.room, self.distance_behind) + BEYOND_M)
 
     def headed(self, toward_rad: float) -> Floats:
-        """What is missing to head along, across or against the path, to either side."""
+        """Metres missing to head along, across or against the path, to either side."""
         off = np.abs(np.abs(self.turn) - toward_rad)
         return RADIAN_M * _short(off - ALONG_RAD)
 

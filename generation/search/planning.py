@@ -194,7 +194,7 @@ class Planning:
     def _missing(
         self, frame: int, offsets: tuple[int, ...], track: Floats
     ) -> Callable[[Floats, Floats], Floats] | None:
-        """Function that says how far candidates are from the manoeuvre; ``None`` if nothing was, or it is done."""
+        """Function that says how far candidates are from the manoeuvre; ``None`` if none is asked for or it is done."""
         if self.asked is None or self.hyper.manoeuvre_weight == 0.0:
             return None
         wish = Wish(self.asked, self.scene, self.agent, self.start)
@@ -231,7 +231,7 @@ class Planning:
         return np.array([*agents.position[self.agent, frame, :2], agents.yaw[self.agent, frame]])
 
     def _touched(self, frame: int, executed: Floats) -> str | None:
-        """Who is touched first, or ``None``."""
+        """Agent that is touched first, or ``None``."""
         frames = frame + 1 + np.arange(len(executed))
         size = np.broadcast_to(self.scene.agents.size[self.agent, :2], (len(executed), 2))
         boxes = np.column_stack([executed[:, :2], size, executed[:, 2]])

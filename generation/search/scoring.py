@@ -79,7 +79,7 @@ class Terms:
 
     @classmethod
     def requests(cls, batches: "Sequence[Self]") -> Floats:
-        """What is missing to what was asked for, normalised in the same way, (R, B); zeros where nothing was."""
+        """Distance to the manoeuvre that was asked for, normalised in the same way, (R, B); zeros where nothing was."""
         asked = [np.zeros_like(each.challenge) if each.asked is None else each.asked for each in batches]
         return normalised(np.stack(asked), np.stack([each.finite for each in batches]))
 

@@ -24,8 +24,8 @@ class ThreatSettings:
         area_weight: Of nearing the edge of the area around the ego.
         least_overrun_m: With ``launch=reach`` a vehicle is tried only if it can be in the ego's way before an ego that
             does not react would overrun the recorded one by so much more than the air that is kept. 0 does not ask.
-        ahead_weight: Of not being ahead of the ego where the scores end. In closed loop nobody is threatened by what it
-            has passed; the recording of open loop never passes anybody that it did not.
+        ahead_weight: Of not being ahead of the ego where the scores end. In closed loop a vehicle is no threat to an
+            ego that has passed it; the recording of open loop never passes a vehicle that it did not.
         careful_survives: Whether a scene is dropped in which a careful and competent human touches another.
     """
 

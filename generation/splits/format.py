@@ -111,7 +111,7 @@ class SearchFacts(_Frozen):
 
     @model_serializer(mode="wrap")
     def _as_older_files(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """What older files do not say keeps their content hash as it was."""
+        """Leave out fields that older files do not have, so that their content hash stays."""
         said: dict[str, Any] = plain(self)
         return {name: value for name, value in said.items() if value is not None}
 

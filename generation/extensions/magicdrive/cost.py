@@ -30,7 +30,7 @@ class Operations:
     """Floating-point operations of one evaluation of one branch.
 
     Attributes:
-        base: Of the base stream, of which the next four are parts together with those of the control stream.
+        base: Of the base stream; the four kinds of attention are parts of it and of the control stream.
         spatial_attention: Products of queries, keys and values over places.
         temporal_attention: The same over latent frames.
         encoders: Of all condition encoders; once for a branch.

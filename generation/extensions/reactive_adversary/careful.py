@@ -1,10 +1,10 @@
 """Whether a careful human would survive a candidate: all candidates of a batch at once, along the ego's way.
 
 In open loop an adversary never touches the recorded ego, and that keeps it fair. In closed loop the ego may do
-anything, and only somebody who may be hit is ever in anybody's way. So the search asks what a careful and competent
+anything, and only a vehicle that may be hit is ever in another's way. So the search asks what a careful and competent
 human would do in the ego's place (`benchmark.interactions`, on the path alone: two seconds to contact, 0.75 s of
-reaction, braking that rises to 0.774 g, and the speed that is left kept), in the world with everybody in it, and
-whether that driver is hit: by the candidate, or by anybody else because of it.
+reaction, braking that rises to 0.774 g, and the speed that is left kept), in the world with all others in it, and
+whether that driver is hit: by the candidate, or by another because of it.
 """
 
 from dataclasses import dataclass

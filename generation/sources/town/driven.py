@@ -2,8 +2,8 @@
 
 From each key frame the way back is that of `generation.sources.town.off_path`: offsets aside and along the path that
 fade as quintics, at the heading of the motion. Along the path the first of these counts that a driver can drive, that
-touches nobody as everybody moves in the scene, and that ends on the road: as the town's driver drives at the same
-places, which needs no knowledge of when that was, with room to whoever is ahead; back to where that driver is at the
+touches none as all move in the scene, and that ends on the road: as the town's driver drives at the same
+places, which needs no knowledge of when that was, with room to a vehicle ahead; back to where that driver is at the
 same time, sooner and sooner; and to a stop, harder and harder.
 """
 

@@ -82,7 +82,7 @@ class Draft:
         prefix: Put before identifiers of the map.
         links: Pairs of lanes that follow each other.
         junctions: Names in ``surfaces`` that are junctions.
-        crossing_walks: (2, 2) walking lines across them, from kerb to kerb.
+        crossing_walks: (2, 2) walking lines across the crossings, from kerb to kerb.
         walks: (M, 2) lines along the pavements.
         green: Traffic islands, kept free of pavement.
     """
