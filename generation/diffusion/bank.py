@@ -22,7 +22,7 @@ CHUNK: Final = 256
 
 
 def bank_beside(weights: Path) -> Path:
-    """Where the bank of a weights file lies: ``NAME.bank.safetensors`` beside it."""
+    """Bank of a weights file: ``NAME.bank.safetensors`` beside it."""
     return weights.with_suffix(".bank.safetensors")
 
 
@@ -34,14 +34,8 @@ def normal_noise(rng: np.random.Generator, count: int) -> torch.Tensor:
 def sample_actions(denoiser: TrajectoryDenoiser, count: int, steps: int | None, rng: np.random.Generator) -> Floats:
     """The full reverse process from noise, with the reference's small stochasticity.
 
-    Args:
-        denoiser: The network, in evaluation mode.
-        count: Trajectories.
-        steps: Network calls; ``None`` asks at each of the 100 steps.
-        rng: All chance.
-
-    Returns:
-        (count, 16, 3) standardised actions, told nothing of the vehicle.
+    (count, 16, 3) standardised actions, told nothing of the vehicle; ``steps`` of ``None`` asks the network at each
+    of the 100.
     """
     device = next(denoiser.parameters()).device
 
@@ -85,18 +79,7 @@ def write_bank(weights: Path, *, count: int = BANK_SIZE, seed: int = 0, device: 
 
 
 def read_bank(path: Path, weights: Path) -> Floats:
-    """Read a bank.
-
-    Args:
-        path: Written by `write_bank`.
-        weights: The weights it must have been made from.
-
-    Returns:
-        (N, 16, 3) actions.
-
-    Raises:
-        InputError: If it is broken or made from other weights.
-    """
+    """Read a bank, (N, 16, 3) actions; it must have been made from ``weights``."""
     tensors, facts = read_tensors(path)
     if facts.get("weights_sha256") != file_sha256(weights):
         raise InputError(f"the bank {path} was not sampled from {weights}; remove it or sample it again")

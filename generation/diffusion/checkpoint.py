@@ -22,10 +22,7 @@ _MOST_LAYERS: Final = 256
 def save_denoiser(path: Path, denoiser: TrajectoryDenoiser, facts: dict[str, Any]) -> None:
     """Write a denoiser that `load_denoiser` gives back.
 
-    Args:
-        path: A .safetensors file.
-        denoiser: The network.
-        facts: What else to remember, for example seed and steps.
+    ``facts`` are remembered with it, for example seed and steps.
     """
     write_tensors(path, denoiser.state_dict(), {**facts, "denoiser": asdict(denoiser.config)})
 
@@ -56,7 +53,7 @@ def load_denoiser(path: Path) -> TrajectoryDenoiser:
 
 
 def _config(path: Path, said: Any) -> DenoiserConfig:
-    """What a file says of its network, if there can be such a network."""
+    """Configuration of the network of a file, if there can be such a network."""
     kinds = {field.name: type(field.default) for field in fields(DenoiserConfig)}
     wrong = f"{path} says of its network what no trajectory denoiser is"
     if not isinstance(said, dict) or not set(said) <= set(kinds):

@@ -27,10 +27,6 @@ class DenoiserConfig:
     """Shape and habits of the network; the defaults are the published checkpoint's.
 
     Attributes:
-        feature_dim: Width.
-        heads: Attention heads.
-        layers: Transformer layers.
-        feedforward_dim: Hidden width of the feed-forward parts.
         history_tokens: Constant tokens in front of the waypoints, made from a history that is always zero.
         far_logit_bias: Added to the attention logit of tokens more than one apart. The reference adds its boolean mask
             as a number, so distant tokens attract each other a little instead of being hidden.
@@ -39,7 +35,7 @@ class DenoiserConfig:
         preconditioned: Whether a Gaussian of the data carries the linear part (`GaussianPreconditioner`).
         attention: Whether waypoints are tokens of a transformer; otherwise they are one vector
             (`generation.diffusion.residual_network`), and heads, history and logits play no part.
-        conditioned: Whether the network can be told how the vehicle moves now (`present_features`), so that nobody
+        conditioned: Whether the network can be told how the vehicle moves now (`present_features`), so that no vehicle
             brakes into reverse. The published network cannot; one that can answers without where it is not told.
     """
 
@@ -114,16 +110,13 @@ class RotarySelfAttention(nn.Module):
         nn.init.xavier_uniform_(self.in_proj_weight)
 
     def forward(self, tokens: Tensor, types: Tensor, turns: Tensor, bias: Tensor | None) -> Tensor:
-        """Attend.
+        """Self-attention over tokens.
 
         Args:
             tokens: (B, S, D).
             types: (S, D) type embedding, added to queries and keys only.
             turns: (S, 1, D / 2) complex unit numbers of `rotary_angles`.
             bias: (S, S) added to the logits, or ``None``.
-
-        Returns:
-            (B, S, D).
         """
         width = tokens.shape[-1]
         query_key = functional.linear(tokens + types, self.in_proj_weight[: 2 * width], self.in_proj_bias[: 2 * width])
@@ -150,15 +143,7 @@ def _rotate(features: Tensor, turns: Tensor) -> Tensor:
 
 
 def rotary_angles(tokens: int, feature_dim: int) -> Tensor:
-    """Angles of token index times 1e4^(-2i/D).
-
-    Args:
-        tokens: Sequence length S.
-        feature_dim: Width D.
-
-    Returns:
-        (S, D / 2) radians.
-    """
+    """(S, D / 2) angles, radians: token index times 1e4^(-2i/D)."""
     frequencies = torch.exp(torch.arange(0, feature_dim, 2, dtype=torch.float32) * (-math.log(1e4) / feature_dim))
     return torch.arange(tokens, dtype=torch.float32)[:, None] * frequencies
 
@@ -190,13 +175,7 @@ class DenoiserLayer(nn.Module):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What of a prediction does not depend on the noisy actions.
-
-    Attributes:
-        timesteps: (1,) or (B,) 0..99.
-        shares: Of the preconditioner, where there is one.
-        shifts: Of the residual network, if it is one.
-    """
+    """Parts of a prediction that do not depend on the noisy actions. ``timesteps`` are (1,) or (B,), 0..99."""
 
     timesteps: Tensor
     shares: Shares | None
@@ -267,7 +246,7 @@ class TrajectoryDenoiser(nn.Module):
         return split.join(self._answer(split.whitened, step, present))
 
     def step(self, timesteps: Tensor, present: Tensor | None = None) -> Step:
-        """What `forward` knows without the actions, to use for many of them; arguments as there."""
+        """Parts of `forward` that need no actions, to use for many of them; arguments as there."""
         shares = None if self.preconditioner is None else self.preconditioner.shares(timesteps, present)
         return Step(timesteps, shares, None if self.config.attention else self._shifts(timesteps))
 
@@ -303,7 +282,7 @@ class TrajectoryDenoiser(nn.Module):
         return noise
 
     def start(self, noise: Tensor, present: Tensor | None = None) -> Tensor:
-        """Where the full reverse process begins.
+        """Actions with which the full reverse process begins.
 
         The reference begins at standard normal noise although its forward process ends at 0.72 of that; a
         preconditioned network begins where its forward process ends.

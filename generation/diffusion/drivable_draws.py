@@ -20,11 +20,9 @@ REDRAWN_BESIDE: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class Draws:
-    """What was drawn for one request so far.
+    """Trajectories drawn for one request so far: (N, 16, 3), in the order of drawing.
 
-    Attributes:
-        waypoints: (N, 16, 3), in the order of drawing.
-        excess: (N,) how far beyond drivable each is (`Motion.excess`).
+    ``excess`` says how far beyond drivable each is, (N,) (`Motion.excess`).
     """
 
     waypoints: Floats
@@ -41,7 +39,7 @@ class Draws:
         return type(self)(np.concatenate([self.waypoints, waypoints]), np.concatenate([self.excess, excess]))
 
     def missing(self, count: int) -> int:
-        """How many more to draw so that ``count`` are drivable, by the share that was so far; 0 if there are enough."""
+        """Number of further draws so that ``count`` are drivable, by the share so far; 0 if there are enough."""
         drivable = int((self.excess == 0).sum())
         if drivable >= count:
             return 0
@@ -54,14 +52,6 @@ class Draws:
 
 
 def most_drivable(excess: Floats, at_least: int) -> NDArray[np.int64]:
-    """Which trajectories can be driven.
-
-    Args:
-        excess: (N,) how far beyond drivable each is.
-        at_least: How many are wanted; the least bad ones fill up.
-
-    Returns:
-        Indices, drivable ones first and in order.
-    """
+    """Indices of trajectories that can be driven, in order; the least bad others fill up to ``at_least``."""
     order = np.argsort(excess, kind="stable")
     return np.asarray(order[: max(int((excess == 0).sum()), at_least)], dtype=np.int64)

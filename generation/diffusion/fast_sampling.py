@@ -25,15 +25,8 @@ def log_ratios() -> Floats:
 def solver_timesteps(calls: int) -> tuple[int, ...]:
     """Timesteps at which the network is asked, evenly spaced in the logarithm of signal over noise.
 
-    Args:
-        calls: How many, 2 to 100.
-
-    Returns:
-        Strictly falling timesteps from 99 to 0. The network knows whole timesteps only, so where the even spacing is
-        finer than the schedule, at small noise, it follows the schedule.
-
-    Raises:
-        InputError: If there are fewer or more calls than that.
+    Strictly falling from 99 to 0 for 2 to 100 calls. The network knows whole timesteps only, so where the even
+    spacing is finer than the schedule, at small noise, it follows the schedule.
     """
     if not 2 <= calls <= STEPS:
         raise InputError(f"a fast reverse process asks the network 2 to {STEPS} times, got {calls}")
@@ -51,14 +44,7 @@ def solve(denoise: Denoise, noisy: Tensor, timesteps: Sequence[int]) -> Tensor:
 
     Each step moves towards the clean sample extrapolated from the last two predictions; the first step has one
     prediction only. The last prediction is the answer: the noise left at timestep 0 is a hundredth of an action.
-
-    Args:
-        denoise: Predicts the noise.
-        noisy: (B, 16, 3) actions at ``timesteps[0]``.
-        timesteps: Strictly falling (`solver_timesteps`).
-
-    Returns:
-        (B, 16, 3) clean actions.
+    Actions are (B, 16, 3); ``timesteps`` are strictly falling (`solver_timesteps`).
     """
     ratios = log_ratios()
     before: Tensor | None = None

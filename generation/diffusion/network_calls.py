@@ -25,24 +25,13 @@ product's last bits depend on its shape: so an answer does not depend on who ask
 class NetworkCalls:
     """A network at work.
 
-    Attributes:
-        denoiser: The network.
-        device: Where it runs.
-        block: Trajectories of one call, filled up where there are fewer; ``None`` leaves them as many as there are.
+    ``block`` trajectories make one call, filled up where there are fewer; with ``None`` they are not.
     """
 
     def __init__(
         self, denoiser: TrajectoryDenoiser, device: torch.device, block: int | None, *, conditioned: bool, dropout: bool
     ) -> None:
-        """Put a network to work.
-
-        Args:
-            denoiser: The network.
-            device: Where it runs.
-            block: Trajectories of one call.
-            conditioned: Whether it is told how vehicles move now, if it can be.
-            dropout: Whether it answers with dropout on.
-        """
+        """Put a network to work. ``conditioned`` tells it how vehicles move now, if it can be told."""
         self.denoiser = denoiser.to(device).train(dropout)
         self.device, self.block = device, block
         self._conditioned = conditioned and denoiser.config.conditioned
@@ -54,7 +43,7 @@ class NetworkCalls:
         return torch.cat(list(parts)).to(self.device)
 
     def present(self, previous: Sequence[Floats], sizes: Sequence[int]) -> Tensor | None:
-        """What the network is told of every request.
+        """Features of the vehicles of all requests, as the network is told them.
 
         Args:
             previous: (3,) pose half a second ago of each request.
@@ -100,7 +89,7 @@ class NetworkCalls:
         return (answers[0] if len(answers) == 1 else torch.cat(answers))[:count]
 
     def _step(self, timestep: Tensor, present: Tensor | None, kind: int) -> Step:
-        """What the network knows without the actions; the same in every request at this timestep and of this kind."""
+        """Parts of a call that need no actions; the same in every request at this timestep and of this kind."""
         key = (float(timestep), kind)
         if key not in self._steps:
             self._steps[key] = self.denoiser.step(timestep, present)
@@ -108,17 +97,7 @@ class NetworkCalls:
 
 
 def device_of(name: str) -> torch.device:
-    """A device that computes.
-
-    Args:
-        name: For example ``cpu`` or ``cuda``.
-
-    Returns:
-        The device.
-
-    Raises:
-        InputError: If this machine cannot compute on it.
-    """
+    """A device, for example ``cpu`` or ``cuda``, on which this machine can compute."""
     try:
         device = torch.device(name)
         torch.ones(1, device=device).cpu()

@@ -38,13 +38,12 @@ class _Gaussian:
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """What a network is asked and what is known without it.
+    """Question to a network, and the part of the answer that is known without it.
 
     Attributes:
         whitened: (B, 16, 3) input of the network.
         guess: (B, 48) noise already explained, along the axes.
         left: (1 or B, 48) standard deviation left to explain along each axis.
-        gaussian: Whose axes they are.
     """
 
     whitened: Tensor
@@ -58,7 +57,7 @@ class Split:
         return self.gaussian.back(along).view_as(answer)
 
     def residual(self, noise: Tensor) -> Tensor:
-        """What the network should answer to the noise that was added, along the axes: (B, 48), of unit variance.
+        """Right answer of the network to the noise that was added, along the axes: (B, 48), of unit variance.
 
         The inverse of `join` but for the axes.
         """
@@ -71,7 +70,7 @@ class Split:
 
 @dataclass(frozen=True, slots=True)
 class Shares:
-    """What is known at one noise level, whatever the actions: (1 or B, 48) each.
+    """Knowledge at one noise level, for all actions: (1 or B, 48) each.
 
     Attributes:
         gaussian: Whose axes they are.
@@ -102,7 +101,7 @@ class GaussianPreconditioner(nn.Module):
     With data of mean m and covariance V diag(l) V' and noisy x = sqrt(ab) x0 + s eps, along each axis the variance of
     x is v = ab l + s^2, the best linear guess of the noise is s (x - sqrt(ab) m) / v and the variance left to explain
     is ab l / v (the preconditioning of Karras et al. 2022, section 5, with a full covariance). Axes along which
-    driving hardly varies keep their smoothness whatever the network says.
+    driving hardly varies keep their smoothness at any answer of the network.
 
     Attributes:
         mean: (48,) mean action.
@@ -137,14 +136,9 @@ class GaussianPreconditioner(nn.Module):
             self.register_buffer("edges", torch.tensor(SPEED_EDGES_M_S), persistent=False)
 
     def fit(self, actions: Floats, present: Tensor | None = None) -> None:
-        """Take means and covariances from data.
+        """Take means and covariances from (N, 16, 3) standardised training actions.
 
-        Args:
-            actions: (N, 16, 3) standardised training actions.
-            present: (N, 4) `present_features`, which a preconditioner that can be told needs.
-
-        Raises:
-            InputError: If they are needed and not there.
+        ``present`` are (N, 4) `present_features`, which a preconditioner that can be told needs.
         """
         flat = torch.tensor(actions.reshape(len(actions), ACTIONS), dtype=torch.float64)
         for buffer, value in zip((self.mean, self.axes, self.variances), _moments(flat), strict=True):
@@ -163,20 +157,14 @@ class GaussianPreconditioner(nn.Module):
                 buffer[kind].copy_(value)
 
     def split(self, noisy: Tensor, timesteps: Tensor, present: Tensor | None = None) -> Split:
-        """Take apart what is known.
+        """Take apart what is known of (B, 16, 3) noisy actions at (1,) or (B,) timesteps, 0..99.
 
-        Args:
-            noisy: (B, 16, 3) noisy actions.
-            timesteps: (1,) or (B,) 0..99.
-            present: (1, 4) or (B, 4) `present_features`; ``None`` says nothing of how the vehicles move now.
-
-        Returns:
-            Input of the network and what puts its answer together.
+        ``present`` are (1, 4) or (B, 4) `present_features`; ``None`` says nothing of how the vehicles move now.
         """
         return self.shares(timesteps, present).split(noisy)
 
     def shares(self, timesteps: Tensor, present: Tensor | None = None) -> Shares:
-        """What `split` knows without the actions; arguments as there."""
+        """Parts of `split` that need no actions; arguments as there."""
         gaussian, alpha_bar = self._gaussian(present), self.alpha_bars[timesteps.long()][:, None]
         variance = alpha_bar * gaussian.variances + (1.0 - alpha_bar)
         return Shares(
@@ -200,12 +188,7 @@ class GaussianPreconditioner(nn.Module):
     def start(self, noise: Tensor, present: Tensor | None = None) -> Tensor:
         """Draw of the last forward step's distribution, which keeps signal and is far from standard normal.
 
-        Args:
-            noise: (B, 16, 3) standard normal.
-            present: As in `split`.
-
-        Returns:
-            (B, 16, 3) actions at timestep 99.
+        (B, 16, 3) standard normal noise becomes (B, 16, 3) actions at timestep 99.
         """
         gaussian, alpha_bar = self._gaussian(present), self.alpha_bars[-1]
         spread = (alpha_bar * gaussian.variances + 1.0 - alpha_bar).sqrt()

@@ -40,7 +40,7 @@ BOTH_AXES: Final = (0.5, 1.5)
 
 
 class Samples(StrEnum):
-    """Where new candidates come from: drawn afresh by the fast solver or by the reference's process, or stored ones."""
+    """Source of new candidates: drawn afresh by the fast solver or by the reference's process, or stored ones."""
 
     FRESH = "fresh"
     REFERENCE = "reference"
@@ -49,7 +49,7 @@ class Samples(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class SamplerSettings:
-    """How the network is asked.
+    """Settings of the questions to the network.
 
     Attributes:
         samples: ``fresh`` draws every batch from noise by the fast solver, ``reference`` by the reference's 100 steps,
@@ -100,8 +100,6 @@ class TrajectoryPrior:
         """Put a network to work.
 
         Args:
-            denoiser: The network.
-            settings: How it is asked.
             fingerprint: Content key of all that decides its answers.
             bank: (N, 16, 3) actions to draw from, for the settings that ask for stored samples.
             device: Where the network runs, the processor by default.
@@ -122,17 +120,9 @@ class TrajectoryPrior:
     ) -> Self:
         """Load weights.
 
-        Args:
-            path: safetensors of ours, or the published checkpoint (a bare state dict); ``None`` is the packaged model.
-            settings: How the network is asked.
-            device: Where the network runs, for example ``cuda``. Other kinds of device round differently, so their
-                results have content keys of their own.
-
-        Returns:
-            The prior.
-
-        Raises:
-            InputError: If weights, stored samples, settings or device cannot be used.
+        ``None`` is the packaged model; otherwise safetensors of ours, or the published checkpoint (a
+        bare state dict). Other kinds of device round differently, so their results have content keys of their
+        own.
         """
         weights = PACKAGED_WEIGHTS if path is None else path
         settings = settings or SamplerSettings()
@@ -148,16 +138,9 @@ class TrajectoryPrior:
         return cls(denoiser, settings, fingerprint, held, target, block)
 
     def answer(self, requests: Sequence[Request]) -> list[Floats]:
-        """Answer several searches at once.
+        """Answer requests of several searches at once.
 
-        Args:
-            requests: Of any kind and number.
-
-        Returns:
-            (B, 16, 3) waypoints for each, the same as if it were the only request.
-
-        Raises:
-            InputError: As `sample` and `mutate`.
+        (B, 16, 3) waypoints for each, the same as if it were the only request.
         """
         if self._network.block is None or self.settings.dropout:
             # One call for each: a processor gains nothing from larger batches, and dropout draws inside the network.
@@ -168,15 +151,10 @@ class TrajectoryPrior:
         """Trajectories from noise.
 
         Args:
-            count: How many.
             previous: (3,) pose half a second ago in the local frame; x is negative or zero when driving forward.
-            rng: All chance.
 
         Returns:
             (count, 16, 3) waypoints. Stored ones are without repetition as long as enough of them suit the speed.
-
-        Raises:
-            InputError: If ``count`` is not positive or ``previous`` is not a finite pose.
         """
         return self._answer([Sampling(count, previous, rng)])[0]
 
@@ -187,14 +165,10 @@ class TrajectoryPrior:
             waypoints: (B, 16, 3) earlier candidates.
             noise_level: 1..100 of 100 steps; noise of timestep ``noise_level - 1`` is added.
             previous: (3,) pose half a second ago in the local frame.
-            rng: All chance.
 
         Returns:
             (B, 16, 3) new candidates. Where the change made one less drivable it is given back unchanged, unless
             ``drivable`` is off in the settings: slow cars would otherwise drift into reverse.
-
-        Raises:
-            InputError: If the noise level is outside the schedule, or shapes or numbers are not waypoints.
         """
         return self._answer([Mutation(waypoints, noise_level, previous, rng)])[0]
 
@@ -348,15 +322,9 @@ def _pose(previous: Floats) -> Floats:
 def diversify(waypoints: Floats, rng: np.random.Generator) -> Floats:
     """Make the first batch varied: the reference's ``aug_traj``, which the paper does not mention.
 
-    Quarters of the batch in order: unchanged; x scaled by 0.2-0.8; x scaled by 1.2-1.8; x and y scaled by 0.5-1.5, one
-    factor per trajectory. Headings stay; the vehicle's are found by tracking later.
-
-    Args:
-        waypoints: (B, 16, 3).
-        rng: All chance.
-
-    Returns:
-        (B, 16, 3).
+    Quarters of the batch in order: unchanged; x scaled by 0.2-0.8; x scaled by 1.2-1.8; x and y scaled by 0.5-1.5,
+    one factor per trajectory. Headings stay; the vehicle's are found by tracking later. ``waypoints`` are
+    (B, 16, 3).
     """
     varied = np.array(waypoints, dtype=np.float64)
     first, second, third = (len(varied) * quarter // 4 for quarter in (1, 2, 3))

@@ -23,7 +23,7 @@ SHARPEST_RAD: Final = 0.5
 
 
 def present_features(previous: Tensor) -> Tensor:
-    """How a vehicle moves now, in numbers of order one.
+    """Motion of a vehicle now, in numbers of order one.
 
     Args:
         previous: (..., 3) pose half a second ago in the frame of the vehicle now, metres and radians.
@@ -38,14 +38,7 @@ def present_features(previous: Tensor) -> Tensor:
 
 
 def known_speed(present: Tensor) -> tuple[Tensor, Tensor]:
-    """Speed out of `present_features`.
-
-    Args:
-        present: (B, 4).
-
-    Returns:
-        (B,) m/s; (B,) whether it is known.
-    """
+    """Speed out of (B, 4) `present_features`: (B,) m/s, and (B,) whether it is known."""
     return 10.0 * present[:, 0], present[:, 3] > 0.5
 
 
@@ -80,7 +73,6 @@ class ResidualNetwork(nn.Module):
     Args:
         width: Features between blocks.
         hidden: Features inside a block.
-        blocks: How many.
         dropout: Active in training mode only.
         level_features: Noise level (B,) to (B, 64).
         conditioned: Whether the network can be told how the vehicle moves now.
@@ -106,20 +98,16 @@ class ResidualNetwork(nn.Module):
         nn.init.zeros_(self.decoder.bias)
 
     def shifts(self, level: Tensor) -> tuple[Tensor, ...]:
-        """What noise levels (1,) or (B,), in the unit the sinusoid expects, add in each block: (1 or B, hidden)."""
+        """Shifts by noise levels (1,) or (B,), in the unit the sinusoid expects, in each block: (1 or B, hidden)."""
         features = self.level_encoder(level)
         return tuple(block.level(features) for block in cast("Iterable[ResidualBlock]", self.blocks))
 
     def forward(self, noisy: Tensor, level: Tensor, present: Tensor | None = None) -> Tensor:
-        """Ask.
+        """(B, 16, 3) prediction of order one; zero before training.
 
         Args:
-            noisy: (B, 16, 3).
             level: (1,) or (B,) noise levels, in the unit the sinusoid expects.
             present: (1, 4) or (B, 4) `present_features`; ``None`` says nothing of how the vehicles move now.
-
-        Returns:
-            (B, 16, 3) of order one; zero before training.
         """
         return self.answer(noisy, self.shifts(level), present)
 

@@ -37,11 +37,7 @@ BETAS, ALPHA_BARS = _alpha_bars()
 def signal_and_noise(timestep: int) -> tuple[float, float]:
     """Factors of the clean sample and of the noise after a forward step.
 
-    Args:
-        timestep: 0..99.
-
-    Returns:
-        Square roots of alpha-bar and of its complement.
+    They are the square roots of alpha-bar and of its complement at a timestep, 0..99.
     """
     return float(ALPHA_BARS[timestep] ** 0.5), float((1.0 - ALPHA_BARS[timestep]) ** 0.5)
 
@@ -56,15 +52,9 @@ def reference_eta(timestep: int) -> float:
 
 
 def add_noise(actions: Tensor, noise: Tensor, timestep: int) -> Tensor:
-    """Forward process in one go.
+    """Forward process to a timestep, 0..99, in one go.
 
-    Args:
-        actions: (B, 16, 3) clean actions.
-        noise: (B, 16, 3) standard normal.
-        timestep: 0..99.
-
-    Returns:
-        (B, 16, 3) noisy actions.
+    (B, 16, 3) clean actions, standard normal noise, and noisy actions.
     """
     signal, spread = signal_and_noise(timestep)
     return signal * actions + spread * noise
@@ -104,13 +94,9 @@ def reverse(
     """The reverse process from the first of ``timesteps`` to the clean sample.
 
     Args:
-        denoise: Predicts the noise.
         noisy: (B, 16, 3) actions at ``timesteps[0]``.
         timesteps: Strictly falling timesteps at which the network is asked.
         draw: Gives (B, 16, 3) standard normal noise for the reference's stochastic steps; ``None`` is deterministic.
-
-    Returns:
-        (B, 16, 3) clean actions.
     """
     for timestep, target in zip(timesteps, [*timesteps[1:], -1]):
         predicted = denoise(noisy, torch.tensor([timestep], dtype=torch.float32, device=noisy.device))
@@ -135,9 +121,6 @@ def strided_timesteps(first: int, calls: int | None) -> tuple[int, ...]:
 
     Returns:
         Strictly falling timesteps.
-
-    Raises:
-        InputError: If ``first`` is outside the schedule or ``calls`` is not positive.
     """
     if not 0 <= first < STEPS:
         raise InputError(f"a noise level must be between 1 and {STEPS}, got {first + 1}")

@@ -111,18 +111,7 @@ class Encounter:
 
 
 def encounter(ego: Floats, other: Floats, seconds: Floats, present: Bools, start: int) -> Encounter:
-    """Bring two tracks into the frame of the ego's path.
-
-    Args:
-        ego: (T, 5) boxes.
-        other: (T, 5) boxes.
-        seconds: (T,) times.
-        present: (T,) whether the other vehicle is there.
-        start: First frame that counts.
-
-    Returns:
-        The frames from ``start`` on.
-    """
+    """Bring two tracks of (T, 5) boxes at (T,) times into the frame of the ego's path, from frame ``start`` on."""
     path, frames = PathFrame.of(ego), slice(start, None)
     placed = Placement.of(path, other[frames], frames)
     ego_velocity, velocity = (_velocity(track[frames], seconds[frames]) for track in (ego, other))

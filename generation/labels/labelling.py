@@ -17,7 +17,7 @@ TIME_TO_COLLISION_STEP_S = 0.1
 
 
 class Side(StrEnum):
-    """Where the other vehicle is, seen from the ego."""
+    """Side of the ego on which the other vehicle is."""
 
     FRONT = "front"
     REAR = "rear"
@@ -26,19 +26,9 @@ class Side(StrEnum):
 
 
 def describe(scene: Scene, agent: int, start: int) -> Labels:
-    """Say what a vehicle does to the ego.
+    """Labels of what a vehicle does to the ego from frame ``start`` on, the launch of an adversary.
 
-    Args:
-        scene: The scene.
-        agent: Index of the vehicle.
-        start: First frame that counts, the launch of an adversary.
-
-    Returns:
-        The labels.
-
-    Raises:
-        InputError: If there is no such vehicle or frame, the vehicle is not there from then on, or its track is not
-            finite.
+    The vehicle has to be there from then on, on a finite track.
     """
     if not (0 <= agent < len(scene.agents) and 0 <= start < len(scene.timestamps_us)):
         raise InputError(
@@ -72,16 +62,7 @@ def describe(scene: Scene, agent: int, start: int) -> Labels:
 
 
 def closest_approach(scene: Scene, agent: int, start: int) -> ClosestApproach:
-    """Closest approach of an agent to the ego's body from a frame on, while the agent is there.
-
-    Args:
-        scene: The scene.
-        agent: Index of the agent.
-        start: First frame that counts.
-
-    Returns:
-        The first closest moment.
-    """
+    """First closest approach of an agent to the ego's body from a frame on, while the agent is there."""
     gaps = np.where(scene.agents.valid[agent, start:], body_gaps(scene, agent, start), np.inf)
     frame = start + int(np.argmin(gaps))
     return ClosestApproach(
@@ -111,15 +92,7 @@ def ego_speed(scene: Scene) -> Floats:
 
 
 def side_of(ego: Floats, other: Floats) -> Side:
-    """Side of the ego on which another box lies: the diagonals of the ego's body divide the sides.
-
-    Args:
-        ego: (5,) box.
-        other: (5,) box.
-
-    Returns:
-        The side of the other box's centre.
-    """
+    """Side of the ego on which another (5,) box's centre lies: the diagonals of the ego's body divide the sides."""
     local = to_local(other[:2], ego[[0, 1, 4]])
     along, across = local[0] / ego[2], local[1] / ego[3]
     if abs(along) >= abs(across):
@@ -130,13 +103,7 @@ def side_of(ego: Floats, other: Floats) -> Side:
 def times_to_collision(scene: Scene, agent: int, start: int) -> Floats:
     """Time until contact if, at a frame, both went on with their velocity and heading.
 
-    Args:
-        scene: The scene.
-        agent: Index of the agent.
-        start: First frame that counts.
-
-    Returns:
-        (T - start,) seconds in steps of 0.1 s; infinity where there is no contact within 5 s.
+    (T - start,) seconds in steps of 0.1 s; infinity where there is no contact within 5 s.
     """
     own, ego = agent_boxes(scene, agent)[start:], scene.ego.boxes[start:]
     seconds = scene.seconds[start:]

@@ -71,14 +71,9 @@ def occurrences(met: Encounter) -> tuple[Occurrence, ...]:
     """Every kind of manoeuvre that occurred, the primary one first; at least one.
 
     The primary kind is the first in the order of `Manoeuvre` among those during which the bodies came within 5 m of
-    their least gap, or in the 3 s after which they did: what happened far away first is not what the scene is about.
-    Where there is none, the vehicle passed wide, or was distant.
-
-    Args:
-        met: The encounter; the vehicle is there at some frame.
-
-    Returns:
-        One entry a kind, the others in the order of `Manoeuvre`.
+    their least gap, or in the 3 s after which they did: what happened far away first is not what the scene is
+    about. Where there is none, the vehicle passed wide, or was distant. There is one entry a kind, the others in
+    the order of `Manoeuvre`.
     """
     found: dict[Manoeuvre, list[slice]] = {}
     for kind, run in (*_in_front(met), *_beside(met), *_behind(met)):
@@ -92,13 +87,9 @@ def occurrences(met: Encounter) -> tuple[Occurrence, ...]:
 
 
 def encroachment(met: Encounter) -> Encroachment | None:
-    """Closest succession of the two bodies on the same piece of the ego's path.
+    """First of the closest successions of the two bodies on the same piece of the ego's path.
 
-    Args:
-        met: The encounter.
-
-    Returns:
-        The first of the closest pairs of frames; ``None`` if no piece was used by both while recorded.
+    ``None`` if no piece was used by both while recorded.
     """
     at = np.flatnonzero(settled(met.inside))
     shared = (met.other.rear[at, None] < met.ego.front) & (met.other.front[at, None] > met.ego.rear)
@@ -203,7 +194,7 @@ def _sided(met: Encounter, run: slice, left: Manoeuvre, right: Manoeuvre) -> Man
 
 
 def _succession(met: Encounter, run: slice) -> float:
-    """Shortest time between the vehicle in the ego's way and the ego there, whoever comes first."""
+    """Shortest time between the vehicle in the ego's way and the ego there, in either order."""
     passed = np.searchsorted(np.maximum.accumulate(met.ego.rear), met.other.front[run])
     since = met.seconds[run] - met.seconds[np.minimum(passed, len(met.seconds) - 1)]
     # What the ego had passed before the first frame, it passed nobody knows when.
@@ -229,13 +220,9 @@ def _least_gap(met: Encounter, run: slice, after_s: float) -> float:
 
 
 def settled(mask: Bools) -> Bools:
-    """What holds at most of the frames around each: one noisy frame decides nothing.
+    """(F,) condition that holds at most of the frames around each: one noisy frame decides nothing.
 
-    Args:
-        mask: (F,) condition.
-
-    Returns:
-        (F,) majority of `HELD_FRAMES`; before the first and after the last frame nothing holds.
+    Most is a majority of `HELD_FRAMES`; before the first and after the last frame nothing holds.
     """
     half = HELD_FRAMES // 2
     padded = np.pad(mask.astype(np.int64), half)

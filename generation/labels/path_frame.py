@@ -41,14 +41,7 @@ class PathFrame:
 
     @classmethod
     def of(cls, ego: Floats) -> Self:
-        """The path of a recorded ego.
-
-        Args:
-            ego: (T, 5) body boxes, T >= 1.
-
-        Returns:
-            The frame.
-        """
+        """The path of a recorded ego, (T, 5) body boxes, T >= 1."""
         centers = ego[:, :2]
         kept = [0]
         for frame in range(1, len(centers)):
@@ -125,15 +118,9 @@ class Placement:
 
     @classmethod
     def of(cls, path: PathFrame, boxes: Floats, frames: slice) -> Self:
-        """Place a body.
+        """Place a body of (F, 5) boxes at F frames of the ego.
 
-        Args:
-            path: The frame.
-            boxes: (F, 5) boxes.
-            frames: The F frames of the ego that they belong to.
-
-        Returns:
-            Its placement. Extents take in the middles of the sides too, because a long body spans bends.
+        Extents take in the middles of the sides too, because a long body spans bends.
         """
         station, offset, heading = (
             part[:, 0] for part in path.project(boxes[:, None, :2], path.ego_stations[frames], REACH_M)

@@ -20,13 +20,9 @@ _SHORTEST_M = 1e-3
 
 
 def arcline_path(centerline: Floats) -> list[dict[str, Any]]:
-    """Fit arcs and straight pieces to a centre line.
+    """Arcs and straight pieces fitted to an (M, 2) centre line, metres.
 
-    Args:
-        centerline: (M, 2) metres.
-
-    Returns:
-        Paths from start to end; each begins where the previous one ends. Empty if the line has no length.
+    Each begins where the previous one ends; none if the line has no length.
     """
     points = np.asarray(centerline, np.float64)
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)

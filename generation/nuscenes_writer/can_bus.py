@@ -32,16 +32,9 @@ _FIT_FRAMES: Final = 7
 
 
 def can_bus_files(scene: Scene, *, name: str, source: SourceInfo | None, source_scene: str) -> dict[str, bytes]:
-    """CAN bus files of one scene.
+    """CAN bus files of one scene, by path below the data root.
 
-    Args:
-        scene: The scene.
-        name: Its name in the data set, which the files carry.
-        source: Where the recording comes from.
-        source_scene: Name of the recording there.
-
-    Returns:
-        File contents by path below the data root.
+    ``name`` is the scene's in the data set, ``source_scene`` the recording's in ``source``.
     """
     if source is not None and source.root is not None:
         recorded = sorted((source.root / "can_bus").glob(f"{source_scene}_*.json"))
@@ -115,13 +108,9 @@ class EgoMotion:
 
 
 def derived_messages(scene: Scene) -> dict[str, Any]:
-    """All message files of a scene, made from its ego track.
+    """Content of all message files of a scene, made from its ego track.
 
-    Args:
-        scene: The scene.
-
-    Returns:
-        The content of each file by message name: the six kinds of messages, ``meta`` and ``route``.
+    By message name: the six kinds of messages, ``meta`` and ``route``.
     """
     motion = EgoMotion.of(scene)
     first, last = int(scene.timestamps_us[0]), int(scene.timestamps_us[-1])

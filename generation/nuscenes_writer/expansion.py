@@ -32,13 +32,8 @@ def map_expansion(road_map: RoadMap) -> Row:
     """A road map as the content of ``maps/expansion/<location>.json``.
 
     Lanes, crossings and the like keep their identifiers as tokens. Lane connectors and lanes without a surface get
-    one around their centre line. There are no traffic lights.
-
-    Args:
-        road_map: The whole map of the place.
-
-    Returns:
-        JSON values that the devkit's ``NuScenesMap`` reads.
+    one around their centre line. There are no traffic lights. The devkit's ``NuScenesMap`` reads it; ``road_map``
+    is the whole map of the place.
     """
     writer = _LayerWriter(road_map.location)
     writer.add_areas(road_map)

@@ -204,7 +204,7 @@ def _provenance(plan: DataSetPlan, members: Sequence[Fragment]) -> dict[str, Any
 
 
 def _left_out(plan: DataSetPlan, variant: int, written: Sequence[int]) -> dict[str, Any]:
-    """What a root says of scenes that an inspector rejected: its own, and the first one those of roots without any."""
+    """Facts on scenes that an inspector rejected: a root's own, and in the first one those of roots without any."""
     said = {}
     for number, judged in plan.left_out:
         own = plan.layout == "suffixed" or number == variant

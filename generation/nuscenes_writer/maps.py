@@ -28,19 +28,9 @@ _DEVKIT_MASKS = {
 def write_maps(
     plan: DataSetPlan, root: Path, vocabulary: Vocabulary, fragments: Sequence[Mapping[str, Any]]
 ) -> tuple[list[Row], list[Row]]:
-    """Write a root's ``maps`` folder.
+    """Write a root's ``maps`` folder; gives rows of the ``log`` and of the ``map`` table.
 
-    Args:
-        plan: The data set.
-        root: The root that is being finished.
-        vocabulary: Rows of the source.
-        fragments: Its scenes: ``location``, ``map`` (key of the stored road map) and ``log`` (row) of each.
-
-    Returns:
-        Rows of the ``log`` and of the ``map`` table.
-
-    Raises:
-        InputError: If the disk refuses.
+    Each of ``fragments`` has ``location``, ``map`` (key of the stored road map) and ``log`` (row) of a scene.
     """
     copied = _copy_source_maps(plan, root)
     logs = {row["token"]: row for row in (*vocabulary.log, *(fragment["log"] for fragment in fragments))}
@@ -71,7 +61,7 @@ def _add_empty_maps(root: Path, locations: Collection[str]) -> None:
 
 
 def _location(logs: Mapping[str, Row], log_token: str) -> str | None:
-    """Where a log was recorded; the maps of v1.0-mini also list logs that only v1.0-trainval has."""
+    """Place where a log was recorded; the maps of v1.0-mini also list logs that only v1.0-trainval has."""
     return str(logs[log_token]["location"]) if log_token in logs else None
 
 

@@ -28,12 +28,6 @@ def drivable_mask(road_map: RoadMap) -> bytes:
     """PNG of the drivable area: 255 inside, 0 outside, 0.1 m a pixel, north up over the whole canvas.
 
     Drawn and compressed in bands, because nuScenes' own canvases have up to 1.2 billion pixels.
-
-    Args:
-        road_map: The map.
-
-    Returns:
-        The file's bytes.
     """
     return _png(road_map.canvas_m, MASK_RESOLUTION_M, [(road_map.drivable_area, 255)], ground=0)
 
@@ -41,11 +35,7 @@ def drivable_mask(road_map: RoadMap) -> bytes:
 def basemap(road_map: RoadMap) -> bytes:
     """PNG in shades of grey for map plots: pavements, roads and crossings, at most 4000 pixels long.
 
-    Args:
-        road_map: The map.
-
-    Returns:
-        The file's bytes; the devkit stretches it over the whole canvas.
+    The devkit stretches it over the whole canvas.
     """
     resolution = max(MASK_RESOLUTION_M, max(road_map.canvas_m) / _BASEMAP_LONGEST_PX)
     layers: list[tuple[shapely.Geometry, int]] = [(shape, _WALKWAY_GREY) for shape in road_map.walkways.values()]

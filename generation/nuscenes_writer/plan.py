@@ -32,7 +32,6 @@ class SourceInfo:
     """The data set that another one derives from.
 
     Attributes:
-        name: Its name.
         fingerprint: Its content hash.
         root: Its root folder; maps, CAN bus files and label tokens come from there where it has them.
         version: Its version folder; may stay ``None`` where the root has only one.
@@ -122,7 +121,6 @@ class SceneNames:
     """Tokens and file names of one scene.
 
     Attributes:
-        name: Name of the scene in the data set.
         suffix: What ``name`` adds to the name of the source scene; part of the file names.
         log: Log name, as it may stand in a file name.
         identity: What the tokens are hashes of, beside their own parts.
@@ -178,17 +176,11 @@ class SceneNames:
 def scene_key(
     plan: DataSetPlan, scene: Scene, cameras: tuple[Camera, ...], *, map_key: str, labels: Mapping[str, Any]
 ) -> str:
-    """Key of everything that the files and rows of a scene depend on.
+    """Key, 64 hexadecimal digits, of everything that the files and rows of a scene depend on.
 
     Args:
-        plan: The data set.
-        scene: The scene.
         cameras: Its cameras as rendered.
-        map_key: Key of the scene's road map.
         labels: Name, variant, source scene and report.
-
-    Returns:
-        64 hexadecimal digits.
     """
     content = {item.name: digest(getattr(scene, item.name)) for item in fields(scene) if item.name != "road_map"}
     drawn = None
@@ -203,11 +195,10 @@ def scene_key(
 def digest(value: Any) -> Any:
     """A JSON value that differs whenever the content of ``value`` does.
 
+    It is made for `benchmark.machine.storage.content_key`.
+
     Args:
         value: Dataclasses, arrays, geometries, containers and plain values, nested at will.
-
-    Returns:
-        Something `benchmark.machine.storage.content_key` accepts.
     """
     if isinstance(value, np.ndarray):
         if value.dtype.kind in "UO":
@@ -230,21 +221,13 @@ def digest(value: Any) -> Any:
 
 
 def require_plain_name(what: str, name: str) -> None:
-    """Refuse names that would leave their folder or confuse a shell.
-
-    Raises:
-        InputError: If ``name`` is not letters, digits and ``. _ + -``.
-    """
+    """Refuse names that would leave their folder or confuse a shell: letters, digits and ``. _ + -`` are allowed."""
     if not _PLAIN_NAME.fullmatch(name):
         raise InputError(f"{what} name {name!r} cannot be a file name; use letters, digits, dot, dash and underscore")
 
 
 def require_own_root(plan: DataSetPlan, variant: int) -> None:
-    """Refuse to write over a data set that this writer did not make.
-
-    Raises:
-        InputError: If the target already has tables but none of the writer's own state.
-    """
+    """Refuse to write over a data set that this writer did not make: tables are there, but no state of the writer."""
     folder = plan.data_root(variant) / plan.version
     if plan.state.is_dir() or not any((folder / f"{table}.json").exists() for table in NUSCENES_TABLES):
         return

@@ -15,14 +15,7 @@ _SNAP_M = 1e-4
 
 
 def pack_road_map(road_map: RoadMap) -> dict[str, Any]:
-    """A road map as JSON values.
-
-    Args:
-        road_map: The map.
-
-    Returns:
-        What `unpack_road_map` reads; geometries are exact.
-    """
+    """A road map as JSON values that `unpack_road_map` reads; geometries are exact."""
     return {
         "location": road_map.location,
         "canvas_m": list(road_map.canvas_m),

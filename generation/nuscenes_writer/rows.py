@@ -16,13 +16,10 @@ SceneTables = dict[str, list[Row]]
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One sensor of one scene.
+    """One sensor of one scene; without a ``camera`` it is the lidar.
 
-    Attributes:
-        name: nuScenes channel.
-        camera: Calibration, or ``None`` for the lidar.
-        extension: Of its files.
-        ego: Where the ego is when the sensor measures; ``None`` for the scene's own track.
+    ``extension`` is that of its files; ``ego`` is where the ego is when the sensor measures, ``None`` for the
+    scene's own track.
     """
 
     name: str
@@ -40,17 +37,9 @@ def channels_of(cameras: Sequence[Camera], tracks: Mapping[str, EgoTrack]) -> tu
 def scene_tables(
     names: SceneNames, vocabulary: Vocabulary, scene: Scene, channels: Sequence[Channel], frames: Sequence[int]
 ) -> SceneTables:
-    """All rows that belong to one scene, linked.
+    """All rows that belong to one scene, linked, by table.
 
-    Args:
-        names: Tokens and file names.
-        vocabulary: Label rows.
-        scene: The scene.
-        channels: Its sensors.
-        frames: Frames that get sensor rows, ascending; the keyframes are among them.
-
-    Returns:
-        Rows by table.
+    ``frames`` get sensor rows, ascending; the keyframes are among them.
     """
     tables: SceneTables = {"sample": _samples(names, scene), "calibrated_sensor": []}
     tables["scene"] = [_scene_row(names, vocabulary, scene)]

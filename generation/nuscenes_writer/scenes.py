@@ -27,12 +27,7 @@ UNDRAWN = "undrawn"
 
 
 class WrittenScene(NamedTuple):
-    """A scene of a data set on disk.
-
-    Attributes:
-        key: Its content key, for `finish_data_set`.
-        made: Whether there was something to do.
-    """
+    """A scene of a data set on disk: its content key for `finish_data_set`, and whether there was something to do."""
 
     key: str
     made: bool
@@ -85,7 +80,7 @@ def written_scene(
 
     Raises:
         InputError: If the scene has no keyframes or numbers that are not finite, the name is no file name, the target
-            holds somebody else's data set, or the disk refuses.
+            holds another writer's data set, or the disk refuses.
     """
     require_sound(scene)
     if isinstance(plan.renderer, CuttingRenderer):
@@ -191,18 +186,7 @@ def _stays_inside(path: Any) -> bool:
 
 
 def claim_files(plan: DataSetPlan, key: str, variant: int, name: str, files: Iterable[str]) -> None:
-    """Say which files are about to be written, after removing what the same name stood for before.
-
-    Args:
-        plan: The data set.
-        key: Content key of the scene.
-        variant: Number of its root in the ``per-variant`` layout.
-        name: Its name in the data set.
-        files: Paths below its data root.
-
-    Raises:
-        InputError: If something cannot be removed or written.
-    """
+    """Say which files, paths below the data root, are about to be written, after removing those of the same name."""
     path = plan.claim_path(variant, name)
     claim: dict[str, Any] = {"key": key, "variant": variant, "name": name, "files": sorted(files)}
     earlier = read_state(path)
@@ -214,16 +198,7 @@ def claim_files(plan: DataSetPlan, key: str, variant: int, name: str, files: Ite
 
 
 def release_claim(plan: DataSetPlan, claim: dict[str, Any], keep: frozenset[str]) -> None:
-    """Remove the fragment and files that a claim stands for.
-
-    Args:
-        plan: The data set.
-        claim: The content of a claim file.
-        keep: Files below the same data root that stay.
-
-    Raises:
-        InputError: If something cannot be removed.
-    """
+    """Remove the fragment and files that a claim stands for. Those of ``keep`` stay."""
     root = plan.data_root(claim["variant"])
     with writing_to(root):
         # The fragment goes first: without it the scene is unfinished and whatever is left is written again.
@@ -236,8 +211,7 @@ def release_claim(plan: DataSetPlan, claim: dict[str, Any], keep: frozenset[str]
 def require_sound(scene: Scene) -> None:
     """Refuse a scene whose rows would be wrong.
 
-    Raises:
-        InputError: If it has no keyframes, times do not increase, or poses and sizes are not finite and positive.
+    It needs keyframes, times that increase, finite poses and positive sizes.
     """
     if not len(scene.keyframes):
         raise InputError(f"{scene.name} has no keyframes, there is nothing to write; leave it out")

@@ -69,10 +69,7 @@ class Vocabulary:
     Attributes:
         category: Rows by name, in the order of nuScenes' table of 32, whose row numbers official code knows categories
             by; those of the source alone come behind.
-        attribute: Rows by name.
         visibility: Rows in order of their level.
-        log: The source's log rows.
-        map: The source's map rows.
     """
 
     category: dict[str, Row]
@@ -83,11 +80,7 @@ class Vocabulary:
 
     @classmethod
     def of(cls, source: SourceInfo | None) -> "Vocabulary":
-        """Labels of a data set that derives from ``source``.
-
-        Raises:
-            InputError: If the source's tables cannot be read.
-        """
+        """Labels of a data set that derives from ``source``."""
         folder = _table_folder(source)
         tables = {name: _read(folder, name) for name in ("category", "attribute", "visibility", "log", "map")}
         return cls(

@@ -64,18 +64,9 @@ def ablate(source: DataSet, planner: PlannerUnderTest, settings: BuildSettings) 
 
 
 def ablation_estimate(source: DataSet, planner: PlannerUnderTest, settings: BuildSettings) -> str:
-    """How much work a study is, one line for each row; nothing is written.
+    """Text for people on the work that a study is, one line for each row; nothing is written.
 
-    Args:
-        source: As in `ablate`.
-        planner: As in `ablate`.
-        settings: As in `ablate`.
-
-    Returns:
-        Text for people.
-
-    Raises:
-        InputError: As `ablate`.
+    Arguments and errors as of `ablate`.
     """
     reports = [estimate_build(source, "adv", _settings_of(variant, settings, planner)) for variant in VARIANTS]
     return "\n".join(f"{variant.label}: {said.sentence()}" for variant, said in zip(VARIANTS, reports, strict=True))

@@ -17,11 +17,7 @@ from generation.splits.packaged import NamedSplit
 
 
 def estimate_build(source: DataSet, split: str, settings: BuildSettings) -> BuildReport:
-    """What `generation.pipeline.split.build_split` would do; arguments and errors as there.
-
-    Returns:
-        A report with an estimate.
-    """
+    """What `generation.pipeline.split.build_split` would do, with an estimate; arguments and errors as there."""
     names = ready_to_build(source, split, settings)
     if split != "val-r":
         search = search_of(source, names, settings)
@@ -44,7 +40,7 @@ def estimate_frozen(
 
 
 def _search_estimate(source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings) -> BuildReport:
-    """How much there is to do."""
+    """Estimate of the work that there is to do."""
     chosen = first_units(search, source, names, keep=False)
     units = [unit for _, of_scene in chosen for unit in of_scene]
     with_rounds = settings.keep_rounds and settings.adversaries == 1

@@ -32,15 +32,12 @@ _PREVIOUS = np.array([-4.0, 0.0, 0.0])
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """How much work there is, and about how long it takes.
+    """Amount of work, and about how long it takes.
 
     Attributes:
         attempts: Vehicles left to try, with those of later adversaries where several are wanted.
-        attempt_s: Processor seconds of one of them.
         scenes: Scenes to render, at most or expected.
-        scene_s: Processor seconds of rendering one of them.
         workers: Processes that share the planning, ``None`` where it is not known.
-        renderers: The same for the rendering.
     """
 
     attempts: int
@@ -84,15 +81,7 @@ def planning_estimate(
 ) -> tuple[int, float]:
     """Attempts that are left, and processor seconds of one of them.
 
-    Args:
-        search: What decides the results.
-        units: Vehicles to try first in each scene.
-        left: Those of them that are not done.
-        read: Gives a recorded scene by name.
-        adversaries: Wanted in each scene: whoever is kept begins a chain that tries about as many vehicles again.
-
-    Returns:
-        Number and seconds.
+    Each kept adversary begins a chain that tries about as many vehicles again, up to ``adversaries`` in each scene.
     """
     if not units:
         return 0, 0.0
@@ -109,13 +98,7 @@ def planning_estimate(
 def attempt_seconds(search: Search, scene: Scene, unit: Unit) -> float:
     """Processor seconds of one attempt: one network call of each kind and one evaluation, times how often they happen.
 
-    Args:
-        search: Settings and prior.
-        scene: The recorded scene.
-        unit: A vehicle in it that can be launched.
-
-    Returns:
-        Seconds of one full search; a second try doubles it, giving up early shortens it.
+    A second try doubles them, giving up early shortens them.
     """
     single_threaded()
     hyper, prior = search.hyper, search.prior()
@@ -149,14 +132,7 @@ def rendering_estimate(
 ) -> float:
     """Processor seconds of rendering one scene; of a renderer that takes long, what it says itself.
 
-    Args:
-        renderer: Draws the images; none take no time.
-        scene: A recorded scene.
-        frames: Which frames are drawn.
-        timing: Folder of notes on scenes that were rendered before.
-
-    Returns:
-        Seconds.
+    Without a renderer it is none; ``timing`` is the folder of notes on scenes that were rendered before.
     """
     if renderer is None:
         return 0.0
@@ -180,7 +156,7 @@ def _draw(renderer: Renderer, scene: Scene, frames: Sequence[int]) -> None:
 
 
 def workers_of(executor: Executor) -> int | None:
-    """How many processes an executor has, where that is known."""
+    """Number of processes of an executor, where that is known."""
     return executor.workers if isinstance(executor, LocalProcesses) else None
 
 

@@ -12,18 +12,13 @@ from generation.pipeline.writing import WritingJob
 def rejected_jobs(
     plan: DataSetPlan, jobs: Sequence[WritingJob], read: Callable[[str], Scene]
 ) -> dict[str, tuple[int, Judged]]:
-    """Which scenes of a build an inspector rejected: verdicts beside the root stand on the same motion alone.
+    """Scenes of a build that an inspector rejected: verdicts beside the root stand on the same motion alone.
 
     Args:
-        plan: The data set.
-        jobs: Its scenes with the numbers that they would be written under.
         read: Gives a recorded scene by name; asked for scenes with a rejection alone.
 
     Returns:
         By name of the job: the variant, and what was said, under the name in the data set.
-
-    Raises:
-        InputError: If the file of verdicts is damaged.
     """
     verdicts = read_review(plan.root)
     found = {}

@@ -45,14 +45,9 @@ class RuntimeTable(Runtime):
 
 
 def runtime_table(attempts: Iterable[Path], scenes: Iterable[Path]) -> RuntimeTable:
-    """Add up notes.
+    """Table of the time that notes of attempts and of rendered scenes add up to.
 
-    Args:
-        attempts: Notes of attempts; damaged and absent ones are not counted.
-        scenes: Notes of rendered scenes.
-
-    Returns:
-        The table.
+    Damaged and absent notes are not counted.
     """
     of_attempts, of_scenes = _notes(attempts), _notes(scenes)
     total = dict.fromkeys(STAGES, 0.0)
@@ -63,14 +58,10 @@ def runtime_table(attempts: Iterable[Path], scenes: Iterable[Path]) -> RuntimeTa
 
 
 def kept_runtime(state: Path, timings: Path) -> RuntimeTable | None:
-    """What is still known of the time that a build took.
+    """Table of the time that a build took, as far as it is known.
 
-    Args:
-        state: Its folder of finished work; it need not exist.
-        timings: Its folder of notes; it need not exist.
-
-    Returns:
-        All attempts that were timed there, and the scenes that are written now; ``None`` if there are none.
+    It has all attempts that were timed there, and the scenes that are written now; ``None`` if there are none;
+    neither folder need exist.
     """
     attempts = sorted((timings / "attempts").glob("*.timing.json"))
     written = sorted((state / "fragments").glob("*.json"))

@@ -29,7 +29,7 @@ class BuildReport:
         written: Names of the scenes written, best first for ``adv``.
         dropped: Number of attempts that passed verification but are not written, by reason.
         not_tried: Number of objects that are not tried in the recorded scenes, by reason.
-        unsolvable: Scenes that passed everything else and that nobody could have avoided: ``dropped`` for that, and
+        unsolvable: Scenes that passed everything else and that no driver could have avoided: ``dropped`` for that, and
             ``written`` where they are kept; ``None`` where there was no search.
         masked_steps: By protocol, steps of the written scenes that its ground-truth check takes from every planner:
             because the recorded ego touches an ``adversary``, or only something else (``others``).
@@ -168,7 +168,7 @@ class BuildReport:
 
 
 def _requests(found: SearchResult, written: Sequence[Chain]) -> dict[str, dict[str, int]]:
-    """How often each kind was asked for, tried, kept and written."""
+    """Counts of how often each kind was asked for, tried, kept and written."""
     kept = Counter(tried.unit.asked for tried in found.tried if tried.attempt.kept)
     wrote = Counter(link.unit.asked for chain in written for link in chain.links)
     return {

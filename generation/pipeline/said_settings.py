@@ -11,11 +11,7 @@ from generation.splits.packaged import frozen_split, packaged_splits
 
 
 def said_settings(root: Path, made: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Settings of the search behind a root.
-
-    Args:
-        root: The root.
-        made: What ``challenger.json`` says of it.
+    """Settings of the search behind a root; ``made`` is the content of its ``challenger.json``.
 
     Returns:
         Those in ``search.json`` of a root that was searched. A frozen split says the hash of its settings alone: for a

@@ -1,4 +1,4 @@
-"""Which generated scenes are written: the most challenging ones that nobody rejected and that the surrogate fails."""
+"""Which generated scenes are written: the most challenging that no inspector rejected and the surrogate fails."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,12 +17,9 @@ from generation.search.ranking import ranked
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """What is written.
+    """Scenes that are written, best first.
 
     Attributes:
-        chains: The scenes, best first.
-        jobs: How each of them is written.
-        judgement: What the surrogate said, if there was one.
         staging: The data set that the surrogate was judged on.
         staged: Content keys in it by name of the scene.
         left_out: Scenes that an inspector rejected, each with the number of its variant.
@@ -42,20 +39,7 @@ class Selection:
 
 
 def select(source: DataSet, plan: DataSetPlan, found: SearchResult, settings: BuildSettings) -> Selection:
-    """Choose the scenes that are written, and note in ``found`` why the others are not.
-
-    Args:
-        source: Recorded scenes.
-        plan: The data set to write.
-        found: What the search found.
-        settings: Surrogate and limits.
-
-    Returns:
-        The selection.
-
-    Raises:
-        InputError: If the surrogate fails on a sample, or its data set cannot be written.
-    """
+    """Choose the scenes that are written, and note in ``found`` why the others are not."""
     order = ranked(found.chains, per_scene=None, total=None)
     # Variants keep their numbers whoever is left out, and with them their tokens, to which verdicts belong.
     by_name = {job.name: job for job in writing_jobs(order, plan)}
@@ -101,15 +85,7 @@ def _most_challenging(found: SearchResult, chains: Sequence[Chain], settings: Bu
 
 
 def writing_jobs(chains: Sequence[Chain], plan: DataSetPlan) -> list[WritingJob]:
-    """How generated scenes are written: names that do not depend on the rank, variant numbers that do.
-
-    Args:
-        chains: The scenes, best first.
-        plan: The data set.
-
-    Returns:
-        One job for each.
-    """
+    """Jobs of generated scenes: names that do not depend on the rank, variant numbers that do."""
     seen: dict[str, int] = {}
     jobs = []
     for chain in chains:

@@ -85,7 +85,7 @@ class BuildSettings:
 
     @property
     def where_rendered(self) -> Executor:
-        """Where scenes are rendered."""
+        """Executor of the rendering."""
         return self.rendering or self.executor
 
     @property

@@ -23,12 +23,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class BuiltShard:
-    """What a shard of a build did.
-
-    Attributes:
-        did: ``searched`` its recorded scenes, or ``drawn`` its scenes of the new data set.
-        finished: How many of how many.
-    """
+    """Work of one shard of a build: ``searched`` its recorded scenes, or ``drawn`` its scenes of the new data set."""
 
     did: Literal["searched", "drawn"]
     finished: FinishedShard
@@ -40,16 +35,8 @@ def build_shard(source: DataSet, split: str, settings: BuildSettings, shard: Sha
     `generation.pipeline.split.build_split` with the same settings does what is left.
 
     Args:
-        source: Recorded scenes.
-        split: As of `build_split`.
         settings: As of `build_split`, without a surrogate: it judges all scenes together.
         shard: Which share: every n-th recorded scene with all that is searched in it, every n-th scene that is drawn.
-
-    Returns:
-        What was done.
-
-    Raises:
-        InputError: As of `build_split`; if there is a surrogate.
     """
     if settings.surrogate is not None:
         raise InputError(
@@ -75,18 +62,7 @@ def draw_frozen_shard(
 ) -> BuiltShard:
     """Draw a share of a frozen split; `generation.splits.building.build_frozen` does what is left.
 
-    Args:
-        source: The recordings.
-        split: The frozen split.
-        settings: As of `build_frozen`.
-        shard: Which share: every n-th scene.
-        as_split: As of `build_frozen`.
-
-    Returns:
-        What was done.
-
-    Raises:
-        InputError: As of `build_frozen`.
+    Arguments and errors as there; a shard is every n-th scene.
     """
     plan, chosen, report = ready_to_rebuild(source, split, settings, as_split)
     jobs, _, _ = frozen_jobs(source, plan, shard.part(chosen), split)
@@ -112,7 +88,7 @@ def _drawn(
 def _all_searched(
     source: DataSet, split: str, search: Search, names: Sequence[str], settings: BuildSettings
 ) -> Selected | None:
-    """What the search chose, if every attempt is kept."""
+    """Choice of the search, if every attempt is kept."""
     try:
         return selected(source, split, search, names, replace(settings, executor=_NothingLeft()), keep=False)
     except _SomethingLeft:

@@ -40,11 +40,7 @@ from generation.splits.seeds import require_seed, search_hash
 
 
 class NothingSurvivedError(InputError):
-    """No adversarial scene came out of a build.
-
-    Attributes:
-        report: What was tried.
-    """
+    """No adversarial scene came out of a build; ``report`` says what was tried."""
 
     def __init__(self, sentence: str, report: BuildReport) -> None:
         super().__init__(sentence)
@@ -82,19 +78,7 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
 
 
 def ready_to_build(source: DataSet, split: str, settings: BuildSettings) -> tuple[str, ...]:
-    """Refuse what cannot be built.
-
-    Args:
-        source: Recorded scenes.
-        split: As of `build_split`.
-        settings: What and where.
-
-    Returns:
-        The recorded scenes that are used.
-
-    Raises:
-        InputError: As of `build_split`.
-    """
+    """Refuse what cannot be built, as `build_split` does; gives the recorded scenes that are used."""
     require_generated(split)
     require_seed(split, settings.seed, f"--seed {settings.seed}")
     require_not_frozen(settings.out)
@@ -104,19 +88,7 @@ def ready_to_build(source: DataSet, split: str, settings: BuildSettings) -> tupl
 
 
 def search_of(source: DataSet, names: Sequence[str], settings: BuildSettings) -> Search:
-    """What decides the attempts of a build.
-
-    Args:
-        source: Recorded scenes.
-        names: Which of them.
-        settings: What and where.
-
-    Returns:
-        It.
-
-    Raises:
-        InputError: If a scene has no map.
-    """
+    """Everything that decides the attempts of a build; every scene needs a map."""
     without_map = [name for name in names if not source.has_map(name)]
     if without_map:
         raise InputError(
@@ -146,18 +118,7 @@ def require_generated(split: str) -> None:
 
 
 def source_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
-    """Names of the recorded scenes that a build uses.
-
-    Args:
-        source: Recorded scenes.
-        settings: Which of them.
-
-    Returns:
-        The names, in order; scenes without annotations are skipped.
-
-    Raises:
-        InputError: If a scene is unknown, there are none, or none has annotations.
-    """
+    """Names of the recorded scenes that a build uses, in order; scenes without annotations are skipped."""
     names = _asked_for(source, settings)
     require_annotated(source, settings.source_split, names)
     skipped = set(unlabelled_scenes(source, settings))
@@ -190,14 +151,9 @@ def unlabelled_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ..
 
 @dataclass(frozen=True, slots=True)
 class Selected:
-    """What a search found and what of it is written.
+    """Found scenes and those of them that are written.
 
-    Attributes:
-        found: What was found.
-        chosen: What is written of it.
-        plan: The data set to write.
-        report: What is said of both.
-        files: The same as files, by name.
+    ``report`` says it of both, ``files`` the same as files, by name.
     """
 
     found: SearchResult
@@ -232,21 +188,9 @@ def selected(
     *,
     keep: bool = True,
 ) -> Selected:
-    """Search, or find what was searched, and choose.
+    """Search, or find what was searched, and choose; nothing is published.
 
-    Args:
-        source: Recorded scenes.
-        split: Name of the split.
-        search: What decides the attempts.
-        names: Recorded scenes.
-        settings: What and where.
-        keep: Whether choices of vehicles are written.
-
-    Returns:
-        What was found and chosen; nothing is published.
-
-    Raises:
-        InputError: As of `search_chains` and `select`.
+    ``keep`` says whether choices of vehicles are written.
     """
     found = searched(source, search, names, settings, keep=keep)
     plan = _plan(source, split, settings)
@@ -317,16 +261,7 @@ def _frozen_rejections(rejected: Sequence[tuple[int, Judged]]) -> tuple[FrozenRe
 def originals(
     source: DataSet, names: Sequence[str], settings: BuildSettings
 ) -> tuple[DataSetPlan, list[WritingJob], dict[str, bytes]]:
-    """How recordings are rendered again.
-
-    Args:
-        source: Recorded scenes.
-        names: Which of them.
-        settings: What and where.
-
-    Returns:
-        The data set to write, its scenes, and what is said of it by file name.
-    """
+    """Data set of recordings that are rendered again: its plan, its scenes, and reports by file name."""
     jobs = [WritingJob(name.replace("/", "-"), name.replace("/", "-"), name, 0, _unchanged, {}) for name in names]
     report = _report_of_originals(source, jobs, settings)
     return _plan(source, "val-r", settings), jobs, _report_files(report, SearchResult(), [])
@@ -373,7 +308,7 @@ def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], setti
 
 
 def _report_files(report: BuildReport, found: SearchResult, written: Sequence[Chain]) -> dict[str, bytes]:
-    """What a build says of itself, by file name."""
+    """Reports of a build on itself, by file name."""
     name_of = {link.unit: chain.name for chain in written for link in chain.links}
     attempts = []
     for tried in found.tried:

@@ -34,7 +34,6 @@ class PlannerUnderTest:
     """A planner that generated scenes are judged with.
 
     Attributes:
-        factory: Builds it.
         images: Whether it looks at images; without, none are drawn for it.
         workers: Processes of its evaluation; no result depends on them.
     """
@@ -46,13 +45,11 @@ class PlannerUnderTest:
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What a planner made of generated scenes.
+    """Judgement of a planner on generated scenes.
 
     Attributes:
-        planner: Its name.
         failed: Scenes in which it touches the adversary first in at least one sample, by the names that the evaluated
             data set has.
-        scenes: Scenes that were judged.
         samples: Samples that count.
         colliding_samples: Those of them whose first contact within three seconds is with the adversary.
         record: Directory of the run record.
@@ -81,12 +78,7 @@ class Judgement:
 def staging_plan(plan: DataSetPlan, planner: PlannerUnderTest) -> DataSetPlan:
     """The data set that a planner is judged on: as the final one, but hidden below it.
 
-    Args:
-        plan: The final data set.
-        planner: Who is asked; its folder has no images unless it looks at them.
-
-    Returns:
-        The plan.
+    It has no images unless the planner looks at them.
     """
     renderer = plan.renderer if planner.images else None
     return replace(plan, root=plan.root / STATE_FOLDER / "surrogate" / "data", renderer=renderer)
@@ -98,15 +90,8 @@ def judge(
     """Finish a data set of written scenes and run a planner on it.
 
     Args:
-        plan: The data set.
         keys: What `write_scene` returned.
-        planner: Who is asked.
-        runs: Folder of run directories.
-        name: Name of the source, which the record shows.
         seed: Seed of the record's intervals.
-
-    Returns:
-        The judgement.
 
     Raises:
         InputError: If the planner fails on any sample, so that it cannot be said which scenes it copes with.
@@ -118,17 +103,7 @@ def judge(
 
 
 def judged(record: RunRecord) -> Judgement:
-    """The judgement that a run record holds.
-
-    Args:
-        record: Of a run on generated scenes.
-
-    Returns:
-        The judgement.
-
-    Raises:
-        InputError: If the planner failed on any sample.
-    """
+    """The judgement that a run record holds."""
     require_all_planned(record)
     verdicts = adversary_failures(record)
     return Judgement(
@@ -142,11 +117,7 @@ def judged(record: RunRecord) -> Judgement:
 
 
 def require_all_planned(record: RunRecord) -> None:
-    """Refuse a run in which the planner raised: a sample without a plan is neither a collision nor none.
-
-    Raises:
-        InputError: If the planner failed on any sample.
-    """
+    """Refuse a run in which the planner raised: a sample without a plan is neither a collision nor none."""
     if record.summary.failed:
         raise InputError(
             f"{record.planner} raised on {record.summary.failed} of {counted(record.summary.samples, 'sample')}, so it "
@@ -159,13 +130,7 @@ def require_all_planned(record: RunRecord) -> None:
 def take_over(staging: DataSetPlan, plan: DataSetPlan, keys: Sequence[str]) -> None:
     """Put finished scenes of one data set into another without drawing them again; `write_scene` finds them complete.
 
-    Args:
-        staging: Where the scenes are.
-        plan: Where they go; the same in all that the bytes of a scene depend on.
-        keys: Content keys of the scenes.
-
-    Raises:
-        InputError: If the disk refuses.
+    The two are the same in all that the bytes of a scene depend on.
     """
     for key in keys:
         fragment = stored_fragment(staging, key)

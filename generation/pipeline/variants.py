@@ -12,11 +12,7 @@ FAR_M: Final = 10.0
 
 
 def distance(first: Tried, second: Tried) -> float:
-    """How much two adversaries of one recording differ, 0 to 2.
-
-    Args:
-        first: A kept attempt.
-        second: Another one in the same recording.
+    """Difference of two adversaries of one recording, 0 to 2.
 
     Returns:
         The mean distance of their centres at the frames at which both act, in units of 10 m and at most 1 at each
@@ -36,17 +32,10 @@ def distance(first: Tried, second: Tried) -> float:
 
 
 def differing(order: Sequence[Chain], most: int) -> list[Chain]:
-    """Of each recording at most so many scenes that differ from one another.
+    """At most ``most`` scenes of each recording, best first, that differ from one another.
 
-    The most challenging one comes first; then, again and again, the one whose least `distance` to those that are kept
-    is largest. Scenes with several adversaries are compared link by link.
-
-    Args:
-        order: Scenes, best first.
-        most: How many of one recording.
-
-    Returns:
-        Those that are kept, best first.
+    The most challenging one comes first; then, again and again, the one whose least `distance` to those that are
+    kept is largest. Scenes with several adversaries are compared link by link.
     """
     kept: set[str] = set()
     for scene in dict.fromkeys(chain.scene_name for chain in order):

@@ -40,16 +40,12 @@ class WritingJob:
     """One scene to write: a recording, or a variant of it.
 
     Attributes:
-        name: Its name among all scenes of the build.
-        written_as: Its name in its root.
-        source_scene: Name of the recorded scene.
         variant: Number of its root in the ``per-variant`` layout; part of its tokens in any.
         make: Turns the recorded scene into what is written; picklable, as jobs go to workers.
         report: What ``challenger.json`` says of it.
         last_attempt: Content key of the attempt that made its last adversary, and the place of that among the scene's
             adversaries; ``None`` for a recording.
         identity: What its tokens are made of, if not its motion.
-        judgements: What is said of each of its adversaries.
         tracks: How its adversaries were made, if it is to be judged where it is written.
     """
 
@@ -80,19 +76,11 @@ def write_scenes(
 ) -> list[str]:
     """Render and write scenes; those that are there already are left alone.
 
+    Content keys in the order of the jobs are for `finish_data_set`; the bytes do not depend on ``executor``.
+
     Args:
-        plan: The data set.
-        jobs: The scenes.
         read: Gives a recorded scene by name; called here, so that workers need not open the source.
-        executor: Where scenes are rendered; the bytes do not depend on it.
         timing: Folder for notes on how long rendering took; no result depends on them.
-        label: What is done, for people.
-
-    Returns:
-        Content keys in the order of the jobs, for `finish_data_set`.
-
-    Raises:
-        InputError: If a scene cannot be written, or workers are lost.
     """
     _leave_other_layout(plan)
     # Variants of one recording after each other: it is read once.
@@ -131,15 +119,7 @@ def _write_one(plan: DataSetPlan, timing: Path, shipped: tuple[Scene, WritingJob
 
 
 def publish_reports(root: Path, files: dict[str, bytes]) -> None:
-    """Write what a build says of itself; a finished data set that something else was said of is not finished any more.
-
-    Args:
-        root: Root of the build.
-        files: Content by file name.
-
-    Raises:
-        InputError: If they cannot be written.
-    """
+    """Write the reports of a build on itself; a data set finished with other reports is not finished any more."""
     if unfinish_others(root, files):
         for name, data in files.items():
             write_bytes(root / name, data)
@@ -148,15 +128,7 @@ def publish_reports(root: Path, files: dict[str, bytes]) -> None:
 def unfinish_others(root: Path, files: dict[str, bytes]) -> bool:
     """Take the mark of a finished data set away where other things are said of it than these.
 
-    Args:
-        root: Root of the build.
-        files: What a build says of itself, by file name.
-
-    Returns:
-        Whether other things were said, or nothing.
-
-    Raises:
-        InputError: If the mark cannot be removed.
+    It is true if other things were said, or nothing.
     """
     if all((root / name).is_file() and (root / name).read_bytes() == data for name, data in files.items()):
         return False
@@ -166,14 +138,7 @@ def unfinish_others(root: Path, files: dict[str, bytes]) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class WrittenScenes:
-    """Scenes of a data set that are written, and become it.
-
-    Attributes:
-        plan: The data set.
-        jobs: Its scenes.
-        keys: What `write_scenes` returned for them.
-        source: The recordings.
-    """
+    """Scenes of a data set that are written, and become it. ``keys`` are those that `write_scenes` returned."""
 
     plan: DataSetPlan
     jobs: Sequence[WritingJob]
@@ -250,20 +215,13 @@ PUBLISHERS: Final[tuple[Callable[[WrittenScenes], None], ...]] = (
 
 
 def publish(written: WrittenScenes) -> None:
-    """Make a data set of written scenes.
-
-    Args:
-        written: The scenes.
-
-    Raises:
-        InputError: If kept rounds are damaged, the scenes do not go together, or the disk refuses.
-    """
+    """Make a data set of written scenes."""
     for step in PUBLISHERS:
         step(written)
 
 
 def _kept_file(folder: Path) -> dict[str, tuple[SceneJudgement, ...]] | None:
-    """What was published before; nothing if it is damaged, so that it is written again."""
+    """File that was published before; nothing if it is damaged, so that it is written again."""
     try:
         found = read_judgements_file(folder)
     except InputError:
@@ -302,7 +260,7 @@ def _rounds(plan: DataSetPlan, job: WritingJob, key: str) -> bytes | None:
 
 
 def _leave_other_layout(plan: DataSetPlan) -> None:
-    """Take away what an earlier build wrote in the other layout: whoever opens the folder would read that one."""
+    """Take away what an earlier build wrote in the other layout: a reader of the folder would open that one."""
     if not plan.state.is_dir():
         return
     suffixed = plan.layout == "suffixed"
@@ -322,7 +280,7 @@ def _leave_other_layout(plan: DataSetPlan) -> None:
 
 
 def unfinish(root: Path) -> None:
-    """Take the mark of a finished data set away, so that nobody reads it beside reports of another build.
+    """Take the mark of a finished data set away, lest it be read beside reports of another build.
 
     Rounds and judgements go with it: they belong to the search that the reports are about.
     """
@@ -333,15 +291,9 @@ def unfinish(root: Path) -> None:
 
 
 def withdraw(root: Path) -> None:
-    """Take away the tables of an earlier build, so that nobody takes them for the result of one that found nothing.
+    """Take away the tables of an earlier build, lest they be taken for the result of one that found nothing.
 
     Pictures and the writer's notes stay: the next build that succeeds uses or removes them.
-
-    Args:
-        root: Root of the build.
-
-    Raises:
-        InputError: If they cannot be removed.
     """
     if not (root / STATE_FOLDER).is_dir():
         return

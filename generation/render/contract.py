@@ -45,15 +45,7 @@ class Renderer(Protocol):
 
 
 def require_frames(scene: Scene, frames: Sequence[int]) -> None:
-    """Refuse frames that a scene does not have.
-
-    Args:
-        scene: The scene.
-        frames: Frame indices that are asked for.
-
-    Raises:
-        InputError: If one is not in the scene.
-    """
+    """Refuse frames that a scene does not have."""
     count = len(scene.timestamps_us)
     for frame in frames:
         if not 0 <= frame < count:
@@ -78,7 +70,7 @@ class CuttingRenderer(Renderer, Protocol):
 
 @runtime_checkable
 class LongRenderer(Renderer, Protocol):
-    """A renderer that takes so long that nobody draws a few pictures to find out."""
+    """A renderer that takes so long that a few pictures are not drawn to find out."""
 
     def scene_seconds(self, scene: Scene) -> float:
         """About how long a scene takes."""

@@ -33,13 +33,7 @@ _GAP_PX: Final = 4
 def moments(scene: Scene, *, count: int = PANELS, step_s: float = 1.0) -> list[int]:
     """Frames around the first adversary's closest approach, or spread over a scene without one.
 
-    Args:
-        scene: The scene.
-        count: How many.
-        step_s: Time between them.
-
-    Returns:
-        Frame indices in order; the closest approach is a little behind the middle.
+    They are in order; the closest approach is a little behind the middle.
     """
     last = len(scene.timestamps_us) - 1
     if not scene.adversaries:
@@ -59,17 +53,7 @@ def scene_strip(
 ) -> NDArray[np.uint8]:
     """Several moments side by side, each from above and through the camera that sees the adversary best.
 
-    Args:
-        scene: The scene.
-        frames: Frame indices, left to right.
-        renderer: Draws the camera pictures.
-        panel_px: Side of a panel.
-
-    Returns:
-        (height, width, 3) RGB.
-
-    Raises:
-        InputError: If there are no frames, or one is not in the scene.
+    (height, width, 3) RGB; frames go from left to right, ``panel_px`` is the side of a panel.
     """
     if not len(frames):
         raise InputError("a strip needs at least one frame")
@@ -87,13 +71,7 @@ def scene_strip(
 def best_camera(scene: Scene, frames: Sequence[int], renderer: Renderer) -> str:
     """The camera in which the adversaries appear largest over some frames.
 
-    Args:
-        scene: The scene.
-        frames: Frame indices.
-        renderer: Gives the cameras.
-
-    Returns:
-        A camera name; ``CAM_FRONT``, or the first camera there is, where no adversary is in sight.
+    It is ``CAM_FRONT``, or the first camera there is, where no adversary is in sight.
     """
     cameras = renderer.cameras(scene)
     names = [camera.name for camera in cameras]

@@ -49,9 +49,8 @@ class SchematicSensor:
 class SchematicLook:
     """A scene made ready to be looked at.
 
-    Attributes:
-        cameras: The rig, at the size that is drawn.
-        stage: What does not change from picture to picture: road, houses, trees.
+    ``cameras`` are the rig at the size that is drawn; ``stage`` has road, houses and trees, which do not change
+    from picture to picture.
     """
 
     cameras: tuple[Camera, ...]
@@ -60,11 +59,7 @@ class SchematicLook:
     def views(self, driven: Scene) -> dict[str, CameraView]:
         """Pictures of now, as bytes in memory: nothing else of the world can be reached from them.
 
-        Args:
-            driven: The world as driven; its last frame is now.
-
-        Returns:
-            Views by camera name.
+        The last frame of the driven world is now.
         """
         self.stage.go_on(driven)
         now = len(driven.timestamps_us) - 1

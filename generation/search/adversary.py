@@ -1,6 +1,6 @@
 """One unit of work: one vehicle of one scene becomes an adversary (Algorithm 1).
 
-Pure: the same scene, vehicle, seed, settings and prior give the same track, whoever computes it and when.
+Pure: the same scene, vehicle, seed, settings and prior give the same track, on any machine at any time.
 """
 
 import hashlib
@@ -36,13 +36,11 @@ ALGORITHM_VERSION = "4"
 
 @dataclass(frozen=True, slots=True)
 class Searched:
-    """What came of one (scene, vehicle, seed).
+    """Outcome of the search with one (scene, vehicle, seed).
 
     Attributes:
-        attempt: All of it that is reported.
         finding: Why the result is not kept and what shows it, or ``None``.
         poses: (T - start, 3) executed poses of the box centre; fewer where planning gave up, (0, 3) without launch.
-        scene: The adversarial scene, if kept.
         rounds: What was searched, where the whole track was planned and rounds are kept.
         stage_seconds: Processor seconds of all tries by stage: sampling, physics, scoring, other (everything else).
     """
@@ -83,20 +81,11 @@ def attempts_together(
 
     Args:
         vehicles: Recorded scenes and indices of vehicles in them; earlier adversaries are surroundings like any other.
-        seed: User's seed; part of a seed made of content.
-        hyper: Settings.
-        prior: Diffusion model.
         diversify: Spread of the initial batch; by default the package's own, or none (``hyper.varied``).
         model: Physics; those of ``hyper`` by default.
         keep_rounds: Whether the candidates of every round are kept; no other result depends on it.
         earlier: For each vehicle the launch frames of the adversaries that its scene has already, by identifier.
         asked: What each vehicle is to do, ``None`` where anything is welcome; by default that is everywhere.
-
-    Returns:
-        For each vehicle the kept scene, or the reason why there is none.
-
-    Raises:
-        InputError: If there is no such vehicle.
     """
     model = model or hyper.motion_model()
     for scene, agent in vehicles:

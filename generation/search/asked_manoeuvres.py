@@ -30,13 +30,9 @@ LOOK_AHEAD_FRAMES: Final = 48
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """A kind that one adversary is asked for.
+    """A kind of manoeuvre that one adversary is asked for.
 
-    Attributes:
-        kind: Which.
-        scene: The scene before the adversary acts.
-        agent: Index of the vehicle.
-        start: Frame of its launch.
+    ``scene`` is the one before the adversary acts, ``start`` the frame of its launch.
     """
 
     kind: Manoeuvre
@@ -45,10 +41,9 @@ class Wish:
     start: int
 
     def at(self, frame: int, offsets: tuple[int, ...], track: Floats) -> Callable[[Floats, Floats], Floats]:
-        """How far candidates are from what was asked for, at a planning frame.
+        """Distance of candidates from the manoeuvre that was asked for, at a planning frame.
 
         Args:
-            frame: The planning frame.
             offsets: S frames after it that are scored; every half second of them is looked at.
             track: (F, 3) executed poses of the box centre from the launch to the planning frame.
 
@@ -95,11 +90,7 @@ class Wish:
 
 
 def askable(name: str) -> Manoeuvre:
-    """The kind of a name.
-
-    Raises:
-        InputError: If there is no such kind, or it is what is left where nothing happens.
-    """
+    """The kind of a name; `InputError` for an unknown one, and for the kind that is left where nothing happens."""
     kinds = [kind.value for kind in ASKABLE]
     if name in LEFTOVER:
         raise InputError(f"{name} is what is left where nothing else happens; ask for one of {', '.join(kinds)}")
@@ -109,13 +100,7 @@ def askable(name: str) -> Manoeuvre:
 
 
 def able(kind: Manoeuvre, scene: Scene, agent: int, start: int) -> bool:
-    """Whether a vehicle drives in a direction in which it can do what is asked: nobody turns round for a request.
-
-    Args:
-        kind: One of `ASKABLE`.
-        scene: The scene.
-        agent: Index of the vehicle.
-        start: Frame of its launch.
+    """Whether a vehicle drives in a direction in which it can do what is asked: none turns round for a request.
 
     Returns:
         For `ONCOMING`, whether it is opposing at the launch; for `CROSSING`, whether its recording is ever across

@@ -31,13 +31,7 @@ SAME_M: Final = 1e-9
 
 
 class StoredAttempt(BaseModel):
-    """A finished attempt on disk, with its track where it was kept.
-
-    Attributes:
-        agent: Index of the vehicle.
-        report: What came of it.
-        poses: (T - start, 3) executed poses; none where it was discarded.
-    """
+    """A finished attempt on disk. ``poses`` are its (T - start, 3) executed poses, none where it was discarded."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
@@ -51,22 +45,12 @@ class StoredAttempt(BaseModel):
 
     @classmethod
     def of(cls, unit: Unit, result: Searched) -> "StoredAttempt":
-        """What is stored of an attempt."""
+        """Stored form of an attempt."""
         poses = result.poses.tolist() if result.kept else []
         return cls(agent=unit.agent, report=result.attempt, poses=tuple((x, y, yaw) for x, y, yaw in poses))
 
     def adversarial(self, scene: Scene) -> Scene:
-        """The kept scene, from the one that the attempt started from.
-
-        Args:
-            scene: The recorded scene, with the earlier adversaries in it.
-
-        Returns:
-            The scene with the stored track.
-
-        Raises:
-            InputError: If the attempt was discarded or belongs to another scene.
-        """
+        """The kept scene: the one that the attempt started from, earlier adversaries in it, with the stored track."""
         start, agent_id = self.report.launch_frame, self.report.agent
         known = self.agent < len(scene.agents) and scene.agents.ids[self.agent] == agent_id
         if not self.report.kept or start is None or not known:
@@ -81,17 +65,10 @@ class StoredAttempt(BaseModel):
 def eligibility(
     search: Search, scene_name: str, earlier: tuple[Earlier, ...], read: Callable[[], Scene], *, keep: bool
 ) -> Eligibility:
-    """Which vehicles of a scene are tried; found on disk, or looked at and kept.
+    """Vehicles of a scene that are tried; read from disk, or looked at and kept.
 
-    Args:
-        search: What decides the choice.
-        scene_name: Name in the source.
-        earlier: Adversaries that the scene has already.
-        read: Gives the scene with these adversaries; called only where the choice is not there.
-        keep: Whether the choice is written.
-
-    Returns:
-        The choice.
+    ``read`` gives the scene with its earlier adversaries; it is called only where the choice is not on disk.
+    ``keep`` says whether the choice is written.
     """
     key, store = search.eligibility_key(scene_name, earlier), eligibility_store(search)
     kept = store.get(key)
@@ -104,12 +81,12 @@ def eligibility(
 
 
 def eligibility_store(search: Search) -> ResultStore[Eligibility]:
-    """Where choices of vehicles are kept."""
+    """Store of choices of vehicles."""
     return ResultStore(search.state / "surveys", Eligibility)
 
 
 def attempt_store(search: Search) -> ResultStore[StoredAttempt]:
-    """Where finished attempts are kept."""
+    """Store of finished attempts."""
     return ResultStore(search.state / "attempts", StoredAttempt)
 
 
@@ -138,17 +115,10 @@ def attempts(
     """Results of the units in their order; finished ones are read, missing ones are computed and kept.
 
     Args:
-        search: What decides the results.
-        units: Vehicles to try; those of one scene side by side.
         scene_of: Gives the scene of a unit, with the earlier adversaries in it; called here, for missing units only.
-        executor: Where the missing ones are computed; the results do not depend on it.
         together: Units that a worker plans side by side, which pays on an accelerator; no result depends on it.
         keep_rounds: Whether the rounds of attempts that pass verification are kept as well. Those that were kept
             without are searched again.
-        label: What is done, for people.
-
-    Returns:
-        One stored attempt per unit.
 
     Raises:
         InputError: If workers are lost, results cannot be written, or searching again gives another track.

@@ -35,17 +35,7 @@ class NotTried(StrEnum):
 
 
 def draw(scene: Scene, eligible: Sequence[int], hyper: HyperParameters, seed: int) -> tuple[int, ...]:
-    """At most ``hyper.candidate_limit`` of the eligible vehicles.
-
-    Args:
-        scene: The recorded scene.
-        eligible: Agent indices, ascending.
-        hyper: Limits.
-        seed: Which choice.
-
-    Returns:
-        Agent indices, ascending.
-    """
+    """At most ``hyper.candidate_limit`` of the eligible agent indices, ascending; ``seed`` says which."""
     rng = np.random.default_rng(content_seed("candidates", scene.name, scene.token, seed))
     # Weighted draw without replacement: who waits least, with waiting times of rate "weight".
     measure = nearness if hyper.launch is Launch.REACH else staying_share
@@ -55,15 +45,9 @@ def draw(scene: Scene, eligible: Sequence[int], hyper: HyperParameters, seed: in
 
 
 def unfit(scene: Scene, agent: int, hyper: HyperParameters) -> NotTried | None:
-    """Why an object cannot become an adversary: one can that comes close on the road and launches at a driving ego.
+    """First reason why an object cannot become an adversary, or ``None``.
 
-    Args:
-        scene: The recorded scene.
-        agent: Index of the agent.
-        hyper: Limits.
-
-    Returns:
-        The first reason, or ``None`` for an eligible vehicle.
+    An eligible vehicle comes close on the road and launches at a driving ego.
     """
     agents = scene.agents
     if agents.categories[agent] not in FOUR_WHEELED_CATEGORIES:
@@ -109,13 +93,7 @@ def _unfit_as_we_choose(scene: Scene, agent: int, hyper: HyperParameters) -> Not
 def staying_share(scene: Scene, agent: int, hyper: HyperParameters) -> float:
     """Share of the frames after its launch that an eligible vehicle's recording spends in the area around the ego.
 
-    Args:
-        scene: The recorded scene.
-        agent: Index of an eligible agent.
-        hyper: Size of the area.
-
-    Returns:
-        The share, more than 0.
+    It is more than 0.
     """
     launch = launch_frame(scene, agent, hyper)
     inside = in_canvas(scene, scene.agents.position[agent, :, :2], hyper.half_extent_m) & scene.agents.valid[agent]
@@ -123,22 +101,13 @@ def staying_share(scene: Scene, agent: int, hyper: HyperParameters) -> float:
 
 
 def nearness(scene: Scene, agent: int, hyper: HyperParameters) -> float:
-    """How soon after its launch an eligible vehicle can be in the ego's way: 1 at once, 1/2 after 3 s; more than 0."""
+    """Nearness in time of a launched eligible vehicle to the ego's way: 1 at once, 1/2 after 3 s; more than 0."""
     launch = launch_frame(scene, agent, hyper)
     return float("nan") if launch is None else 1.0 / (1.0 + reach_at(scene, agent, launch, hyper) / 3.0)
 
 
 def launch_frame(scene: Scene, agent: int, hyper: HyperParameters) -> int | None:
-    """First frame at which an agent may take over (`hyperparameters.Launch`).
-
-    Args:
-        scene: The recorded scene.
-        agent: Index of the agent.
-        hyper: Which rule, and its limits.
-
-    Returns:
-        The frame, or ``None``.
-    """
+    """First frame at which an agent may take over by the rule of ``hyper`` (`hyperparameters.Launch`), if any."""
     match hyper.launch:
         case Launch.NEAR:
             return _launch_near(scene, agent, hyper)
@@ -158,14 +127,6 @@ def _launch_near(scene: Scene, agent: int, hyper: HyperParameters) -> int | None
 
     It has been there for the history, is close enough to the ego, drives forwards without sliding, stands on the
     road, and enough of the scene is left.
-
-    Args:
-        scene: The recorded scene.
-        agent: Index of the agent.
-        hyper: Limits.
-
-    Returns:
-        The frame, or ``None``.
     """
     valid = scene.agents.valid[agent]
     seen = np.convolve(valid, np.ones(hyper.history_frames + 1), mode="full")[: len(valid)] > hyper.history_frames

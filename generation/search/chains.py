@@ -39,13 +39,7 @@ class Dropped(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """One attempt, kept or not; those that are kept are the links of chains.
-
-    Attributes:
-        unit: What was tried.
-        key: Content key of the attempt.
-        stored: What came of it.
-    """
+    """One attempt, kept or not, with its content key; those that are kept are the links of chains."""
 
     unit: Unit
     key: str
@@ -53,7 +47,7 @@ class Tried:
 
     @property
     def attempt(self) -> Attempt:
-        """What is reported of it."""
+        """Report on it."""
         return self.stored.report
 
     @property
@@ -74,12 +68,7 @@ class Tried:
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """A recorded scene and the adversaries that were put into it, one after the other.
-
-    Attributes:
-        scene_name: Name of the recorded scene.
-        links: The adversaries in the order in which they were planned; none for the recording itself.
-    """
+    """A recorded scene and its adversaries in the order of their planning; none for the recording itself."""
 
     scene_name: str
     links: tuple[Tried, ...] = ()
@@ -101,7 +90,7 @@ class Chain:
 
     @property
     def earlier(self) -> tuple[Earlier, ...]:
-        """What the next adversary finds."""
+        """Adversaries that the next one finds."""
         return tuple(
             Earlier(link.key, link.unit.agent, link.agent_id, link.attempt.launch_frame)
             for link in self.links
@@ -123,27 +112,17 @@ class Chain:
 
     @property
     def judgements(self) -> tuple[SceneJudgement, ...]:
-        """What is said of each adversary in the scene with all of them."""
+        """Judgement on each adversary in the scene with all of them."""
         return self.links[-1].attempt.judgements
 
     def adversarial(self, scene: Scene) -> Scene:
-        """The generated scene.
-
-        Args:
-            scene: The recorded scene.
-
-        Returns:
-            The scene with all adversaries.
-
-        Raises:
-            InputError: If the stored attempts do not fit the scene.
-        """
+        """The generated scene: the recorded one with all adversaries."""
         for link in self.links:
             scene = link.stored.adversarial(scene)
         return scene
 
     def report(self) -> dict[str, Any]:
-        """What ``challenger.json`` says of the scene: the adversary's report, or one for each of several.
+        """Report for ``challenger.json`` on the scene: the adversary's report, or one for each of several.
 
         Judgements are in a file of their own (`benchmark.datasets.judged`): better definitions make no other data set.
         """
@@ -156,11 +135,9 @@ class Chain:
 
 @dataclass(frozen=True, slots=True)
 class Requested:
-    """How often one kind of manoeuvre was asked for.
+    """Requests for one kind of manoeuvre.
 
-    Attributes:
-        vehicles: Vehicles that it was asked of.
-        tried: Those of them that drive in a direction in which they can do it (`asked_manoeuvres.able`).
+    ``tried`` counts the vehicles that drive in a direction in which they can do it (`asked_manoeuvres.able`).
     """
 
     vehicles: int = 0
@@ -169,13 +146,11 @@ class Requested:
 
 @dataclass(slots=True)
 class SearchResult:
-    """What came of a search.
+    """Outcome of a search.
 
     Attributes:
         eligibility: Every look at the vehicles of a scene, after the instances that were adversaries already.
-        tried: Every attempt, in the order of stages and scenes.
         chains: Generated scenes with the wanted number of adversaries.
-        dropped: Why attempts that passed verification are not written.
         requests: Where manoeuvres were asked for: how many vehicles each kind was asked of and how many were tried.
     """
 
@@ -200,17 +175,7 @@ class SearchResult:
 def first_units(
     search: Search, source: DataSet, names: Sequence[str], *, keep: bool
 ) -> list[tuple[Eligibility, list[Unit]]]:
-    """Vehicles that are tried first in each recorded scene.
-
-    Args:
-        search: What decides the choice.
-        source: Recorded scenes.
-        names: Which of them.
-        keep: Whether the choice is written.
-
-    Returns:
-        Which vehicles are tried, and the units of each scene.
-    """
+    """Vehicles that are tried first in each recorded scene, with the units of each; ``keep`` writes the choice."""
     scenes = _Scenes(source)
     return [_chosen(search, Chain(name), scenes, keep=keep) for name in names]
 
@@ -230,22 +195,12 @@ def search_chains(
 
     Every vehicle that is chosen in a recorded scene and passes verification begins a chain. In each chain, vehicles
     are chosen again and tried; the one that challenges most goes on, and a chain in which none passes is dropped.
+    The result is the same with every executor.
 
     Args:
-        search: What decides the results.
-        source: Recorded scenes.
-        names: Which of them.
-        executor: Where attempts are computed.
-        adversaries: Wanted in each scene.
         together: Attempts that a worker plans side by side; no result depends on it.
         keep_rounds: Whether rounds are kept of the last adversary of each chain: the others are as they are shown.
         keep: Whether choices of vehicles are written.
-
-    Returns:
-        What came of it; the same whatever the executor.
-
-    Raises:
-        InputError: If workers are lost, or results cannot be written.
     """
     found, scenes = SearchResult(), _Scenes(source)
     chains = [Chain(name) for name in names]

@@ -30,7 +30,6 @@ class PackagedPrior:
     Attributes:
         weights: Its weights, ``None`` for those in the package.
         device: Where the network runs; of several names, between commas, each worker takes one in turns.
-        sampler: How the network is asked.
     """
 
     weights: Path | None = None
@@ -51,11 +50,7 @@ def _loaded(weights: Path | None, device: str, sampler: SamplerSettings) -> Traj
 class Earlier:
     """An adversary that a scene has already.
 
-    Attributes:
-        key: Content key of the attempt that made it.
-        agent: Index of the vehicle.
-        agent_id: Its instance identifier.
-        start: Frame of its launch.
+    ``key`` is the content key of the attempt that made it, ``start`` the frame of its launch.
     """
 
     key: str
@@ -66,14 +61,10 @@ class Earlier:
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """One vehicle of one scene.
+    """One vehicle of one scene of the source.
 
-    Attributes:
-        scene_name: Name in the source.
-        agent: Index of the vehicle.
-        agent_id: Its instance identifier.
-        earlier: Adversaries that the scene has already, in the order in which they were planned.
-        asked: Kind of manoeuvre that is asked for, if any.
+    ``earlier`` are the adversaries that the scene has already, in the order of their planning; ``asked`` is the
+    kind of manoeuvre that is asked for, if any.
     """
 
     scene_name: str
@@ -89,9 +80,6 @@ class Search:
 
     Attributes:
         fingerprint: Of the data set.
-        hyper: Settings of the search.
-        seed: User's seed.
-        prior: Makes the diffusion model.
         prior_fingerprint: Of the diffusion model.
         state: Where finished work is kept.
         timings: Where notes on how long it took are kept.
@@ -144,7 +132,7 @@ class Search:
         }
 
     def rounds_facts(self, unit: Unit) -> dict[str, Any]:
-        """What the rounds of an attempt say of the search."""
+        """Facts on the search that the rounds of an attempt keep."""
         return {
             "trace": TRACE_VERSION,
             "algorithm": ALGORITHM_VERSION,

@@ -12,13 +12,7 @@ from generation.search.hyperparameters import HyperParameters
 
 @dataclass(frozen=True, slots=True)
 class Departure:
-    """One departure.
-
-    Attributes:
-        said: What the paper or the code says, and where.
-        instead: What is done here.
-        reason: Why.
-    """
+    """One departure: what the paper or the code says and where, what is done here instead, and why."""
 
     said: str
     instead: str
@@ -31,12 +25,9 @@ class Departure:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """Something that the paper leaves open or says in two ways.
+    """A point that the paper leaves open or says in two ways, and the preset's reading of it.
 
-    Attributes:
-        open: What, and where.
-        taken: The reading of the preset.
-        why: Which others were tried and what they kept, or why none was.
+    ``why`` tells which other readings were tried and what they kept, or why none was.
     """
 
     open: str
@@ -231,14 +222,9 @@ READINGS: Final[tuple[Reading, ...]] = (
 
 
 def departures(preset: str, hyper: HyperParameters) -> tuple[Departure, ...]:
-    """Departures of a search from what its preset is named after.
+    """Departures of a search from what its preset is named after (``paper`` or ``reference``).
 
-    Args:
-        preset: ``paper`` or ``reference``; ``default`` follows neither and has none.
-        hyper: Its settings; those that were changed are departures, too.
-
-    Returns:
-        The departures.
+    Settings that were changed are departures, too; ``default`` follows neither and has none.
     """
     match preset:
         case "paper":

@@ -36,8 +36,6 @@ class EgoWay:
         speed: (T,) of the ego along the path, m/s.
         overrun: (T,) metres by which an ego that had kept one of its speeds of the last 3 s would be ahead of it, at
             most, within a second.
-        length_m: Of the ego.
-        width_m: Of the ego.
     """
 
     points: Floats
@@ -65,15 +63,9 @@ class EgoWay:
         return cls(points, headings, stations, path.ego_stations, speed, over, float(ego[0, 2]), float(ego[0, 3]))
 
     def places(self, poses: Floats, first: int, last: int) -> tuple[Floats, Floats, Floats]:
-        """Where poses are along the way.
+        """Stations, offsets (left is positive) and headings relative to the path's, (...) each, of global poses.
 
-        Args:
-            poses: (..., 3) x, y, heading, global.
-            first: First frame that they belong to.
-            last: Last one.
-
-        Returns:
-            (...) stations, (...) offsets (left is positive), (...) headings relative to the path's.
+        (..., 3) ``poses`` belong to the frames from ``first`` to ``last``.
         """
         low, high = np.searchsorted(self.stations, [self.station[first] - BACK_M, self.station[last] + ON_M])
         window = slice(int(low), int(high))
@@ -98,16 +90,11 @@ def smooth_speed(station: Floats, seconds: Floats) -> Floats:
 
 
 def overrun(station: Floats, speed: Floats) -> Floats:
-    """How far ahead of the recorded ego one would be that had kept its speed.
+    """Distance ahead of the recorded ego at which one would be that had kept its speed.
 
     ``o(t) = max over t' in {t, t - 0.5 s, ..., t - 3 s} of s(t') + u(t') (t - t') - s(t)``.
 
-    Args:
-        station: (T,) of the ego, metres.
-        speed: (T,) of the ego, m/s.
-
-    Returns:
-        (T,) metres, not negative.
+    (T,) metres, not negative, of (T,) stations in metres and speeds in m/s.
     """
     over = np.zeros(len(station))
     step = round(PLAN_STEP_S * FRAME_HZ)

@@ -12,14 +12,7 @@ from generation.search.hyperparameters import HyperParameters
 
 
 class ConsideredVehicle(BaseModel):
-    """One four-wheeled vehicle.
-
-    Attributes:
-        agent: Its index in the scene.
-        agent_id: Its instance identifier.
-        category: nuScenes category.
-        reason: Why it is not tried, ``None`` for one that is.
-    """
+    """One four-wheeled vehicle, and the reason why it is not tried (``None`` for one that is)."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -30,12 +23,9 @@ class ConsideredVehicle(BaseModel):
 
 
 class Eligibility(BaseModel):
-    """Which vehicles of one scene are tried; what is no four-wheeler is only counted.
+    """Four-wheeled vehicles of one scene, in its order, and which of them are tried.
 
-    Attributes:
-        scene_name: The scene.
-        objects: Everything that is annotated.
-        vehicles: All four-wheeled vehicles in the scene's order.
+    ``objects`` only counts everything that is annotated.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -51,7 +41,7 @@ class Eligibility(BaseModel):
         return tuple(vehicle for vehicle in self.vehicles if vehicle.reason is None)
 
     def not_tried(self) -> dict[str, int]:
-        """How many objects are not tried, by reason."""
+        """Number of objects that are not tried, by reason."""
         counts = {NotTried.NOT_FOUR_WHEELED.value: self.objects - len(self.vehicles)}
         for vehicle in self.vehicles:
             if vehicle.reason is not None:
@@ -61,11 +51,7 @@ class Eligibility(BaseModel):
     def row(self, earlier: tuple[str, ...]) -> dict[str, Any]:
         """One line of ``candidates.jsonl``.
 
-        Args:
-            earlier: Instances that are adversaries already when these vehicles are looked at.
-
-        Returns:
-            JSON values.
+        ``earlier`` are the instances that are adversaries already when these vehicles are looked at.
         """
         return {
             "scene": self.scene_name,
@@ -81,7 +67,7 @@ class Eligibility(BaseModel):
 
 
 def not_tried_together(looks: Sequence[Eligibility]) -> dict[str, int]:
-    """How many objects of several scenes are not tried, by reason."""
+    """Number of objects of several scenes that are not tried, by reason."""
     counts: Counter[str] = Counter()
     for look in looks:
         counts.update(look.not_tried())
@@ -89,15 +75,9 @@ def not_tried_together(looks: Sequence[Eligibility]) -> dict[str, int]:
 
 
 def eligibility_of(scene: Scene, hyper: HyperParameters, seed: int) -> Eligibility:
-    """Look at every object of a scene.
+    """Which vehicles of a scene are tried and why the others are not.
 
-    Args:
-        scene: The recorded scene, or one with adversaries in it.
-        hyper: Limits of the choice.
-        seed: Which choice, where more than ``hyper.candidate_limit`` vehicles qualify.
-
-    Returns:
-        Which of them are tried, and why the others are not.
+    ``seed`` chooses where more than ``hyper.candidate_limit`` qualify.
     """
     reasons: dict[int, NotTried | None] = {agent: unfit(scene, agent, hyper) for agent in range(len(scene.agents))}
     drawn = set(draw(scene, [agent for agent, reason in reasons.items() if reason is None], hyper, seed))

@@ -24,12 +24,7 @@ from benchmark.scene import Scene
 def recorded_contacts(
     scene: Scene, instances: Collection[str], protocols: Iterable[str]
 ) -> dict[str, tuple[Bools, Bools]]:
-    """Where protocols find the recorded ego in contact: at the key frames of the data set, as they see it from each.
-
-    Args:
-        scene: The scene; its annotations are what a data set holds.
-        instances: Instance identifiers that are told apart.
-        protocols: Names of protocols with a ground-truth check.
+    """Contacts that protocols find of the recorded ego: at the key frames of the data set, as they see it from each.
 
     Returns:
         For each protocol two times (K, 6) verdicts for K samples and the steps after them, False where the recording
@@ -45,14 +40,10 @@ def recorded_contacts(
 
 
 def masked_steps(scene: Scene) -> dict[str, MaskedSteps]:
-    """How many steps of a scene each protocol takes from every planner.
+    """Steps of a scene that each protocol with a ground-truth check takes from every planner.
 
-    Args:
-        scene: The adversarial scene.
-
-    Returns:
-        By protocol with a ground-truth check the steps at which the recorded ego touches an adversary, and those at
-        which it touches others alone.
+    They are counted by protocol: steps at which the recorded ego touches an adversary, and those at which it
+    touches others alone.
     """
     return {
         name: MaskedSteps(adversary=int(own.sum()), others=int((others & ~own).sum()))
@@ -61,14 +52,7 @@ def masked_steps(scene: Scene) -> dict[str, MaskedSteps]:
 
 
 def masked_together(scenes: Iterable[Mapping[str, MaskedSteps]]) -> dict[str, dict[str, int]]:
-    """Masked steps of several scenes.
-
-    Args:
-        scenes: What `masked_steps` says of each.
-
-    Returns:
-        By protocol the steps ``adversary`` and ``others``, as JSON values.
-    """
+    """Masked steps of several scenes: by protocol those of ``adversary`` and of ``others``, as JSON values."""
     sums: dict[str, Counter[str]] = {}
     for by_protocol in scenes:
         for name, steps in by_protocol.items():
@@ -85,14 +69,8 @@ def masked_line(sums: Mapping[str, Mapping[str, int]]) -> str:
 def raster_footprints(scene: Scene, frames: NDArray[np.int64]) -> Floats:
     """The recorded ego as the rasters of the native protocols show it, wherever key frames may lie.
 
-    At a frame that a plan reaches at its k-th step the ego looks as it did k half seconds before.
-
-    Args:
-        scene: The scene.
-        frames: (S,) frame indices.
-
-    Returns:
-        (S, 6, 5) boxes, one for each step: what any of the rasters covers on average.
+    At a frame that a plan reaches at its k-th step the ego looks as it did k half seconds before. (S, 6, 5) boxes,
+    one for each step of (S,) frames: what any of the rasters covers on average.
     """
     rasters = [known for known in map(protocol, NATIVE_PROTOCOLS) if isinstance(known, RasterProtocol)]
     ends = np.stack([raster.mean_ends_m for raster in rasters])

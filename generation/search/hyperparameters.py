@@ -41,7 +41,7 @@ _OF_THE_VERDICT = ("solvable",)
 
 
 class CollisionReading(StrEnum):
-    """What the appendix's three-way collision test means; the readings differ in what they do with near misses.
+    """Meaning of the appendix's three-way collision test; the readings differ in what they do with near misses.
 
     ``GEOMETRY``: boxes that intersect, which is what the three steps compute when their bounds are valid ones.
     ``LITERAL``: the words: centres nearer than the sum of the short edges collide, farther than the sum of the long
@@ -63,7 +63,7 @@ class ScoreOf(StrEnum):
 
 
 class Motion(StrEnum):
-    """How a planned vehicle moves.
+    """Motion of a planned vehicle.
 
     ``DRIVER``: `MotionModel.si`, within what a driver does. ``UNLIMITED``: the same tracker and bicycle without a
     driver's limits, of which the paper has none. ``REFERENCE``: `MotionModel.reference`, a frame counting as a second,
@@ -98,7 +98,7 @@ class Launch(StrEnum):
 
 
 class Discards(StrEnum):
-    """What a scene is dropped for.
+    """Reasons for which a scene is dropped.
 
     ``OURS``: all of `generation.search.verify`. ``PAPER``: of it, what the paper names. ``REFERENCE``: what the code
     asks, which does not look for contact again (`generation.search.reference_discards`).
@@ -134,7 +134,7 @@ class HyperParameters(ThreatSettings):
         candidate_limit: Vehicles tried in one scene ("up to 10 background vehicles").
         staying_preference: Where more qualify, the random choice weighs each by the share of its recorded frames
             after the launch that it spends in the area around the ego, to this power. An oncoming car behind a
-            median leaves the area whatever it does, and is discarded for that. 0 is the paper.
+            median leaves the area in any case, and is discarded for that. 0 is the paper.
         tries: Searches for one vehicle, each with randomness of its own, until a result is kept or leaves the area
             around the ego. The paper does not say; 1 is one search for each vehicle.
         proximity_m: A candidate comes at least this close to the ego, centre to centre (reference code).
@@ -179,7 +179,7 @@ class HyperParameters(ThreatSettings):
         choice: Whose rules choose vehicles.
         launch: When an adversary takes over.
         discards: What a scene is dropped for.
-        solvable: Whether a scene that nobody could have avoided is dropped (``docs/severity.md``, "What solvable
+        solvable: Whether a scene that no driver could have avoided is dropped (``docs/severity.md``, "What solvable
             means"). Neither the paper nor the code asks. No track depends on it.
     """
 

@@ -20,12 +20,7 @@ AGAINST_RAD: Final = np.pi / 2
 
 @dataclass(frozen=True)
 class LaneHeadings:
-    """Points along the centre lines of a map.
-
-    Attributes:
-        points: (V, 2) metres, global.
-        headings: (V,) of the lane there, radians.
-    """
+    """Points along the centre lines of a map, (V, 2) global metres, and (V,) headings of the lane there, radians."""
 
     points: Floats
     headings: Floats

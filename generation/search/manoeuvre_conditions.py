@@ -51,17 +51,11 @@ _SIDES: Final = {"left": 1.0, "right": -1.0}
 
 @dataclass(frozen=True, slots=True)
 class EgoThen:
-    """The ego at the S frames that count.
+    """The ego at S frames: (S,) their indices, their times, stations of its centre, and speeds in m/s.
 
     Attributes:
-        way: Its whole way.
-        frames: (S,) of the scene.
-        seconds: (S,) their times.
-        station: (S,) of its centre.
-        speed: (S,) m/s.
         soon: (S,) station of its front 3 s later; beyond the scene's end it goes on as fast as at the end.
         recent: (S,) station of its rear 3 s before, not before the scene's first frame.
-        half_length: Of the ego.
         half_width: Of the ego, and of the strip that it sweeps.
     """
 
@@ -77,16 +71,7 @@ class EgoThen:
 
     @classmethod
     def of(cls, scene: Scene, frames: tuple[int, ...], way: EgoWay | None = None) -> Self:
-        """The ego of a scene.
-
-        Args:
-            scene: The scene.
-            frames: S frame indices.
-            way: Of its ego, where it is known.
-
-        Returns:
-            Its motion.
-        """
+        """The ego of a scene at S frame indices; ``way`` is its way, where that is known."""
         way = way or EgoWay.of(scene)
         seconds, at = scene.seconds, np.asarray(frames)
         half_length = 0.5 * way.length_m
@@ -110,8 +95,6 @@ class Placed:
     """Candidates beside the ego, (B, S) each.
 
     Attributes:
-        ego: The ego.
-        station: Of the centre.
         offset: Of the centre, left of the path is positive.
         turn: Heading relative to the path's.
         speed: Of the vehicle, m/s.
@@ -133,16 +116,9 @@ class Placed:
 
     @classmethod
     def of(cls, ego: EgoThen, center: Floats, speed: Floats, size: Floats) -> "Placed":
-        """Place candidates.
+        """Place candidates at the ego's S frames.
 
-        Args:
-            ego: The ego at S frames.
-            center: (B, S, 3) poses of the box centres.
-            speed: (B, S) m/s.
-            size: (2,) length and width.
-
-        Returns:
-            The placement.
+        (B, S, 3) poses of box centres, (B, S) speeds in m/s, (2,) length and width.
         """
         station, offset, turn = ego.way.places(center, ego.frames[0], ego.frames[-1])
         cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
@@ -176,49 +152,49 @@ class Placed:
 
     @cached_property
     def closing(self) -> Floats:
-        """How much faster the ego is along the path, m/s."""
+        """Speed by which the ego is faster along the path, m/s."""
         return self.ego.speed - self.along
 
     def inside(self) -> Floats:
-        """What is missing to reach into the strip."""
+        """Metres missing to reach into the strip."""
         return _short(BEYOND_M + self.side_gap)
 
     def outside(self, side: float) -> Floats:
-        """What is missing to be beside the strip, clear of it: on a side, or on the nearer one (0)."""
+        """Metres missing to be beside the strip, clear of it: on a side, or on the nearer one (0)."""
         to_side = np.abs(self.offset) if side == 0.0 else side * self.offset
         return _short(BESIDE_AIM_M - (to_side - self.half_width - self.ego.half_width))
 
     def overtaken(self) -> Floats:
-        """What is missing for its rear to be clear of the ego's front."""
+        """Metres missing for its rear to be clear of the ego's front."""
         return _short(PAST_M - self.room)
 
     def fallen_back(self) -> Floats:
-        """What is missing for its front to be clear of the ego's rear."""
+        """Metres missing for its front to be clear of the ego's rear."""
         return _short(PAST_M - self.distance_behind)
 
     def near_side(self, side: float, gap_m: float) -> Floats:
-        """What is missing to be outside the strip on a side and at most so far from it."""
+        """Metres missing to be outside the strip on a side and at most so far from it."""
         own = side * self.offset - self.half_width - self.ego.half_width
         return _short(own - gap_m + BEYOND_M) + _short(-own)
 
     def ahead(self) -> Floats:
-        """What is missing to have the centre ahead of the ego's."""
+        """Metres missing to have the centre ahead of the ego's."""
         return _short(BEYOND_M + self.ego.station - self.station)
 
     def behind(self) -> Floats:
-        """What is missing to have it behind."""
+        """Metres missing to have it behind."""
         return _short(BEYOND_M + self.station - self.ego.station)
 
     def reached(self) -> Floats:
-        """What is missing for the ego to be at the vehicle's place within 3 s."""
+        """Metres missing for the ego to be at the vehicle's place within 3 s."""
         return _short(self.station - self.half_length - self.ego.soon + BEYOND_M)
 
     def abreast(self) -> Floats:
-        """What is missing for the bodies to overlap along the path."""
+        """Metres missing for the bodies to overlap along the path."""
         return _short(np.maximum(self.room, self.distance_behind) + BEYOND_M)
 
     def headed(self, toward_rad: float) -> Floats:
-        """What is missing to head along, across or against the path, to either side."""
+        """Metres missing to head along, across or against the path, to either side."""
         off = np.abs(np.abs(self.turn) - toward_rad)
         return RADIAN_M * _short(off - ALONG_RAD)
 
@@ -331,21 +307,15 @@ BEHIND: Final = frozenset(("tailgating", "following"))
 
 
 def family_and_side(kind: Manoeuvre) -> tuple[str, float]:
-    """What a kind is called without its side, and the side: 1 left, -1 right, 0 for kinds without."""
+    """Name of a kind without its side, and the side: 1 left, -1 right, 0 for kinds without."""
     family, _, side = kind.value.rpartition("-")
     return (family, _SIDES[side]) if side in _SIDES else (kind.value, 0.0)
 
 
 def missing(kind: Manoeuvre, placed: Placed, *, ready: bool = True) -> Floats:
-    """Metres that are missing until the conditions of a kind hold, frame by frame.
+    """Metres, (B, S) and at most `MOST_MISSING_M`, that are missing until the conditions of a kind hold.
 
-    Args:
-        kind: One of `asked_manoeuvres.ASKABLE`.
-        placed: B candidates at S frames.
-        ready: For cut-ins: whether the vehicle was outside on that side just now, and may come in.
-
-    Returns:
-        (B, S) metres, at most `MOST_MISSING_M`.
+    ``ready`` is for cut-ins: whether the vehicle was outside on that side just now, and may come in.
     """
     family, side = family_and_side(kind)
     found = _MISSING[family](placed, side)

@@ -30,12 +30,10 @@ from generation.search.verify import EGO, Discard, Finding, contacts
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """What was planned and executed.
+    """Executed track of an adversary, and how it was planned.
 
     Attributes:
         poses: (F, 3) executed poses from the launch on.
-        plans: Trace, one entry per planning frame.
-        rounds: Candidates and scores of the same frames, where they are kept.
         gave_up: Why the rest was not planned: what `verify` could only discard; ``None`` if nothing was left out.
     """
 
@@ -50,16 +48,8 @@ class Planning:
     """Planning frames of one adversary, one after the other.
 
     Attributes:
-        scene: The scene that it is planned in.
-        agent: Its index.
-        start: Frame of the launch.
-        hyper: Settings.
-        diversify: Spread of the initial batch.
-        model: Physics.
         rng: Source of every random number.
         stages: Seconds of physics and scoring are added here.
-        keep_rounds: Whether the candidates of every round are kept; no result depends on it.
-        asked: Kind of manoeuvre that is asked for, if any.
         road_around: (3,) pose around which the road is looked at; by default the ego's, at each planning frame.
     """
 
@@ -140,15 +130,9 @@ class Planning:
         return (yield from refine(self.diversify, evaluate, previous, self.hyper, self.rng))
 
     def evaluation(self, frame: int, state: VehicleState, track: Floats) -> Callable[[Floats], Evaluated]:
-        """What simulates and scores candidates at a planning frame.
+        """Function that simulates and scores (B, 16, 3) waypoints at a planning frame.
 
-        Args:
-            frame: Frame index.
-            state: Motion of the vehicle there.
-            track: (F, 3) executed poses of the box centre from the launch to ``frame``.
-
-        Returns:
-            A function of (B, 16, 3) waypoints.
+        ``track`` holds the (F, 3) executed poses of the box centre from the launch to ``frame``.
         """
         offsets = self.offsets(frame)
         steps = max(offsets[-1], min(self.hyper.executed_frames, len(self.scene.timestamps_us) - 1 - frame))
@@ -173,7 +157,7 @@ class Planning:
         return tuple(offset for offset in self.hyper.scored_frames if offset <= left) or (left,)
 
     def rated(self, frame: int, offsets: tuple[int, ...], track: Floats) -> Callable[[SimulatedMotion], Terms]:
-        """What rates the motion of candidates at a planning frame."""
+        """Function that rates the motion of candidates at a planning frame."""
         raster = self._raster(frame)
         frames = tuple(frame + offset for offset in offsets)
         size = self.scene.agents.size[self.agent, :2]
@@ -196,7 +180,7 @@ class Planning:
         return rate
 
     def around(self, frames: tuple[int, ...], raster: DrivableRaster) -> Surroundings:
-        """What candidates can hit at some frames."""
+        """Surroundings that candidates can hit at some frames."""
         return surroundings(self.scene, self.agent, frames, raster, raster_ego=self.hyper.raster_ego)
 
     def _raster(self, frame: int) -> DrivableRaster:
@@ -210,7 +194,7 @@ class Planning:
     def _missing(
         self, frame: int, offsets: tuple[int, ...], track: Floats
     ) -> Callable[[Floats, Floats], Floats] | None:
-        """What says how far candidates are from what was asked for; ``None`` if nothing was, or it is done."""
+        """Function that says how far candidates are from the manoeuvre; ``None`` if none is asked for or it is done."""
         if self.asked is None or self.hyper.manoeuvre_weight == 0.0:
             return None
         wish = Wish(self.asked, self.scene, self.agent, self.start)
@@ -247,7 +231,7 @@ class Planning:
         return np.array([*agents.position[self.agent, frame, :2], agents.yaw[self.agent, frame]])
 
     def _touched(self, frame: int, executed: Floats) -> str | None:
-        """Who is touched first, or ``None``."""
+        """Agent that is touched first, or ``None``."""
         frames = frame + 1 + np.arange(len(executed))
         size = np.broadcast_to(self.scene.agents.size[self.agent, :2], (len(executed), 2))
         boxes = np.column_stack([executed[:, :2], size, executed[:, 2]])

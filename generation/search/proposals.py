@@ -72,11 +72,9 @@ Diversify = Callable[[Floats, np.random.Generator], Floats]
 
 @dataclass(frozen=True, slots=True)
 class Seconds:
-    """Processor seconds of one search.
+    """Processor seconds of one search: of its own, and of the answers that it got.
 
-    Attributes:
-        answers: That its requests took, an equal share of each call that was shared.
-        search: Of its own.
+    ``answers`` takes an equal share of each call that was shared.
     """
 
     answers: float
@@ -84,14 +82,9 @@ class Seconds:
 
 
 def run_together(searches: Sequence[SearchSteps[Found]], prior: Prior) -> tuple[list[Found], list[Seconds]]:
-    """Run searches side by side until each has ended.
+    """Run fresh searches side by side until each has ended; gives what each returned, and how long it took.
 
-    Args:
-        searches: Fresh generators.
-        prior: Answers their requests, all that are open at a time in one call.
-
-    Returns:
-        What each search returned, and how long each took.
+    All requests that are open at a time are answered in one call.
     """
     found: dict[int, Found] = {}
     answering, searching = [0.0] * len(searches), [0.0] * len(searches)

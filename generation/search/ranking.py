@@ -18,7 +18,7 @@ MOVING_M_S = 3.0
 
 
 class Ranked(Protocol):
-    """What ranking reads of a generated scene: its recording, its adversary and its `challenge_score`."""
+    """Contents of a generated scene that ranking reads: its recording, its adversary and its `challenge_score`."""
 
     @property
     def scene_name(self) -> str:
@@ -37,7 +37,7 @@ AnyRanked = TypeVar("AnyRanked", bound=Ranked)
 
 
 def challenge_score(scene: Scene, agent: int, start: int) -> float:
-    """How closely an adversary presses a moving ego over the scene, 0 to 1, higher is more challenging.
+    """Closeness with which an adversary presses a moving ego over the scene, 0 to 1, higher is more challenging.
 
     The paper ranks by "adversarial challenge score" without saying how frames are combined. Here: the mean, over the
     frames from the launch on, of the average of
@@ -47,14 +47,6 @@ def challenge_score(scene: Scene, agent: int, start: int) -> float:
       the ego's own speed is close all the time and asks nothing of the ego,
 
     weighted by the ego's speed up to 3 m/s, because nothing near a standing ego is a challenge to it.
-
-    Args:
-        scene: The adversarial scene.
-        agent: Index of the adversary.
-        start: Frame of the launch.
-
-    Returns:
-        The score.
     """
     closeness = np.clip(1.0 - body_gaps(scene, agent, start) / CLOSE_M, 0.0, 1.0)
     threat = times_to_collision(scene, agent, start) <= THREAT_S
@@ -63,15 +55,9 @@ def challenge_score(scene: Scene, agent: int, start: int) -> float:
 
 
 def ranked(results: Sequence[AnyRanked], *, per_scene: int | None, total: int | None) -> list[AnyRanked]:
-    """The most challenging scenes, best first.
+    """The most challenging scenes, best first; ties are broken by name, so that the order is always the same.
 
-    Args:
-        results: Survivors of the filter.
-        per_scene: Most that are kept of one original scene, ``None`` for all.
-        total: Most that are kept at all, ``None`` for all.
-
-    Returns:
-        The kept ones; ties are broken by name, so that the order is always the same.
+    ``per_scene`` limits those of one original scene, ``total`` all; ``None`` keeps all.
     """
     order = sorted(results, key=lambda result: (-result.challenge, result.scene_name, result.agent_id))
     taken: Counter[str] = Counter()

@@ -40,14 +40,7 @@ MARGIN_M: Final = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """A vehicle at F frames at which it might take over.
-
-    Attributes:
-        frames: (F,) frames of the scene.
-        poses: (F, 3) of its box centre.
-        speed: (F,) m/s.
-        length_m: Its length.
-    """
+    """A vehicle at F frames at which it might take over. (F, 3) poses of its box centre, (F,) speeds in m/s."""
 
     frames: NDArray[np.int64]
     poses: Floats
@@ -56,16 +49,10 @@ class Start:
 
 
 def reach_s(scene: Scene, way: EgoWay, start: Start, half_extent_m: float) -> Floats:
-    """How soon a vehicle can be in the ego's way, driving an arc at a steady change of speed on the road.
+    """Time until a vehicle can be in the ego's way, driving an arc at a steady change of speed on the road.
 
-    Args:
-        scene: The recorded scene.
-        way: Its ego's way.
-        start: The vehicle.
-        half_extent_m: Half the side of the area around the ego in which it has to stay.
-
-    Returns:
-        (F,) seconds, infinite where it cannot, or where it could not stay in the area afterwards.
+    (F,) seconds, infinite where it cannot, or where it could not stay in the area afterwards (``half_extent_m``:
+    half the side of the square around the ego).
     """
     step = FRAMES_PER_KEYFRAME
     ahead = np.arange(round(SOONEST_S * FRAME_HZ), round(LATEST_S * FRAME_HZ) + 1, step)
@@ -125,15 +112,8 @@ def launch_in_reach(scene: Scene, agent: int, hyper: HyperParameters) -> int | N
     """When a vehicle takes over: at the first frame from which it is in the ego's way within 3 s, else the soonest.
 
     Frames are looked at every half second. As everywhere it has been there for the history, drives forwards, stands
-    on the road in the area around the ego, and enough of the scene is left.
-
-    Args:
-        scene: The recorded scene.
-        agent: Index of the agent.
-        hyper: Limits.
-
-    Returns:
-        The frame, or ``None`` where it can never get in the ego's way.
+    on the road in the area around the ego, and enough of the scene is left. ``None`` where it can never get in the
+    ego's way.
     """
     valid = scene.agents.valid[agent]
     seen = np.convolve(valid, np.ones(hyper.history_frames + 1), mode="full")[: len(valid)] > hyper.history_frames
@@ -156,12 +136,7 @@ def launch_in_reach(scene: Scene, agent: int, hyper: HyperParameters) -> int | N
 def last_opportunity(way: EgoWay, hyper: HyperParameters) -> int:
     """The last frame at which an ego that does not react would run into what keeps its air ahead; -1 for none.
 
-    Args:
-        way: The ego's way.
-        hyper: The air, and by how much more it must overrun (``least_overrun_m``).
-
-    Returns:
-        The frame; the last one of the scene where nothing is asked.
+    Where no overrun is asked for (``least_overrun_m``) it is the last frame of the scene.
     """
     if not hyper.least_overrun_m:
         return len(way.speed) - 1

@@ -17,12 +17,7 @@ from benchmark.scene import Scene
 def log_replay_contacts(scene: Scene, agents: NDArray[np.int64] | None = None) -> Bools:
     """Which agents the recorded ego touches when a metric replays the scene from its 2 Hz annotations.
 
-    Args:
-        scene: The scene, recorded or adversarial.
-        agents: Indices of the agents to test, all by default.
-
-    Returns:
-        (N,) verdicts, False for agents that were not tested.
+    (N,) verdicts for ``agents``, all by default; False for those that were not tested.
     """
     chosen = np.arange(len(scene.agents)) if agents is None else agents
     contacts = np.zeros(len(scene.agents), dtype=np.bool_)

@@ -16,17 +16,7 @@ FIT_HALF_WINDOW = FRAMES_PER_KEYFRAME
 
 
 def in_canvas(scene: Scene, points: Floats, half_extent_m: float, *, first: int = 0) -> Bools:
-    """Whether points lie in the square around the ego, frame by frame.
-
-    Args:
-        scene: The scene.
-        points: (F, 2) metres, global, one a frame.
-        half_extent_m: Half the side of the square.
-        first: Frame of the first point.
-
-    Returns:
-        (F,) verdicts.
-    """
+    """Whether (F, 2) global points, one a frame from ``first`` on, lie in the square around the ego."""
     local = to_local(points, scene.ego.pose[first : first + len(points)])
     return np.asarray((np.abs(local) <= half_extent_m).all(axis=-1))
 
@@ -48,16 +38,9 @@ def drives_forward(scene: Scene, agent: int, frame: int) -> bool:
 def initial_state(scene: Scene, agent: int, frame: int, limits: DriverLimits | None) -> VehicleState:
     """Motion of a recorded vehicle at the hand-over, so that the new track goes on where the old one stops.
 
-    Speed is signed along the heading and then not negative (the reference lost the sign: reversing cars shot ahead).
-
-    Args:
-        scene: The recorded scene.
-        agent: Index of the agent.
-        frame: Frame of the hand-over.
-        limits: The state is brought inside them; without any, only the steering inside that of the physics.
-
-    Returns:
-        State at the rear axle.
+    Speed is signed along the heading and then not negative (the reference lost the sign: reversing cars shot
+    ahead). The state is that of the rear axle. It is brought inside ``limits``; without any, only the steering
+    inside that of the physics.
     """
     velocity, acceleration, yaw_rate = _motion(scene, agent, frame)
     yaw = float(scene.agents.yaw[agent, frame])

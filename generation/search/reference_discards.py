@@ -24,13 +24,7 @@ def fault_of_step(best_score: float, frame: int) -> Finding | None:
 def fault_of_place(scene: Scene, centers: Floats, first: int) -> Finding | None:
     """Why the reference code drops a scene for where its adversary was: 50 m from the ego along an axis of the map.
 
-    Args:
-        scene: The scene.
-        centers: (F, 2) of the adversary from ``first`` on; the scene's last frame is not looked at.
-        first: Frame index.
-
-    Returns:
-        The finding, or ``None``.
+    (F, 2) ``centers`` of the adversary begin at frame ``first``; the scene's last frame is not looked at.
     """
     last = len(scene.timestamps_us) - 1
     offset = np.abs(centers[: last - first] - scene.ego.pose[first : first + len(centers)][: last - first, :2])

@@ -43,12 +43,7 @@ def in_reference_canvas(scene: Scene, agent: int) -> Bools:
 def near_on_the_road(scene: Scene, agent: int) -> tuple[bool, bool]:
     """Whether the reference code would edit a vehicle: comes within 20 m of the lidar, and is on the road while near.
 
-    Args:
-        scene: The recorded scene.
-        agent: Index of the agent.
-
-    Returns:
-        Both verdicts; a vehicle that is never in the area has neither.
+    A vehicle that is never in the area has neither.
     """
     canvas = in_reference_canvas(scene, agent)
     if not canvas.any():
@@ -61,13 +56,8 @@ def near_on_the_road(scene: Scene, agent: int) -> tuple[bool, bool]:
 def reference_launch(scene: Scene, agent: int) -> int | None:
     """First frame, not before 20, at which the reference code takes a vehicle over.
 
-    Args:
-        scene: The recorded scene.
-        agent: Index of the agent.
-
-    Returns:
-        The frame; ``None`` if there is none up to frame 140, and where the vehicle was not there over the history that
-        is read, which the reference code does not ask: it goes on with positions of nothing.
+    ``None`` if there is none up to frame 140, and where the vehicle was not there over the history that is read,
+    which the reference code does not ask: it goes on with positions of nothing.
     """
     valid = scene.agents.valid[agent]
     near = valid & (lidar_distance(scene, agent) < LAUNCH_WITHIN_M)
@@ -82,13 +72,7 @@ def reference_launch(scene: Scene, agent: int) -> int | None:
 def reference_state(before: Floats, now: Floats, length_m: float) -> VehicleState:
     """Motion that the reference code plans from: its speed has lost its sign, everything else is zero.
 
-    Args:
-        before: (3,) pose of the box centre two frames ago.
-        now: (3,) pose of the box centre.
-        length_m: Length of the vehicle.
-
-    Returns:
-        State at the rear axle, speed in metres a frame.
+    (3,) poses of the box centre two frames ago and now; the speed, at the rear axle, is in metres a frame.
     """
     speed = float(np.hypot(*(now[:2] - before[:2]))) / SPEED_FRAMES
     return VehicleState(rear_axle(now, length_m), speed)

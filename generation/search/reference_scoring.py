@@ -95,18 +95,10 @@ def distance_weights(poses: int) -> Floats:
 def reference_surroundings(scene: Scene, agent: int, frames: tuple[int, ...], raster: DrivableRaster) -> Surroundings:
     """Everything but one agent as the reference code sees it, the ego 7 m long around its lidar.
 
-    It is challenged at its rear axle. Objects that are absent in a frame are left out. In the reference code they are
-    boxes without a size at the ego's lidar, well inside the ego's box: whoever touches one touches the ego, so that no
-    verdict changes.
-
-    Args:
-        scene: The scene.
-        agent: Index of the agent that is being planned.
-        frames: S frame indices, the planning frame first.
-        raster: Drivable area around the ego's lidar at the planning frame.
-
-    Returns:
-        The surroundings; ``ego_center`` is the rear axle.
+    It is challenged at its rear axle. Objects that are absent in a frame are left out. In the reference code they
+    are boxes without a size at the ego's lidar, well inside the ego's box: touching one is touching the ego, so
+    that no verdict changes. The first of the S frames is the planning frame, at which ``raster`` has the drivable
+    area around the ego's lidar; ``ego_center`` of the result is the rear axle.
     """
     around = surroundings(scene, agent, frames, raster)
     pose = scene.ego.pose[np.asarray(frames)]
@@ -129,9 +121,7 @@ def reference_terms(center: Floats, size: Floats, around: Surroundings, *, chall
     Args:
         center: (B, S, 3) poses of the candidates' box centres from the planning frame on; S is 81, or as many as the
             scene has left.
-        size: (2,) length and width of the vehicle.
         around: Surroundings at the same S frames, the ego last (`reference_surroundings`).
-        challenged: Whether the challenge counts.
 
     Returns:
         The terms. Poses beyond the ends of the raster are read at its border, as the reference code does.
@@ -178,15 +168,9 @@ def at_border(raster: DrivableRaster, points: Floats) -> Bools:
 def corner_points(center: Floats, size: Floats) -> Floats:
     """The points (B, S, 4, 2) that the reference code takes for the corners of a box.
 
-    Half the width along x times the cosine, half the length along y times the sine of the heading: no rotation. Heading
-    along x, all four lie on a line through the middle of the vehicle.
-
-    Args:
-        center: (B, S, 3) poses of box centres.
-        size: (2,) length and width.
-
-    Returns:
-        The points, metres, global.
+    Half the width along x times the cosine, half the length along y times the sine of the heading: no rotation.
+    Heading along x, all four lie on a line through the middle of the vehicle. Metres, global, from (B, S, 3) poses
+    of box centres.
     """
     signs = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
     half = 0.5 * size[::-1] * np.stack([np.cos(center[..., 2]), np.sin(center[..., 2])], axis=-1)
@@ -201,7 +185,6 @@ class ReferenceContacts:
         sure: (B, S) nearer to something than half the short edges; no other test is made there.
         collision: (B, S) those, and those whose inflated box is met.
         hits_ego: (B,) whose box meets the ego's and no other object's at one of the first 14 poses.
-        tests: Pairs of boxes that were intersected.
     """
 
     sure: Bools
@@ -213,16 +196,9 @@ class ReferenceContacts:
 def reference_collisions(center: Floats, size: Floats, around: Surroundings) -> ReferenceContacts:
     """Collisions as the reference code counts them.
 
-    At every pose: nearer than half the short edges collides. Nearer than half the long edges, at poses 0 to 13, 16, 20
-    and 24: the candidate's box, 1.2 times its size, is intersected.
-
-    Args:
-        center: (B, S, 3) finite poses.
-        size: (2,) length and width.
-        around: Objects at the same frames, the ego last.
-
-    Returns:
-        The collisions.
+    At every pose: nearer than half the short edges collides. Nearer than half the long edges, at poses 0 to 13, 16,
+    20 and 24: the candidate's box, 1.2 times its size, is intersected. ``center`` holds (B, S, 3) finite poses,
+    ``around`` the objects at the same frames, the ego last.
     """
     boxes = np.empty((center.shape[1], center.shape[0], 5))
     boxes[..., [0, 1, 4]] = center.transpose(1, 0, 2)
@@ -268,12 +244,7 @@ def challenge_on(distance_m: Floats, launch: int, frame: int, rng: np.random.Gen
     Args:
         distance_m: (T,) from the adversary's centre to the ego's rear axle, from the frame before the launch on at
             least up to the frame before this one.
-        launch: Frame of the launch; ``distance_m`` begins one frame earlier.
-        frame: The planning frame.
         rng: Asked once, whether or not it is needed, so that chance does not hang on distances.
-
-    Returns:
-        Whether it counts.
     """
     drawn = rng.random()
     smoothed = 0.0

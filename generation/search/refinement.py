@@ -18,12 +18,7 @@ from generation.search.scoring import Terms, final_scores
 
 @dataclass(frozen=True, slots=True)
 class Evaluated:
-    """One simulated and scored batch.
-
-    Attributes:
-        motion: What the candidates do.
-        terms: Their score terms.
-    """
+    """One simulated and scored batch."""
 
     motion: SimulatedMotion
     terms: Terms
@@ -31,11 +26,10 @@ class Evaluated:
 
 @dataclass(frozen=True, slots=True)
 class Round:
-    """What one round found.
+    """Outcome of one round.
 
-    Attributes:
-        scores: (B,) final scores, normalised within the round.
-        collision_free: Candidates without contact over the horizon.
+    ``scores`` are (B,) final scores, normalised within the round; ``collision_free`` counts candidates without
+    contact over the horizon.
     """
 
     scores: Floats
@@ -52,8 +46,6 @@ class Refinement:
         chosen: Its index in ``motion``.
         round: Its round, 0 is the initial batch.
         score: Its final score, normalised over all rounds together.
-        rounds: Trace, one entry per round.
-        batches: All rounds as they were searched.
     """
 
     waypoints: Floats
@@ -67,13 +59,7 @@ class Refinement:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """One round as it was searched.
-
-    Attributes:
-        waypoints: (B, 16, 3) candidates before the simulation.
-        evaluated: What they do and their score terms.
-        start: (B,) random initial scores.
-    """
+    """One round as it was searched: (B, 16, 3) candidates before the simulation, and (B,) random initial scores."""
 
     waypoints: Floats
     evaluated: Evaluated
@@ -91,17 +77,11 @@ def refine(
     hyper: HyperParameters,
     rng: np.random.Generator,
 ) -> SearchSteps[Refinement]:
-    """Search one planning frame.
+    """Search one planning frame; yields its requests to the diffusion model (`generation.search.proposals`).
 
     Args:
-        diversify: Applied to the initial batch.
         evaluate: Simulates and scores (B, 16, 3) waypoints.
         previous: (3,) pose half a second ago in the local frame.
-        hyper: Settings.
-        rng: Source of every random number.
-
-    Yields:
-        Requests to the diffusion model (`generation.search.proposals`).
 
     Returns:
         The best candidate of all rounds, or of the last one (``hyper.best_of_all_rounds``).
@@ -132,8 +112,6 @@ def resample(scores: Floats, hyper: HyperParameters, rng: np.random.Generator) -
 
     Args:
         scores: (B,) lower is better; infinite ones are never drawn.
-        hyper: Temperature and ablation.
-        rng: Randomness.
 
     Returns:
         (B,) indices. Uniform over the finite ones without scoring, over all where none is finite.
@@ -160,12 +138,7 @@ def resample(scores: Floats, hyper: HyperParameters, rng: np.random.Generator) -
 def scores_together(batches: Sequence[Batch], hyper: HyperParameters) -> Floats:
     """Final scores by which rounds compare, the challenge normalised over all of them together.
 
-    Args:
-        batches: R rounds of as many candidates each.
-        hyper: Weights.
-
-    Returns:
-        (R, B) scores, lower is better; infinite where a candidate must never be chosen.
+    (R, B) of R rounds of as many candidates each; lower is better, infinite where a candidate must never be chosen.
     """
     terms = [batch.evaluated.terms for batch in batches]
     finite = np.stack([each.finite for each in terms])

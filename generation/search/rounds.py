@@ -29,20 +29,10 @@ def rounds_of(
     hyper: HyperParameters,
     model: MotionModel,
 ) -> TraceFrame:
-    """What was searched at one planning frame.
+    """Candidates and scores that were searched at one planning frame.
 
-    Args:
-        scene: The scene.
-        agent: Index of the vehicle.
-        frame: Frame index.
-        state: Motion of the vehicle there.
-        found: The search.
-        hyper: Its settings.
-        model: Its physics.
-
-    Returns:
-        Candidates relative to the origin of the scene's sheet, and scores by which rounds compare: the challenge is
-        normalised over all rounds of the frame together.
+    Candidates are relative to the origin of the scene's sheet; for scores by which rounds compare, the challenge is
+    normalised over all rounds of the frame together.
     """
     steps = max(SHOWN_FRAMES, hyper.scored_frames[-1])
     length_m, origin_m = float(scene.agents.size[agent, 0]), np.array(origin_of(scene))
@@ -68,15 +58,12 @@ def rounds_of(
 
 
 def shown_candidates(scores: Floats, drawable: NDArray[np.bool_], chosen: int | None) -> NDArray[np.int64]:
-    """Which candidates of a round are kept.
+    """Increasing indices, at most `SHOWN_CANDIDATES`, of the candidates of a round that are kept.
 
     Args:
         scores: (B,) lower is better.
         drawable: (B,) whether the motion is finite; other candidates are not kept.
         chosen: Index that is among them in any case, if drawable.
-
-    Returns:
-        Increasing indices, at most `SHOWN_CANDIDATES`.
     """
     order = np.argsort(scores, kind="stable")
     order = order[drawable[order]]

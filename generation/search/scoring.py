@@ -22,7 +22,7 @@ ROUNDING_M2, UNDERSTATED = 1e-6, 1.0 - 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What a candidate can hit, leave and approach; S scored frames, M objects.
+    """Objects and road that a candidate can hit, leave and approach; S scored frames, M objects.
 
     Attributes:
         boxes: (S, M, 5) boxes of everything but the candidate; the ego's body is among them, with raster footprints
@@ -79,7 +79,7 @@ class Terms:
 
     @classmethod
     def requests(cls, batches: "Sequence[Self]") -> Floats:
-        """What is missing to what was asked for, normalised in the same way, (R, B); zeros where nothing was."""
+        """Distance to the manoeuvre that was asked for, normalised in the same way, (R, B); zeros where nothing was."""
         asked = [np.zeros_like(each.challenge) if each.asked is None else each.asked for each in batches]
         return normalised(np.stack(asked), np.stack([each.finite for each in batches]))
 
@@ -89,15 +89,8 @@ def surroundings(
 ) -> Surroundings:
     """Everything but one agent at some frames; the ego comes last.
 
-    Args:
-        scene: The scene.
-        agent: Index of the agent that is being planned.
-        frames: S frame indices.
-        raster: Drivable area around the ego at the planning frame.
-        raster_ego: Whether the ego is there as the rasters of protocols show it, too (`HyperParameters.raster_ego`).
-
-    Returns:
-        The surroundings, without objects that are absent throughout.
+    Objects that are absent throughout are left out. ``raster`` is around the ego at the planning frame; with
+    ``raster_ego`` the ego is there as the rasters of protocols show it, too (`HyperParameters.raster_ego`).
     """
     at = np.asarray(frames)
     others = scene.agents.valid[:, at].any(axis=1)
@@ -128,13 +121,8 @@ def score_terms(
     Args:
         center: (B, S, 3) poses of the candidates' box centres at ``hyper.scored_frames``, or at fewer of them where
             the scene ends.
-        size: (2,) length and width of the vehicle.
         around: Surroundings at the same S frames.
-        hyper: Weights.
         speed: (B, S) of the candidates, metres per second; needed for a headway.
-
-    Returns:
-        The terms.
     """
     finite = np.isfinite(center).all(axis=(1, 2))
     if speed is not None:
@@ -186,16 +174,11 @@ def collisions(boxes: Floats, around: Surroundings, reading: CollisionReading = 
     """Whether candidates collide with any present object (appendix, CollisionScore; three steps, see `columns`).
 
     With ``GEOMETRY`` this is contact: the broad phase rejects pairs whose circumscribed circles are apart, which
-    never changes the answer.
+    never changes the answer. (B, S) verdicts.
 
     Args:
         boxes: (B, S, 5) boxes of the candidates. Clearance or headway that they were grown by counts in all three
             steps: a grown vehicle has grown edges, too.
-        around: Objects at the same S frames.
-        reading: What the three steps mean.
-
-    Returns:
-        (B, S) verdicts.
     """
     own = columns(boxes.transpose(1, 0, 2), reading)
     other = columns(around.boxes, reading)
@@ -220,7 +203,7 @@ def collisions(boxes: Floats, around: Surroundings, reading: CollisionReading = 
 
 
 def columns(boxes: Floats, reading: CollisionReading) -> Floats:
-    """What collisions need of (S, N, 5) boxes, (8, S, N): x, y, half sizes, cosine and sine, inner and outer bound.
+    """Columns for collisions of (S, N, 5) boxes, (8, S, N): x, y, half sizes, cosine and sine, inner and outer bound.
 
     The bounds of two boxes add up. Nearer than the inner one is a collision, farther than the outer one is none, and
     boxes decide in between. `GEOMETRY` has the circles inside and around a box, which agree with the boxes.
@@ -274,12 +257,7 @@ def near_pairs(own: Floats, other: Floats, present: Bools) -> tuple[NDArray[np.i
 def normalised(challenge: Floats, finite: Bools) -> Floats:
     """ACScore of the appendix: ACScore' mapped to [0, 1] over the batch.
 
-    Args:
-        challenge: (B,) raw scores.
-        finite: (B,) which take part.
-
-    Returns:
-        (B,) zeros where all are equal.
+    (B,) values, zeros where all are equal; ``finite`` says which take part.
     """
     if not finite.any():
         return np.zeros_like(challenge)
@@ -288,16 +266,7 @@ def normalised(challenge: Floats, finite: Bools) -> Floats:
 
 
 def final_scores(terms: Terms, start: Floats, hyper: HyperParameters) -> Floats:
-    """FinalScore of the appendix.
-
-    Args:
-        terms: Of the batch.
-        start: (B,) random initial scores.
-        hyper: Weights.
-
-    Returns:
-        (B,) scores, lower is better; infinity for candidates that must never be chosen.
-    """
+    """FinalScore of the appendix: (B,), lower is better, infinity for candidates that must never be chosen."""
     (challenge,) = terms.challenges([terms])
     # What was asked for stands in the place of the challenge until it is done.
     wanted = hyper.ac_weight * challenge

@@ -9,19 +9,7 @@ from benchmark.errors import InputError
 
 
 def parsed(name: str, text: str, kind: type) -> Any:
-    """A value of the type that a hyper-parameter has.
-
-    Args:
-        name: Of the hyper-parameter.
-        text: The value.
-        kind: Its type: a switch, a number or a `StrEnum`.
-
-    Returns:
-        The value.
-
-    Raises:
-        InputError: If the text is none, or the number is not finite.
-    """
+    """A value of the type that a hyper-parameter has: a switch, a finite number or a `StrEnum`."""
     if kind is bool:
         if text not in ("true", "false"):
             raise InputError(f"hyper-parameter {name} is a switch, true or false, not {text!r}")

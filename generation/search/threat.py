@@ -47,7 +47,7 @@ FREE_SHARE: Final = 0.6
 
 @dataclass(frozen=True)
 class Ahead:
-    """What is known at a planning frame of the S scored frames that count, half a second apart where there are such.
+    """Knowledge at a planning frame of the S scored frames that count, half a second apart where there are such.
 
     Attributes:
         columns: (S,) which of the scored frames they are.
@@ -104,16 +104,9 @@ class Placed:
 
     @classmethod
     def of(cls, ahead: Ahead, center: Floats, speed: Floats, size: Floats) -> "Placed":
-        """Place candidates.
+        """Place candidates at the S frames.
 
-        Args:
-            ahead: The S frames.
-            center: (B, S, 3) poses of box centres.
-            speed: (B, S) m/s.
-            size: (2,) length and width.
-
-        Returns:
-            Their places.
+        (B, S, 3) poses of box centres, (B, S) speeds in m/s, (2,) length and width.
         """
         way = ahead.way
         station, offset, turn = way.places(center, ahead.frames[0], ahead.frames[-1])
@@ -189,10 +182,7 @@ def unlikely(speed: Floats, acceleration: Floats, steering: Floats, length_m: fl
 def near_edge(center: Floats, ego: Floats, half_extent_m: float) -> Floats:
     """(B,) how far beyond the free part of the area, 1 at its edge; squared, so that the edge itself counts most.
 
-    Args:
-        center: (B, S, 3) poses of box centres.
-        ego: (S, 3) poses around which the area lies.
-        half_extent_m: Half its side.
+    (B, S, 3) poses of box centres; the area lies around the (S, 3) poses ``ego``.
     """
     outward = np.stack([np.abs(to_local(center[:, step, :2], pose)).max(axis=-1) for step, pose in enumerate(ego)], 1)
     free = FREE_SHARE * half_extent_m
@@ -207,18 +197,9 @@ def threat_rating(
     around: Surroundings,
     hyper: HyperParameters,
 ) -> Callable[[SimulatedMotion], Floats]:
-    """What the terms add to the scores of candidates at a planning frame.
+    """Function of the motion of B candidates that gives the (B,) weighted sums of the terms at a planning frame.
 
-    Args:
-        scene: The scene.
-        agent: Index of the vehicle that is planned.
-        frame: The planning frame.
-        offsets: Frames after it that are scored.
-        around: What is there at them.
-        hyper: Weights.
-
-    Returns:
-        A function of the motion of B candidates that gives (B,) weighted sums.
+    ``offsets`` are the frames after it that are scored, ``around`` has what is there at them.
     """
     ahead = Ahead.of(scene, frame, offsets)
     size = scene.agents.size[agent, :2]
@@ -256,7 +237,7 @@ def threat_rating(
 
 
 def hovering(center: Floats, size: Floats, around: Surroundings) -> Floats:
-    """(B,) share of frames with anybody within half a metre."""
+    """(B,) share of frames with another within half a metre."""
     grown = np.broadcast_to(np.asarray(size) + 2.0 * HOVER_M, (*center.shape[:2], 2))
     boxes = np.concatenate([center[..., :2], grown, center[..., 2:]], axis=-1)
     return np.asarray(collisions(boxes, around).mean(axis=1))

@@ -17,16 +17,16 @@ class ThreatSettings:
         side_weight: Of a side clearance that is too small for the ego's speed.
         side_least_m: Side clearance beside an ego that all but stands.
         side_s: Further side clearance for each m/s of the ego.
-        behind_weight: Of being behind an ego that moves, where nothing that it does threatens anybody.
+        behind_weight: Of being behind an ego that moves, where nothing that it does is a threat.
         against_weight: Of heading against the lane below.
-        hover_weight: Of bodies within half a metre, whoever's.
+        hover_weight: Of bodies within half a metre, the ego's or others'.
         likelihood_weight: Of accelerations that recorded drivers rarely ask for.
         area_weight: Of nearing the edge of the area around the ego.
         least_overrun_m: With ``launch=reach`` a vehicle is tried only if it can be in the ego's way before an ego that
             does not react would overrun the recorded one by so much more than the air that is kept. 0 does not ask.
-        ahead_weight: Of not being ahead of the ego where the scores end. In closed loop nobody is threatened by what it
-            has passed; the recording of open loop never passes anybody that it did not.
-        careful_survives: Whether a scene is dropped in which a careful and competent human touches anybody.
+        ahead_weight: Of not being ahead of the ego where the scores end. In closed loop a vehicle is no threat to an
+            ego that has passed it; the recording of open loop never passes a vehicle that it did not.
+        careful_survives: Whether a scene is dropped in which a careful and competent human touches another.
     """
 
     threat_weight: float = 0.0

@@ -61,11 +61,9 @@ class Finding:
     """A reason to discard a scene, and what shows it.
 
     Attributes:
-        reason: The reason.
         frame: First frame at which it shows, where there is one.
         other: Instance identifier of what was touched, or ``ego``.
         quantity: What was measured, with its unit.
-        value: How much it was.
         limit: How much was allowed, or needed.
     """
 
@@ -88,17 +86,10 @@ EGO = "ego"
 
 
 def verify(scene: Scene, agent: int, start: int, hyper: HyperParameters, limits: DriverLimits | None) -> Finding | None:
-    """Check one adversarial scene, for all of our reasons or for those alone that the paper names.
+    """First reason to discard an adversarial scene, ``None`` to keep it.
 
-    Args:
-        scene: The adversarial scene.
-        agent: Index of the adversary.
-        start: First frame of the adversarial track.
-        hyper: Limits of the filter.
-        limits: Limits of the driver; ``None`` where planning had none, and the usual ones are asked for.
-
-    Returns:
-        The first reason to discard it, or ``None`` to keep it.
+    All of our reasons are looked at, or those alone that the paper names. ``start`` is the first frame of the
+    adversarial track; ``limits`` of ``None`` are of planning without any: the usual ones are asked for.
     """
     boxes = agent_boxes(scene, agent)[start:]
     if not np.isfinite(boxes).all():
@@ -167,16 +158,10 @@ def _masked(scene: Scene, agent: int, start: int) -> Finding | None:
 
 
 def unfair(scene: Scene, judgements: Sequence[SceneJudgement], hyper: HyperParameters) -> Finding | None:
-    """Whether a scene that passed everything else asks too much of whoever drives it (``docs/severity.md``).
+    """Why a scene that passed everything else asks too much of its driver (``docs/severity.md``), if it does.
 
-    Args:
-        scene: The adversarial scene.
-        judgements: What is said of it, one for each adversary.
-        hyper: What it is dropped for.
-
-    Returns:
-        That nobody could have avoided it, or else what the careful and competent human touches: nobody is to blame for
-        what that driver does not avoid.
+    Either no driver could have avoided it, or the careful and competent human touches something: no planner is to
+    blame for what that driver does not avoid. There is one judgement for each adversary.
     """
     if hyper.solvable and unsolvable(judgements):
         return Finding(Discard.UNSOLVABLE)
@@ -195,16 +180,9 @@ def _as_read(scene: Scene) -> Scene:
 def contacts(
     boxes: Floats, scene: Scene, agent: int, frames: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Contacts of a track with any other present agent.
+    """Step of each contact of a track with another present agent, ascending, and the index of that agent.
 
-    Args:
-        boxes: (F, 5) boxes of the track.
-        scene: The scene.
-        agent: Index of the track's own agent, which is left out.
-        frames: (F,) frame indices.
-
-    Returns:
-        Step of each contact, ascending, and index of the other agent.
+    (F, 5) boxes at (F,) frames; ``agent`` is the track's own, which is left out.
     """
     at = frames
     present = scene.agents.valid[:, at].copy()

@@ -36,7 +36,7 @@ _Work = tuple[Split, int, Driven | None]
 
 @dataclass(frozen=True, slots=True)
 class TownSettings:
-    """What the town data set depends on.
+    """Settings of the town data set.
 
     Attributes:
         val_scenes: Number of evaluation scenes.

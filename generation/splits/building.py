@@ -45,11 +45,11 @@ class FrozenReport:
         images: What the frozen hashes of images are of, if the images here could be compared.
         other_images: Scenes whose images differ.
         verified_by: Version of the search that verified the scenes; they are not verified anew.
-        unsolvable: Scenes that nobody could have avoided (``docs/severity.md``); kept as frozen.
-        masked_steps: By protocol, steps that are masked whatever is planned (`BuildReport.masked_steps`).
+        unsolvable: Scenes that no driver could have avoided (``docs/severity.md``); kept as frozen.
+        masked_steps: By protocol, steps that are masked for every plan (`BuildReport.masked_steps`).
         estimate: How much work there is (dry run only).
         split: Name of the split.
-        faults: What is wrong with the motion of adversaries, by scene; of edited scenes alone, which nobody verified.
+        faults: What is wrong with the motion of adversaries, by scene; of edited scenes alone, which are not verified.
     """
 
     name: str
@@ -86,7 +86,7 @@ class FrozenReport:
         return self.verified_by == EDITED
 
     def kept(self) -> dict[str, Any]:
-        """What ``report.json`` says: what does not depend on the machine."""
+        """Content of ``report.json``: all that does not depend on the machine."""
         return {
             "split": self.split,
             "frozen": {"name": self.name, "content": self.content},
@@ -116,7 +116,7 @@ class FrozenReport:
         )
 
     def _verification(self) -> str:
-        """What is said where a search would verify by other rules today."""
+        """Remark where a search would verify by other rules today."""
         if self.verified_by == ALGORITHM_VERSION:
             return ""
         if self.edited:
@@ -186,19 +186,9 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *,
 def ready_to_rebuild(
     source: DataSet, split: NamedSplit, settings: BuildSettings, as_split: str
 ) -> tuple[DataSetPlan, list[tuple[FrozenScene, int]], FrozenReport]:
-    """Refuse what cannot be built from a frozen split.
+    """Refuse what cannot be built from a frozen split, as `build_frozen` does.
 
-    Args:
-        source: The recordings.
-        split: The frozen split.
-        settings: What and where.
-        as_split: Name of the split that is written.
-
-    Returns:
-        The data set to write, its scenes with the numbers of their variants, and what is said of both.
-
-    Raises:
-        InputError: As of `build_frozen`.
+    It gives the data set to write, its scenes with the numbers of their variants, and the report on both.
     """
     require_seed(as_split, split.frozen.search.seed, f"frozen split {split.name}")
     chosen = split.chosen(settings.scenes, settings.limit)
@@ -213,7 +203,7 @@ def ready_to_rebuild(
 
 
 def said_of_frozen(report: FrozenReport) -> dict[str, bytes]:
-    """What a build from a frozen split says of itself, by file name."""
+    """Reports of a build from a frozen split, by file name."""
     return {"report.json": (canonical_json(report.kept(), indent=1) + "\n").encode()}
 
 
@@ -226,11 +216,7 @@ def _faults(jobs: Sequence[WritingJob], judged: Sequence[Sequence[SceneJudgement
 
 
 def require_not_frozen(root: Path) -> None:
-    """Refuse to search in a root that is built from a frozen split.
-
-    Raises:
-        InputError: If it is.
-    """
+    """Refuse to search in a root that is built from a frozen split."""
     mark = root / STATE_FOLDER / _MARK
     if mark.exists():
         kept = read_kept_json(mark)
@@ -242,7 +228,7 @@ def require_not_frozen(root: Path) -> None:
 
 
 def _require_room(root: Path, name: str, content: str) -> None:
-    """Refuse a root in which somebody searched, or that is built from another frozen split."""
+    """Refuse a root that was searched in, or that is built from another frozen split."""
     state = root / STATE_FOLDER
     if (root / "search.json").exists() or (state / "attempts").exists() or (state / "surveys").exists():
         raise InputError(f"{root} holds what generate searched for; build {name} in another --out, nothing was changed")
@@ -289,19 +275,10 @@ def _plan(source: DataSet, split: NamedSplit, as_split: str, settings: BuildSett
 def frozen_jobs(
     source: DataSet, plan: DataSetPlan, chosen: Sequence[tuple[FrozenScene, int]], split: NamedSplit
 ) -> tuple[list[WritingJob], list[str], dict[str, dict[str, int]]]:
-    """How scenes of a frozen split are written.
+    """Way in which scenes of a frozen split are written.
 
-    Args:
-        source: The recordings.
-        plan: The data set.
-        chosen: The scenes, each with the number of its variant.
-        split: The frozen split.
-
-    Returns:
-        How each scene is written, the hash of its tables, and the masked steps of all scenes.
-
-    Raises:
-        InputError: If a scene does not fit its recording.
+    ``chosen`` has each scene with the number of its variant; with the jobs come the hash of each scene's tables,
+    and the masked steps of all scenes.
     """
     made: dict[int, tuple[WritingJob, str]] = {}
     masked = []
@@ -330,7 +307,7 @@ def frozen_jobs(
 def _other_images(
     plan: DataSetPlan, frozen: ImageFacts | None, chosen: Sequence[tuple[FrozenScene, int]], keys: Sequence[str]
 ) -> tuple[ImageFacts | None, tuple[str, ...]]:
-    """What was compared, and the scenes whose images are not those that were frozen."""
+    """Images that were compared, and the scenes whose images are not those that were frozen."""
     other = []
     for (scene, _), key in zip(chosen, keys, strict=True):
         fragment = stored_fragment(plan, key)

@@ -15,17 +15,7 @@ from generation.splits.packaged import newest_split
 def cached_root(source: DataSet, renderer: Renderer, workers: int, say: Callable[[str], None]) -> Path:
     """Root of the newest frozen split; built where it is not finished, key frames only.
 
-    Args:
-        source: The embedded data set.
-        renderer: Draws the images.
-        workers: Processes that build it.
-        say: Told which split it is, and what came of building it.
-
-    Returns:
-        A finished root.
-
-    Raises:
-        InputError: If the recordings are not those of the split, another command builds there, or the disk refuses.
+    ``say`` is told which split it is, and what came of building it.
     """
     from benchmark.machine.workers import LocalProcesses
     from generation.pipeline.settings import BuildSettings
@@ -46,16 +36,7 @@ def cached_root(source: DataSet, renderer: Renderer, workers: int, say: Callable
 def known_scenes(data: str, split: str, root: Path) -> tuple[str, ...]:
     """Names of a generated split's scenes, read from a finished root or else from the newest frozen split.
 
-    Args:
-        data: Name of the data set.
-        split: Name of the split.
-        root: Where it would have been generated.
-
-    Returns:
-        Names, in the order of the data set.
-
-    Raises:
-        InputError: If neither can be read.
+    They are in the order of the data set.
     """
     if is_finished(root):
         return listed_scenes(root, split)

@@ -21,15 +21,9 @@ _NANOMETRE_DIGITS: Final = 9
 
 
 def tables_digest(plan: DataSetPlan, scene: Scene, frozen: FrozenScene) -> str:
-    """Hash of a scene's tables at its key frames, without cameras: whatever the layout, the renderer and the frames.
+    """Hash of a scene's tables at its key frames, without cameras: the same in any layout, with any frames.
 
-    Args:
-        plan: The data set.
-        scene: The scene as it is written.
-        frozen: What it was made from.
-
-    Returns:
-        64 hexadecimal digits, made of numbers rounded to a nanometre.
+    64 hexadecimal digits, made of numbers rounded to a nanometre.
     """
     like = replace(plan, split="adv", layout="suffixed", renderer=None, frames="keyframes")
     names = SceneNames.of(

@@ -1,4 +1,4 @@
-"""Scenes that somebody edited in ScenarioNet files, as a frozen split: what differs from the recordings."""
+"""Scenes that were edited in ScenarioNet files, as a frozen split: what differs from the recordings."""
 
 from pathlib import Path
 from typing import Final
@@ -38,16 +38,12 @@ Edited = tuple[tuple[Path, Exchanged], ...]
 
 
 def read_edited(path: Path) -> Edited:
-    """Read a ScenarioNet file, or a folder of them.
-
-    Raises:
-        InputError: If there is none, or one is refused.
-    """
+    """Read a ScenarioNet file, or a folder of them."""
     return tuple((file, read_exchanged(file)) for file in find_scenarionet(path))
 
 
 def edited_split(source: DataSet, path: Path, edited: Edited | None = None) -> NamedSplit:
-    """What edited files change in the recordings, as a split that is built like any frozen one.
+    """Changes of edited files in the recordings, as a split that is built like any frozen one.
 
     Args:
         source: The recordings.
@@ -108,18 +104,10 @@ def _recorded(source: DataSet, made: Exchanged, file: Path) -> Scene:
 
 
 def edited_scene(scene: Scene, recorded: Scene, file: Path) -> FrozenScene:
-    """What an edited scene changes in its recording.
+    """Change of an edited scene in its recording: the scene with its adversaries, without hashes.
 
-    Args:
-        scene: The edited scene.
-        recorded: The recording.
-        file: Where it was read from, for messages.
-
-    Returns:
-        The scene with its adversaries, in the order in which they depart from the recording; without hashes.
-
-    Raises:
-        InputError: As in `edited_split`.
+    The adversaries are in the order in which they depart from the recording; ``file`` is for messages. Errors as in
+    `edited_split`.
     """
     _require_same_drive(scene, recorded, file)
     rows = _rows(scene, recorded, file)

@@ -93,14 +93,14 @@ class Recordings(_Frozen):
 
 
 class SearchFacts(_Frozen):
-    """Who searched.
+    """Facts on the search.
 
     Attributes:
         algorithm: Version of the algorithm.
         hyper: Hash of its settings.
         prior: Hash of its trajectory model.
         seed: The seed.
-        solvable: Whether scenes that nobody could have avoided were dropped; older files do not say, and none were.
+        solvable: Whether scenes that no driver could have avoided were dropped; older files do not say, and none were.
     """
 
     algorithm: str
@@ -111,7 +111,7 @@ class SearchFacts(_Frozen):
 
     @model_serializer(mode="wrap")
     def _as_older_files(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """What older files do not say keeps their content hash as it was."""
+        """Leave out fields that older files do not have, so that their content hash stays."""
         said: dict[str, Any] = plain(self)
         return {name: value for name, value in said.items() if value is not None}
 
@@ -125,7 +125,7 @@ class FrozenRejection(_Frozen):
 
 
 class Choice(_Frozen):
-    """How the scenes were chosen.
+    """Choice of the scenes.
 
     Attributes:
         scenes: Recorded scenes looked at.
@@ -213,17 +213,7 @@ class FrozenSplit(_Frozen):
 
 
 def read_frozen(path: Path) -> FrozenSplit:
-    """Read a frozen split.
-
-    Args:
-        path: The file.
-
-    Returns:
-        What it says; whether it fits the recordings at hand is seen when it is built.
-
-    Raises:
-        InputError: If there is no such file, or it is not a frozen split that this version reads.
-    """
+    """Read a frozen split; whether it fits the recordings at hand is seen when it is built."""
     try:
         size, data = path.stat().st_size, b""
         if size <= MOST_BYTES:
@@ -250,8 +240,7 @@ def read_frozen(path: Path) -> FrozenSplit:
 def require_freezable(split: str, path: Path) -> None:
     """Refuse, before a long search, what could not be frozen after it.
 
-    Raises:
-        InputError: If the split is not searched for, there is something else of this name, or no folder to put it into.
+    It must be searched for, the folder be there, and nothing else have the name.
     """
     if not is_adversarial(split):
         raise InputError(f"only adv can be frozen, there is no search in {split}; leave --freeze out")
@@ -264,15 +253,7 @@ def require_freezable(split: str, path: Path) -> None:
 
 
 def write_frozen(path: Path, frozen: FrozenSplit) -> None:
-    """Write a frozen split; one that is there is never replaced by another.
-
-    Args:
-        path: The file.
-        frozen: The split.
-
-    Raises:
-        InputError: If the file holds something else, or cannot be written.
-    """
+    """Write a frozen split; one that is there is never replaced by another."""
     if path.exists() and read_frozen(path) != frozen:
         raise InputError(
             f"{path} holds another frozen split, which others may have built already; give this one another name"

@@ -1,4 +1,4 @@
-"""Freezing a split: what a search found as a file from which anybody rebuilds it."""
+"""Freezing a split: what a search found as a file from which it can be rebuilt."""
 
 import functools
 from collections.abc import Iterator, Sequence
@@ -28,21 +28,9 @@ _UNKNOWN: Final = "0" * 64
 def freeze(
     source: DataSet, plan: DataSetPlan, chains: Sequence[Chain], search: Search, chosen: Choice, executor: Executor
 ) -> FrozenSplit:
-    """Freeze scenes.
+    """Freeze scenes, best first; nothing depends on where images are drawn.
 
-    Args:
-        source: The recordings.
-        plan: The data set that was built, whose images are compared later.
-        chains: The scenes, best first.
-        search: What decided them.
-        chosen: How they were chosen.
-        executor: Where images are drawn; nothing depends on it.
-
-    Returns:
-        The frozen split.
-
-    Raises:
-        InputError: If workers are lost.
+    The images of the data set of ``plan``, which was built, are compared later.
     """
     assert plan.source is not None
     images = image_facts(plan, source.scene(chains[0].scene_name))
@@ -67,7 +55,7 @@ def freeze(
 
 
 def search_facts(search: Search) -> SearchFacts:
-    """Who searched, as frozen splits say it."""
+    """Facts on the search, as frozen splits say them."""
     said = search.as_json()
     return SearchFacts(
         algorithm=said["algorithm"],

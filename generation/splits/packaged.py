@@ -15,30 +15,18 @@ _NUMBERED: Final = re.compile(r"(?P<data>.+)-(?P<split>[a-z]+)-(?P<number>[1-9]\
 
 @dataclass(frozen=True, slots=True)
 class NamedSplit:
-    """A frozen split and what it is called.
-
-    Attributes:
-        name: Its file without ``.json``.
-        frozen: What is in it.
-        path: The file, if somebody named one.
-    """
+    """A frozen split and its name: the file without ``.json``. ``path`` is the file, if one was named."""
 
     name: str
     frozen: FrozenSplit
     path: Path | None = field(default=None, compare=False)
 
     def chosen(self, scenes: Sequence[str] | None, limit: int | None) -> list[tuple[FrozenScene, int]]:
-        """Some of its scenes.
+        """Some of its scenes, each with its number among the variants of its recording.
 
         Args:
             scenes: Names of its scenes, or of recorded ones for all that are made of them; ``None`` for all.
             limit: Only those of the first so many recorded scenes.
-
-        Returns:
-            The scenes, each with its number among the variants of its recording.
-
-        Raises:
-            InputError: If a name is unknown.
         """
         seen: dict[str, int] = {}
         numbered = []
@@ -76,18 +64,7 @@ def packaged_splits(data: str = "", split: str = "adv") -> tuple[str, ...]:
 
 
 def newest_split(data: str, split: str = "adv") -> NamedSplit:
-    """The newest frozen split of a data set that comes with the package.
-
-    Args:
-        data: Name of the data set.
-        split: Name of the split.
-
-    Returns:
-        It.
-
-    Raises:
-        InputError: If there is none.
-    """
+    """The newest frozen split of a data set that comes with the package."""
     names = packaged_splits(data, split)
     if not names:
         raise InputError(f"no frozen split {split} of {data} comes with the package; run challenger-bench generate")

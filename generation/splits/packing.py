@@ -55,9 +55,7 @@ class PackedSplit(Stored):
     """One frozen split of a package.
 
     Attributes:
-        name: Its name.
         content: Hash of all that it says (`FrozenSplit.content_id`).
-        scenes: How many it has.
         recordings: Name of the data set that it was made from.
         fingerprint: Content hash of that.
     """
@@ -72,12 +70,7 @@ class PackedSplit(Stored):
 class Manifest(Stored):
     """``manifest.json``, the first file of a package.
 
-    Attributes:
-        format: What the package is.
-        schema_version: Version of the format.
-        made_with: Version of the program.
-        splits: Its frozen splits.
-        files: Every other file.
+    ``files`` are all the others, ``made_with`` is the version of the program.
     """
 
     format: Literal["challenger-bench split package"] = FORMAT
@@ -96,7 +89,7 @@ class Manifest(Stored):
 
 @dataclass(frozen=True, slots=True)
 class PackageContents:
-    """What goes into a package.
+    """Contents of a package.
 
     Attributes:
         splits: Frozen splits.
@@ -121,7 +114,7 @@ class Packed:
 
 
 def split_file(name: str) -> str:
-    """Where a frozen split lies in a package."""
+    """Path of a frozen split in a package."""
     return f"splits/{name}.json"
 
 
@@ -131,7 +124,7 @@ def pack_split(path: Path, contents: PackageContents, executor: Executor) -> Pac
     Args:
         path: The file. One that is there is never replaced by another package.
         contents: What goes in.
-        executor: Where scenes are judged for the statistics that nobody judged yet.
+        executor: Where scenes are judged for the statistics that are not judged yet.
 
     Returns:
         What was written.

@@ -9,20 +9,7 @@ from generation.splits.unpacking import Package
 
 
 def rebuild(source: DataSet, package: Package, split: NamedSplit, settings: BuildSettings) -> FrozenReport:
-    """Build a split of a package from its recordings as ``adv``, verdicts included; the same command resumes.
-
-    Args:
-        source: The recordings.
-        package: The package.
-        split: One of its splits.
-        settings: What and where.
-
-    Returns:
-        What was built.
-
-    Raises:
-        InputError: If these are other recordings, or the output cannot be written.
-    """
+    """Build a split of a package from its recordings as ``adv``, verdicts included; the same command resumes."""
     report = build_frozen(source, split, settings)
     said = {} if package.review is None else dict(package.review.verdicts)
     own = {name: verdict for name, verdict in said.items() if name in set(report.written)}

@@ -14,13 +14,7 @@ from generation.splits.packaged import NamedSplit, frozen_split
 def search_hash(search: SearchFacts, chosen: Choice, adversaries: int) -> str:
     """Hash of what decided a split beside its recordings and its seed: splits of one search differ in the seed alone.
 
-    Args:
-        search: Version, settings and trajectory model.
-        chosen: How the scenes were chosen; what came of it is no part of the hash.
-        adversaries: In each scene.
-
-    Returns:
-        64 hexadecimal digits.
+    64 hexadecimal digits. ``chosen`` says how scenes were chosen; what came of it is no part of the hash.
     """
     searched = [search.algorithm, search.hyper, search.prior, *([] if search.solvable is None else [search.solvable])]
     chose: list[Any] = [chosen.scenes, chosen.per_scene, chosen.total, chosen.surrogate, adversaries]
@@ -36,17 +30,9 @@ def file_of_seed(path: Path, seed: int) -> Path:
 
 
 def frozen_of_seed(path: Path, seed: int) -> NamedSplit:
-    """Read the frozen split of one seed.
+    """Read the frozen split of one seed; it must have been searched with that seed.
 
-    Args:
-        path: What the files of all seeds are called after.
-        seed: The seed.
-
-    Returns:
-        It.
-
-    Raises:
-        InputError: If there is none, or it was searched with another seed.
+    ``path`` is what the files of all seeds are called after.
     """
     own = file_of_seed(path, seed)
     if not own.exists():
@@ -67,17 +53,7 @@ def require_seed(split: str, seed: int, what: str) -> None:
 
 
 def seeds_of(text: str) -> tuple[int, ...]:
-    """Seeds between commas.
-
-    Args:
-        text: For example ``0,1,2``.
-
-    Returns:
-        They, in their order.
-
-    Raises:
-        InputError: If there are fewer than two, or one is no seed or stands twice.
-    """
+    """Seeds between commas, such as ``0,1,2``, in their order: at least two, none of them twice."""
     words = [word.strip() for word in text.split(",")]
     if not all(re.fullmatch(r"0|[1-9]\d{0,17}", word) for word in words) or len(set(words)) < max(len(words), 2):
         raise InputError(f"--seeds {text[:80]!r} must be two or more different whole numbers, such as 0,1,2")

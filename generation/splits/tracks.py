@@ -23,16 +23,7 @@ _REPORT_DIGITS: Final = 6
 def adversarial(frozen: FrozenScene, scene: Scene) -> Scene:
     """A recorded scene with the adversaries of a frozen one.
 
-    Args:
-        frozen: The frozen scene.
-        scene: The recording.
-
-    Returns:
-        The scene as it is written.
-
-    Raises:
-        InputError: If the recording is another one: a vehicle is not in it, was elsewhere at the launch, or the number
-            of frames differs.
+    It must be that recording: each vehicle in it and, at the launch, in its place, and as many frames.
     """
     changed = scene
     for each in frozen.adversaries:
@@ -67,7 +58,7 @@ def _place(adversary: FrozenAdversary, scene: Scene) -> int:
 
 
 def _distance(scene: Scene, agent: int, frame: int, adversary: FrozenAdversary) -> float:
-    """How far apart the two bodies are at most, metres: the centres, and what the heading moves the corners."""
+    """Distance of the two bodies, at most, metres: the centres, and what the heading moves the corners."""
     x, y, yaw = adversary.recorded
     position, size = scene.agents.position[agent, frame], scene.agents.size[agent]
     if not scene.agents.valid[agent, frame]:
@@ -77,7 +68,7 @@ def _distance(scene: Scene, agent: int, frame: int, adversary: FrozenAdversary) 
 
 
 def tracks_of(frozen: FrozenScene) -> TracksAtHand:
-    """How the adversaries of a frozen scene were made: at 12 Hz, and then rounded along both axes."""
+    """Tracks by which the adversaries of a frozen scene were made: at 12 Hz, and then rounded along both axes."""
     launches = {each.instance: each.launch_frame for each in frozen.adversaries}
     return TracksAtHand(generated=True, launches=launches, rounded_m=float(np.hypot(0.5, 0.5)) * 10**-METRE_DIGITS)
 
@@ -95,15 +86,9 @@ def rounded_pose(pose: Floats | tuple[float, float, float]) -> Pose:
 
 
 def scene_report(frozen: FrozenScene, scene: Scene, seed: int) -> dict[str, Any]:
-    """What ``challenger.json`` says of a rebuilt scene: what a search says of it, described anew from the track.
+    """Report on a rebuilt scene for ``challenger.json``: as of a search, described anew from the track.
 
-    Args:
-        frozen: The frozen scene.
-        scene: The scene with its adversaries.
-        seed: Of the search.
-
-    Returns:
-        JSON values; numbers are rounded, so that they are the same on every machine.
+    Numbers are rounded, so that they are the same on every machine.
     """
     reports = [_attempt(each, frozen.source, scene, seed) for each in frozen.adversaries]
     if len(reports) == 1:

@@ -34,10 +34,6 @@ class Package:
     """A package that was read and found whole.
 
     Attributes:
-        path: The file.
-        manifest: What it says of itself.
-        splits: Its frozen splits.
-        review: Its verdicts, if it has any.
         files: Content of every file but the manifest and those that are left out, by name.
         left_out: A sentence for each file that an extension reads which is not installed.
     """
@@ -50,11 +46,7 @@ class Package:
     left_out: tuple[str, ...] = ()
 
     def split(self, name: str | None) -> NamedSplit:
-        """One of its splits; ``None`` is the only one.
-
-        Raises:
-            InputError: If there is no such split, or there are several and none is named.
-        """
+        """One of its splits; ``None`` is the only one, if there is one alone."""
         names = [each.name for each in self.splits]
         if name is None and len(names) == 1:
             return self.splits[0]
@@ -111,14 +103,7 @@ def read_split_package(path: Path) -> Package:
 
 
 def write_files(package: Package, to: Path) -> tuple[Path, ...]:
-    """Write the files of a package, its manifest too, below a folder.
-
-    Args:
-        package: It.
-        to: The folder; what is there stays.
-
-    Returns:
-        The files.
+    """Write the files of a package, its manifest too, below a folder; what is there stays.
 
     Raises:
         InputError: If a file is there with other content, or cannot be written; of the first nothing is written.

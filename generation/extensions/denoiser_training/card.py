@@ -106,14 +106,9 @@ def write_model_card(weights: Path, tracks: Path, measured: Sequence[str] = (NOT
 
 
 def held_out_sources(facts: dict[str, Any], tracks: Path) -> list[str]:
-    """Sources in a folder of recordings that a model was not trained on and that check it.
+    """Names of the sources in a folder of recordings that a model was not trained on and that check it.
 
-    Args:
-        facts: Stored with the weights.
-        tracks: Folder of recordings.
-
-    Returns:
-        Their names.
+    ``facts`` are stored with its weights.
     """
     named = facts.get("held_out", HELD_OUT_SOURCES)
     return [source.name for source in find_track_sources(tracks) if source.name in named]

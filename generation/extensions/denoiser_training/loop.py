@@ -48,7 +48,7 @@ Architecture = Literal["packaged", "published"]
 
 @dataclass(frozen=True, slots=True)
 class TrainingConfig:
-    """What a training run depends on.
+    """Settings of a training run.
 
     Attributes:
         tracks: Folder of recordings (`generation.extensions.denoiser_training.track_sources`).

@@ -38,10 +38,9 @@ BOX_QUERY: Final = """
 
 
 def read_nuplan(path: Path, source: str) -> Iterator[TrackFile]:
-    """Tracks of one database, portion by portion.
+    """Tracks of one nuPlan database (``.db``, opened read-only), portion by portion.
 
     Args:
-        path: A ``.db`` file; opened read-only.
         source: Name that the tracks get.
 
     Yields:

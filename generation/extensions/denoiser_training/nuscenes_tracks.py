@@ -29,17 +29,8 @@ LONGEST_GAP_S: Final = 0.3
 def read_nuscenes(root: Path, version: str, source: str) -> Iterator[TrackFile]:
     """Tracks of a root, scene by scene; generated adversaries are left out.
 
-    Args:
-        root: Root folder.
-        version: Version folder.
-        source: Name that the tracks get.
-
-    Yields:
-        Rear-axle tracks at 10 Hz, twice a scene: the recording car (12 Hz where the root has all sweeps), then
-        vehicles, which are annotated at 2 Hz and linear in between.
-
-    Raises:
-        InputError: If the root is broken.
+    Rear-axle tracks at 10 Hz, twice a scene: the recording car (12 Hz where the root has all sweeps), then
+    vehicles, which are annotated at 2 Hz and linear in between.
     """
     data = open_data(root, version=version)
     licence = MADE_LICENCE if data.provenance() else NUSCENES_LICENCE

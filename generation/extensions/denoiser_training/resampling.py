@@ -11,15 +11,10 @@ RATE_HZ: Final = 10.0
 
 
 def even_tracks(seconds: Floats, poses: Floats, longest_gap_s: float) -> tuple[Floats, ...]:
-    """Interpolate between recorded poses, never across a gap.
+    """Interpolate between recorded poses, never across more than ``longest_gap_s``.
 
-    Args:
-        seconds: (T,) times; a pose that is not later than the one before it is left out.
-        poses: (T, 3) x, y, heading; a pose with NaN or infinity is left out.
-        longest_gap_s: Longest time between two poses that is bridged.
-
-    Returns:
-        One (F, 3) array at 10 Hz for each unbroken stretch, heading unwrapped, starting at its first pose.
+    One (F, 3) array at 10 Hz for each unbroken stretch, heading unwrapped, starting at its first pose. Left out are
+    (T, 3) poses x, y, heading with NaN or infinity, and those not later than the one before them.
     """
     sound = np.isfinite(seconds) & np.isfinite(poses).all(axis=1)
     seconds, poses = seconds[sound], poses[sound]

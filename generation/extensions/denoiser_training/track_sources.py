@@ -29,13 +29,9 @@ class Recording(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TrackSource:
-    """One source of tracks.
+    """One source of tracks, its name unique in the folder.
 
-    Attributes:
-        name: Unique in its folder.
-        kind: How it is read.
-        paths: Files, or the one root folder.
-        version: Version folder of a nuScenes root.
+    ``paths`` are files, or the one root folder; ``version`` is the version folder of a nuScenes root.
     """
 
     name: str
@@ -44,11 +40,7 @@ class TrackSource:
     version: str = ""
 
     def read(self) -> Iterator[TrackFile]:
-        """Tracks in portions that fit into memory.
-
-        Raises:
-            InputError: If something in the source is broken.
-        """
+        """Tracks in portions that fit into memory."""
         if self.kind is Recording.TRACK_FILE:
             yield read_tracks(self.paths[0])
         elif self.kind is Recording.NUPLAN:
@@ -66,19 +58,10 @@ class TrackSource:
 
 
 def find_track_sources(folder: Path) -> tuple[TrackSource, ...]:
-    """Sources in a folder.
+    """Sources in a folder, sorted by name.
 
     ``NAME.npz`` is a track file; ``*.db`` beside each other are nuPlan databases and together one source; a folder
     with nuScenes tables is a nuScenes root. Databases and roots may lie in the folder itself or one level below.
-
-    Args:
-        folder: Where to look.
-
-    Returns:
-        Sources sorted by name.
-
-    Raises:
-        InputError: If there is no such folder, nothing in it, or two sources have one name.
     """
     if not folder.is_dir():
         raise InputError(f"no folder of tracks at {folder}; pass the folder that holds the <source>.npz files")
@@ -110,18 +93,9 @@ def _sources_in(folder: Path) -> Iterator[TrackSource]:
 
 
 def source_windows(source: TrackSource, stride_s: float, limit: int = WINDOW_LIMIT) -> tuple[Windows, str]:
-    """Windows of a source, read portion by portion; a long source is thinned out evenly.
+    """Windows of a source and its licence in words; a long source is thinned out evenly to ``limit`` windows.
 
-    Args:
-        source: What to read.
-        stride_s: Time between the starts of windows.
-        limit: How many to keep at most.
-
-    Returns:
-        Windows, licence in words.
-
-    Raises:
-        InputError: If the source is broken.
+    It is read portion by portion; ``stride_s`` lies between the starts of windows.
     """
     parts: list[Windows] = []
     licence = NUPLAN_LICENCE if source.kind is Recording.NUPLAN else NUSCENES_LICENCE

@@ -50,10 +50,7 @@ class TrackFile:
     """One source.
 
     Attributes:
-        source: Name.
-        licence: Licence in words.
         tracks: Per vehicle (T, 3) rear-axle poses x, y, unwrapped heading at ``hz``, metres.
-        hz: Samples per second.
         smoothing_s: Span of the local quadratic fit, `SMOOTHING_SPAN_S` or `ROUGH_SPAN_S`.
     """
 
@@ -100,14 +97,9 @@ class Windows:
 
 
 def rear_axle_of_box(center: Floats, length_m: float) -> Floats:
-    """Rear axle of a vehicle of which only the box is known.
+    """Rear axle, (T, 3) x, y, heading, of a vehicle of which only the box is known.
 
-    Args:
-        center: (T, 3) x, y, heading of the box centre.
-        length_m: Length; the recording car's where it is not a positive number.
-
-    Returns:
-        (T, 3) x, y, heading.
+    ``center`` is (T, 3) of the box centre; a length that is not a positive number stands for the recording car's.
     """
     known = np.isfinite(length_m) and length_m > 0
     return _moved_back(center, REAR_AXLE_FROM_CENTER * (length_m if known else EGO_LENGTH_M))
@@ -121,17 +113,7 @@ def _moved_back(pose: Floats, distance_m: float) -> Floats:
 
 
 def read_tracks(path: Path) -> TrackFile:
-    """Read one track file.
-
-    Args:
-        path: An npz file in the neutral format; nothing in it is unpickled.
-
-    Returns:
-        Its road vehicles.
-
-    Raises:
-        InputError: If the file is broken, lacks an array, or holds numbers that cannot be tracks.
-    """
+    """Read the road vehicles of one npz track file in the neutral format; nothing in it is unpickled."""
     recorded = read_recorded_tracks(path)
     tracks = []
     for index, kind in enumerate(recorded.kinds):
@@ -150,13 +132,7 @@ def read_tracks(path: Path) -> TrackFile:
 def smooth(track: Floats, hz: float, span_s: float) -> Floats:
     """Local quadratic least-squares fit at each sample (Savitzky and Golay); the ends use the fit of the end window.
 
-    Args:
-        track: (T, C) values at ``hz``.
-        hz: Samples per second.
-        span_s: Width of the fit; too few samples for a quadratic leave the track as it is.
-
-    Returns:
-        (T, C) smoothed values.
+    (T, C) values; ``span_s`` is the width of the fit, and too few samples for a quadratic leave the track as it is.
     """
     reach = round(span_s * hz / 2)
     span = 2 * reach + 1
@@ -176,13 +152,6 @@ def cut_windows(file: TrackFile, stride_s: float = 0.5) -> Windows:
     Left out are windows that move less than 5 m, that no tyre could hold (8 m/s^2 along or across), that jitter, at one
     place or throughout, whose heading does not fit the motion, and those with a step that no car can take
     (`Motion.excess`).
-
-    Args:
-        file: One source.
-        stride_s: Time between the starts of windows.
-
-    Returns:
-        See `Windows`.
     """
     step, stride = round(STEP_S / GRID_S), max(round(stride_s / GRID_S), 1)
     reach = step * (WAYPOINTS + 1)

@@ -28,10 +28,7 @@ EVENING: Final = 0.3
 class TrackData:
     """Windows of a folder of tracks, by source.
 
-    Attributes:
-        training: To learn from.
-        held_out: To check with, possibly empty.
-        licences: Of every source.
+    ``training`` are to learn from, ``held_out`` to check with, possibly empty.
     """
 
     training: dict[str, Windows]
@@ -40,18 +37,9 @@ class TrackData:
 
 
 def load_track_data(folder: Path, held_out: tuple[str, ...], stride_s: float) -> TrackData:
-    """Cut every source of a folder.
+    """Cut every source of a folder into windows; sources without a usable one are left out.
 
-    Args:
-        folder: Of recordings, in any of the forms that `find_track_sources` knows.
-        held_out: Names of sources not to learn from.
-        stride_s: Time between the starts of training windows; held-out windows start every half second.
-
-    Returns:
-        See `TrackData`; sources without a usable window are left out.
-
-    Raises:
-        InputError: If a source is broken, or nothing is left to learn from.
+    Training windows start every ``stride_s``, those of the sources in ``held_out`` every half second.
     """
     training: dict[str, Windows] = {}
     checking: dict[str, Windows] = {}
@@ -73,12 +61,7 @@ def window_actions(windows: Windows) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """Windows of one step.
-
-    Attributes:
-        actions: (B, 16, 3) standardised actions.
-        previous: (B, 3) pose half a second before each.
-    """
+    """Windows of one step: (B, 16, 3) standardised actions, and (B, 3) pose half a second before each."""
 
     actions: Floats
     previous: Floats
@@ -86,13 +69,12 @@ class Drawn:
 
 @dataclass(frozen=True, slots=True)
 class WindowPool:
-    """What training draws from.
+    """Pool of windows that training draws from.
 
     Attributes:
         actions: (N, 16, 3) standardised actions, source after source.
         previous: (N, 3) pose half a second before each window.
         upto: (N,) chance of each window and all before it; the last is one.
-        shares: Share of a batch that each source has.
     """
 
     actions: Floats
@@ -108,12 +90,6 @@ class WindowPool:
         others: the root keeps one long recording from drowning the others, the cap keeps its roads from being most of
         what is seen. Then cells of present speed and turn are evened out across sources (`EVENING`): cruising straight
         on is common everywhere.
-
-        Args:
-            sources: Windows by name.
-
-        Returns:
-            The pool.
         """
         count = np.array([len(windows.previous) for windows in sources.values()], dtype=np.int64)
         chance = np.repeat(source_shares(count) / np.maximum(count, 1), count)
@@ -128,15 +104,8 @@ class WindowPool:
     def draw(self, count: int, size_jitter: float, rng: np.random.Generator) -> Drawn:
         """Windows at random.
 
-        Half of the windows are mirrored (left and right are alike for a car), and all are scaled, which varies speeds.
-
-        Args:
-            count: How many.
-            size_jitter: Largest relative change of size.
-            rng: Chance.
-
-        Returns:
-            Actions and how each vehicle moved before.
+        Half of the windows are mirrored (left and right are alike for a car), and all are scaled, which varies
+        speeds. ``size_jitter`` is the largest relative change of size.
         """
         chosen = np.minimum(np.searchsorted(self.upto, rng.random(count), side="right"), len(self.upto) - 1)
         actions, previous = self.actions[chosen], self.previous[chosen]
@@ -149,13 +118,9 @@ class WindowPool:
 
 
 def source_shares(count: NDArray[np.int64]) -> Floats:
-    """Share of a batch for sources of so many windows.
+    """Shares, (S,), of a batch for sources of so many windows.
 
-    Args:
-        count: (S,) windows of each.
-
-    Returns:
-        (S,) shares: in proportion to the roots, none above `MOST_OF_ONE_SOURCE` unless there are too few others.
+    They are in proportion to the roots, none above `MOST_OF_ONE_SOURCE` unless there are too few others.
     """
     share = np.sqrt(count.astype(np.float64))
     share /= share.sum()

@@ -49,7 +49,7 @@ def _compare_schedule(comparison: Comparison, stored: GoldenArrays) -> None:
 
 
 def _compare_parts(parity: Parity, recipe: WeightsRecipe) -> None:
-    """What the network makes before the transformer."""
+    """Compare the outputs of the network before the transformer."""
     noise, network = parity.actions("noise"), parity.network
     drawn = seeded_normal("noise", (len(noise), noise[0].numel()), recipe.salt).reshape(noise.shape)
     parity.comparison.numbers(NOISE, drawn, noise.numpy())

@@ -26,11 +26,7 @@ from generation.diffusion.standardiser import CHANNELS, WAYPOINTS
 class Parity:
     """The file ``parity.npz`` with the network that it is about; notes which arrays were asked for.
 
-    Attributes:
-        comparison: Takes the results.
-        stored: The file.
-        network: With the set's weights, in evaluation mode.
-        taken: Names of arrays that were compared or used.
+    The network has the set's weights and is in evaluation mode; ``taken`` names the arrays.
     """
 
     def __init__(self, comparison: Comparison, stored: GoldenArrays, network: TrajectoryDenoiser) -> None:

@@ -60,13 +60,7 @@ def has_reference_scores(stored: GoldenArrays) -> bool:
 
 
 def compare_reference(comparison: Comparison, stored: GoldenArrays, excused: dict[str, int]) -> None:
-    """Compare one file.
-
-    Args:
-        comparison: Takes the results.
-        stored: A file with ``ref_*`` arrays.
-        excused: Verdicts on a tie are counted here, by quantity.
-    """
+    """Compare one file with ``ref_*`` arrays. Verdicts on a tie are counted in ``excused``, by quantity."""
     frame = _read(stored)
     count, hyper = len(frame.center), HyperParameters.reference()
     terms = reference_terms(frame.center, frame.size, frame.around)

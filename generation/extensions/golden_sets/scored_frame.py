@@ -16,13 +16,12 @@ SCORED: Final = slice(1, 13)
 
 @dataclass(frozen=True, slots=True)
 class ScoredFrame:
-    """What the score of a file's candidates is made of; B candidates, S frames.
+    """Inputs of the score of a file's candidates; B candidates, S frames.
 
     Attributes:
         center: (B, S, 3) poses of the candidates' box centres.
         size: (2,) length and width.
         boxes: (B, S, 5) the candidates as boxes.
-        around: Objects, ego and drivable raster.
         affine: (2, 3) from global metres to raster coordinates, as the file has it.
     """
 

@@ -115,7 +115,7 @@ def _compare_reading(
 
 
 def _absent(folder: GoldenFolder, paths: list[Path]) -> str:
-    """What the index of the set names and the folder lacks, in words."""
+    """Files that the index of the set names and the folder lacks, in words."""
     listed = folder.facts("index.json") if folder.has("index.json") else []
     missing = {Path(str(name)).name for name in listed} - {path.name for path in paths}
     return f"; {len(missing)} more in index.json are not there" if missing else ""

@@ -21,13 +21,8 @@ RANK_TIE: Final = 1e-9
 def on_raster_tie(points: Floats, global_to_index: Floats, tie: float = TIE) -> Bools:
     """Whether points lie on the border between two cells, so that rounding decides which one they are in.
 
-    Args:
-        points: (..., 2) metres, global.
-        global_to_index: (2, 3) affine map to raster coordinates, which are rounded to the nearest integer.
-        tie: Cells.
-
-    Returns:
-        (...) whether a coordinate is within the tie of a half integer.
+    ``points`` are (..., 2) global metres, ``global_to_index`` a (2, 3) affine map to raster coordinates, which are
+    rounded to the nearest integer; ``tie`` is in cells.
     """
     coordinate = points @ global_to_index[:, :2].T + global_to_index[:, 2]
     from_border = np.abs(coordinate - np.floor(coordinate) - 0.5)
@@ -35,15 +30,9 @@ def on_raster_tie(points: Floats, global_to_index: Floats, tie: float = TIE) -> 
 
 
 def touching_tie(box: Floats, others: Floats, reading: CollisionReading) -> bool:
-    """Whether a little air more or less changes the verdict on one box.
+    """Whether the verdict on one (5,) box with all limits `TIE` wider differs from the one with them `TIE` narrower.
 
-    Args:
-        box: (5,) box of a candidate.
-        others: (M, 5) boxes that are present.
-        reading: What counts as a collision.
-
-    Returns:
-        Whether the verdict with all limits `TIE` wider differs from the one with all limits `TIE` narrower.
+    ``others`` are the (M, 5) boxes that are present.
     """
     return _collides(box, others, reading, TIE) and not _collides(box, others, reading, -TIE)
 
@@ -63,15 +52,9 @@ def _collides(box: Floats, others: Floats, reading: CollisionReading, slack_m: f
 
 
 def out_of_order(ours: Floats, golden: Floats, tie: float) -> NDArray[np.bool_]:
-    """Which candidates stand behind one that they should be ahead of.
+    """Candidates, (B,), that stand behind one that they should be ahead of.
 
-    Args:
-        ours: (B,) scores.
-        golden: (B,) scores.
-        tie: Golden scores nearer than this may change places.
-
-    Returns:
-        (B,) True where some candidate whose golden score is lower by more than ``tie`` does not score lower.
+    True where some candidate whose golden score is lower by more than ``tie`` does not score lower.
     """
     order = np.argsort(golden, kind="stable")
     ours, golden = ours[order], golden[order]

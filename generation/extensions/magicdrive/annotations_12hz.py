@@ -29,17 +29,11 @@ class BoxTracks:
 
 
 def box_tracks(scene: Scene, frames: NDArray[np.int64]) -> BoxTracks:
-    """Boxes at some frames of a scene.
+    """Boxes at (T,) frames of a scene, in the order of ``scene.agents``.
 
-    A recording knows boxes at its keyframes only: those in between are interpolated from its annotations. What was
-    simulated (a scene of ours, and every adversary) is known at 12 Hz and taken as it is.
-
-    Args:
-        scene: The scene; it is a recording where its sensors have sweeps of their own.
-        frames: (T,) frame indices.
-
-    Returns:
-        Boxes in the order of ``scene.agents``.
+    A recording, whose sensors have sweeps of their own, knows boxes at its keyframes only: those in between are
+    interpolated from its annotations. What was simulated (a scene of ours, and every adversary) is known at 12 Hz
+    and taken as it is.
     """
     agents = scene.agents
     tracks = BoxTracks(
@@ -60,13 +54,10 @@ def box_tracks(scene: Scene, frames: NDArray[np.int64]) -> BoxTracks:
 def interpolated_annotations(scene: Scene, frames: NDArray[np.int64]) -> BoxTracks:
     """Boxes between keyframes: those of objects that are annotated at both ends.
 
-    Args:
-        scene: The scene, with annotations at its K keyframes.
-        frames: (T,) frame indices from the first to the last keyframe.
+    ``frames`` are (T,) from the first to the last keyframe.
 
-    Returns:
-        Centres on straight lines, rotations on great arcs, at the fraction of frames passed since the earlier
-        keyframe; sizes of the earlier keyframe.
+    Centres lie on straight lines, rotations on great arcs, at the fraction of frames passed since the earlier
+    keyframe; sizes are those of the earlier keyframe.
     """
     annotations, keyframes = scene.annotations, scene.keyframes
     left = np.clip(np.searchsorted(keyframes, frames, side="right") - 1, 0, len(keyframes) - 1)
@@ -85,13 +76,7 @@ def interpolated_annotations(scene: Scene, frames: NDArray[np.int64]) -> BoxTrac
 def slerp(first: Floats, second: Floats, fraction: Floats) -> Floats:
     """Rotations between two rotations, at constant speed on the shorter great arc.
 
-    Args:
-        first: (..., 4) quaternions; normalised here.
-        second: (..., 4) quaternions; normalised here.
-        fraction: (...) 0 at ``first``, 1 at ``second``; broadcast against the leading axes.
-
-    Returns:
-        (..., 4) unit quaternions.
+    Quaternions, (..., 4), are normalised here; ``fraction``, (...), is broadcast against the leading axes.
     """
     first = np.asarray(first, np.float64) / np.linalg.norm(first, axis=-1, keepdims=True)
     second = np.asarray(second, np.float64) / np.linalg.norm(second, axis=-1, keepdims=True)

@@ -16,45 +16,22 @@ class VideoDecoder:
     """Decodes two latent frames at a time and remembers what the next ones need, so that a video of any length fits."""
 
     def __init__(self, network: Any, device: torch.device) -> None:
-        """Take a network that is there.
-
-        Args:
-            network: ``AutoencoderKLCogVideoX`` of diffusers.
-            device: Where it runs.
-        """
+        """Take a network that is there, ``AutoencoderKLCogVideoX`` of diffusers."""
         self._network, self._device = network.to(device).eval(), device
 
     @classmethod
     def load(cls, folder: Path, device: torch.device, dtype: torch.dtype) -> Self:
-        """Load one.
-
-        Args:
-            folder: Configuration and weights.
-            device: Where it runs.
-            dtype: What it computes in.
-
-        Returns:
-            The decoder.
-
-        Raises:
-            InputError: If diffusers is not installed, or the folder does not hold what is needed.
-        """
+        """Load a decoder from a folder with configuration and weights; needs diffusers."""
         # Without the package accelerate, weights can only be loaded the plain way.
         network = DIFFUSERS.load("AutoencoderKLCogVideoX", folder, dtype=dtype, low_cpu_mem_usage=False)
         return cls(network, device)
 
     @torch.no_grad()
     def frames(self, latent: Tensor) -> Tensor:
-        """Decode one view.
+        """Decode one view, (16, t, h, w) as the transformer gives it, of unit spread.
 
-        Args:
-            latent: (16, t, h, w) as the transformer gives them, of unit spread.
-
-        Returns:
-            (T, 8h, 8w, 3) uint8 on the processor; T is 4t, or 4t - 3 where t is odd.
-
-        Raises:
-            InputError: If the pictures are not finite.
+        (T, 8h, 8w, 3) uint8 on the processor; T is 4t, or 4t - 3 where t is odd. Pictures that are not finite are
+        refused.
         """
         scaled = latent[None].to(self._device, self._network.dtype) / self._network.config.scaling_factor
         pictures = self._network.decode(scaled).sample[0]

@@ -35,18 +35,9 @@ _Paint = Callable[[NDArray[np.uint8], shapely.Geometry, Callable[[Floats], Float
 
 
 def clip_maps(scene: Scene, lidar: Floats, *, cells: int = MAP_CELLS) -> Bools:
-    """Maps of a clip.
+    """Maps of a clip: (T, 8, cells, cells) masks by `MAP_CHANNELS`, as `MapLayers.masks` draws them.
 
-    Args:
-        scene: The scene.
-        lidar: (T, 4, 4) lidar frame to global frame.
-        cells: Cells on a side.
-
-    Returns:
-        (T, 8, cells, cells) masks by `MAP_CHANNELS`, as `MapLayers.masks` draws them.
-
-    Raises:
-        InputError: If the scene has no map.
+    ``lidar`` is (T, 4, 4), lidar frame to global frame.
     """
     if scene.road_map.drivable_area.is_empty:
         raise InputError(
@@ -95,7 +86,6 @@ class MapLayers:
 
         Args:
             pose: (3,) x, y of the lidar and direction of its x axis (to the right of the car), global.
-            cells: Cells on a side.
 
         Returns:
             (8, cells, cells) masks by `MAP_CHANNELS`; the first index goes right and the second forward, both from

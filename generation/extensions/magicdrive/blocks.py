@@ -28,15 +28,7 @@ class CrossAttention(nn.Module):
         return tokens.map(self.kv_linear)
 
     def forward(self, x: Tensor, keys_values: ConditionTokens) -> Tensor:
-        """Attend.
-
-        Args:
-            x: (b, V, t, S, C), not normalised.
-            keys_values: Of `keys_values`.
-
-        Returns:
-            (b, V, t, S, C).
-        """
+        """Attention of (b, V, t, S, C) tokens, not normalised, to conditions; `keys_values` gives ``keys_values``."""
         q = parted(self.q_linear(x).flatten(0, 2), -1, self.heads, -1).transpose(1, 2)
         joined = parted(keys_values.sequence().flatten(0, 2), -1, 2, self.heads, -1)
         k, v = joined.permute(2, 0, 3, 1, 4).unbind(0)
@@ -57,14 +49,7 @@ class CrossViewAttention(nn.Module):
         self.proj = nn.Linear(channels, channels)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Attend.
-
-        Args:
-            x: (b, V, t, S, C), normalised.
-
-        Returns:
-            (b, V, t, S, C).
-        """
+        """Attention of (b, V, t, S, C) tokens, normalised, to those of other views."""
         q, k, v = parted(self.qkv(x), -1, 3, self.heads, -1).transpose(3, 5).unbind(4)
         q, k = self.q_norm(q), self.k_norm(k)
         views = x.shape[1]
@@ -88,9 +73,7 @@ class Block(nn.Module):
         """Build a block.
 
         Args:
-            config: Sizes.
             temporal: Whether sequences are places over latent frames, or frames over places.
-            between_views: Whether views look at their neighbours.
             skip: Whether it has the projection that hands its output to the base stream.
         """
         super().__init__()
@@ -111,16 +94,10 @@ class Block(nn.Module):
     def forward(
         self, x: Tensor, modulation: Tensor, keys_values: ConditionTokens, rotation: Rotation | None = None
     ) -> Tensor:
-        """One block.
+        """One block on (b, V, t, S, C) tokens.
 
-        Args:
-            x: (b, V, t, S, C).
-            modulation: (b, 1 or t, 6C) of the time and frame rate.
-            keys_values: Of its cross-attention.
-            rotation: Of the latent frames, for a temporal block.
-
-        Returns:
-            (b, V, t, S, C).
+        ``modulation``, (b, 1 or t, 6C), is that of the time and frame rate; ``rotation`` of the latent frames is
+        for a temporal block.
         """
         rows = self.scale_shift_table + parted(modulation, -1, 6, -1)
         shift_a, scale_a, gate_a, shift_m, scale_m, gate_m = rows[:, None, :, None].unbind(-2)

@@ -47,15 +47,9 @@ class ClipBoxes:
 
 
 def clip_boxes(scene: Scene, frames: NDArray[np.int64], sensors: SensorFrames) -> ClipBoxes:
-    """Boxes of all objects that the model can draw.
+    """Boxes of all objects that the model can draw, adversaries among them, at (T,) frames.
 
-    Args:
-        scene: The scene; its adversaries are objects like all others.
-        frames: (T,) frame indices.
-        sensors: The sensors at these frames.
-
-    Returns:
-        The boxes; one absent box where there is none.
+    There is one absent box where there is none.
     """
     tracks = box_tracks(scene, frames)
     classes = [_class_index(scene, index) for index in range(len(scene.agents))]
@@ -84,15 +78,10 @@ def clip_boxes(scene: Scene, frames: NDArray[np.int64], sensors: SensorFrames) -
 
 
 def in_lidar_frame(tracks: BoxTracks, shown: list[int], lidar: Floats) -> tuple[Floats, Floats]:
-    """Centres and headings of boxes as the lidar sees them.
+    """Centres, (T, n, 3), and headings, (T, n), of n boxes as the lidar sees them at T frames.
 
-    Args:
-        tracks: Global boxes at T frames.
-        shown: Which of them; n.
-        lidar: (T, 4, 4) lidar frame to global frame.
-
-    Returns:
-        (T, n, 3) centres and (T, n) headings of the boxes' length, radians counter-clockwise from the lidar's x axis.
+    Headings are those of the boxes' length, radians counter-clockwise from the lidar's x axis; ``lidar`` is
+    (T, 4, 4), lidar frame to global frame.
     """
     turn = lidar[:, :3, :3]
     offset = tracks.position[shown].transpose(1, 0, 2) - lidar[:, None, :3, 3]
@@ -121,12 +110,8 @@ def corners_of(floor: Floats, size: Floats, yaw: Floats) -> Floats:
 def in_front(corners: Floats, camera_from_lidar: Floats) -> Bools:
     """Which boxes have a corner in front of a camera's lens, inside its image or not.
 
-    Args:
-        corners: (T, n, 8, 3) lidar frame, metres.
-        camera_from_lidar: (V, T, 4, 4) lidar frame to camera axes.
-
-    Returns:
-        (V, T, n) verdicts.
+    (V, T, n) verdicts on (T, n, 8, 3) corners, lidar frame, metres; ``camera_from_lidar`` is (V, T, 4, 4), lidar
+    frame to camera axes.
     """
     towards, offset = camera_from_lidar[:, :, 2, :3], camera_from_lidar[:, :, 2, 3]
     depth = np.einsum("vta,tnca->vtnc", towards, corners) + offset[..., None, None]

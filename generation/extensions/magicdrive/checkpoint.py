@@ -26,17 +26,15 @@ def load_official(
     device: torch.device | str = "cpu",
     dtype: torch.dtype = torch.bfloat16,
 ) -> MagicDriveDiT:
-    """Build the network with published weights.
+    """Build the network with published weights, ready to be asked.
 
     Args:
         path: ``ema.pt`` or any other file of PyTorch that holds the state dict, or the same tensors as .safetensors.
         config: Sizes of the network; the published ones by default.
-        device: Where it will run.
-        dtype: What it will compute in.
 
     Returns:
         The network, ready to be asked. Where it rounds its inputs, the weights have been rounded to bfloat16 too,
-        whatever they are stored as.
+        in any precision that they are stored in.
 
     Raises:
         InputError: If the file is absent, damaged, would run code, holds NaN or infinity, or other tensors than the

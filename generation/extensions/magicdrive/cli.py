@@ -11,18 +11,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Photorealistic:
-    """The options of the renderer, as `generation.extensions.magicdrive.command.magicdrive_renderer` has them.
-
-    Attributes:
-        weights: Folder of the published weights, or ``None`` for the cache.
-        drawn_size: HEIGHTxWIDTH of the network's pictures.
-        written_size: Of those that are written.
-        look: Weather and time of day.
-        device: ``cpu``, ``cuda``, ``cuda:1`` or ``auto``.
-        seed: Of noise and of the looks of objects.
-        tera_operations: Of the device in a second, 10^12, for estimates.
-        estimates_only: Whether nothing will be drawn; estimates need no weights.
-    """
+    """Options of the renderer, as `generation.extensions.magicdrive.command.magicdrive_renderer` has them."""
 
     weights: Path | None
     drawn_size: str
@@ -66,7 +55,7 @@ class Photorealistic:
         )
 
     def executor(self, place: "Executor") -> "Executor | None":
-        """Where scenes are drawn; estimates for a GPU are wanted on machines that have none."""
+        """Executor of the drawing; estimates for a GPU are wanted on machines that have none."""
         from generation.extensions.magicdrive.command import rendering_executor
 
         return None if self.estimates_only else rendering_executor(place, self.device)

@@ -36,15 +36,9 @@ class Clip:
     """The conditions of one clip in numbers and words; V views in the model's order, T frames, n boxes.
 
     Attributes:
-        scene: Scene name.
-        frames: (T,) frame indices in the scene.
-        boxes: Objects with their identities.
         cams: (V, T, 3, 7) intrinsic matrix at 1600 x 900 pixels beside the camera->lidar transform.
         rel_pos: (T, 4, 4) transforms of points from the first lidar frame to this one.
         maps: (T, 8, cells, cells) masks from above.
-        prompt: The words.
-        height: Image height, pixels.
-        width: Image width, pixels.
     """
 
     scene: str
@@ -65,16 +59,9 @@ class Clip:
     def conditions(
         self, text: TextStates, negative_text: TextStates | None, *, latent_width: int, seed: int = OFFICIAL_SEED
     ) -> Conditions:
-        """The clip as tensors for the model.
+        """The clip as tensors for a model of hidden width ``latent_width``.
 
-        Args:
-            text: The encoded prompt.
-            negative_text: The encoded negative prompt, where there is one.
-            latent_width: Hidden width C of the model.
-            seed: Of the objects' latent vectors; the same objects with the same seed look alike.
-
-        Returns:
-            The conditions.
+        ``seed`` is of the objects' latent vectors; the same objects with the same seed look alike.
         """
         boxes = self.boxes
         return Conditions(
@@ -101,21 +88,9 @@ def clip_of(
     width: int = 400,
     look: PromptLook = PromptLook.RECORDED,
 ) -> Clip:
-    """Everything that the model is told about some frames of a scene.
+    """Conditions of the model for some frames of a scene, which has six cameras and a map.
 
-    Args:
-        scene: A recorded, rendered or adversarial scene with six cameras and a map.
-        frames: Frame indices in order; the last one may be repeated (see `padded_frames`).
-        height: Image height, pixels.
-        width: Image width, pixels.
-        look: Light and weather in the prompt.
-
-    Returns:
-        The clip.
-
-    Raises:
-        InputError: If a frame is not in the scene, the frames turn back, their number is none of the model's, a
-            camera or the map is missing, or a number is not finite.
+    The frames are in order, as many as the model can have; the last one may be repeated (see `padded_frames`).
     """
     chosen = np.asarray(frames, dtype=np.int64)
     _check_frames(scene, chosen)
@@ -141,23 +116,13 @@ def clip_of(
 def box_latents(count: int, width: int, seed: int) -> torch.Tensor:
     """One Gaussian vector for each object, drawn on the processor as in the published scripts.
 
-    Args:
-        count: Number n of objects.
-        width: Hidden width C of the model.
-        seed: Seed.
-
-    Returns:
-        (n, C) float32.
+    (n, C) float32 for n objects and the hidden width C of the model.
     """
     return torch.randn(count, width, generator=torch.Generator("cpu").manual_seed(seed))
 
 
 def trimmed_length(count: int) -> int:
-    """Number of frames that the model's own data loader keeps of a scene: 8k or 8k + 1.
-
-    Args:
-        count: Number of frames, at least 1.
-    """
+    """Number of frames that the model's own data loader keeps of a scene: 8k or 8k + 1."""
     return count - max(count % _FRAMES_TOGETHER - 1, 0)
 
 
@@ -166,33 +131,20 @@ def published_length(count: int) -> int:
 
     Recordings of 235 frames, which most of nuScenes has (40 keyframes), become 233; those of 241 stay, and nothing is
     longer. Recordings that are shorter than any that the model was trained on at full length keep all they have.
-
-    Args:
-        count: Number of frames of the recording.
     """
     return count if count < SHORTEST_WHOLE else trimmed_length(min(count, MOST_FRAMES))
 
 
 def padded_frames(frames: Sequence[int]) -> tuple[int, ...]:
-    """Frames of which none is lost: the last one is repeated until their number is 8k or 8k + 1.
-
-    Args:
-        frames: Frame indices, at least one.
-    """
+    """Frames of which none is lost: the last one is repeated until their number is 8k or 8k + 1."""
     missing = 0 if trimmed_length(len(frames)) == len(frames) else -len(frames) % _FRAMES_TOGETHER
     return (*frames, *[frames[-1]] * missing)
 
 
 def latent_frames(count: int) -> tuple[tuple[int, ...], ...]:
-    """Which frames of a clip are averaged into each latent frame.
+    """Frames of a clip, as positions in it, that are averaged into each latent frame.
 
     Twice, neighbours become pairs; of an odd number the first stays alone (specification, section 3, "P").
-
-    Args:
-        count: Number of frames, at least 1.
-
-    Returns:
-        Positions in the clip, one tuple a latent frame.
     """
     groups: list[tuple[int, ...]] = [(position,) for position in range(count)]
     for _ in range(2):

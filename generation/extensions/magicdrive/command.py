@@ -58,18 +58,13 @@ def magicdrive_renderer(
 
 
 def rendering_executor(place: Executor, device: str) -> Executor:
-    """Where scenes are drawn: one at a time on each GPU.
+    """Executor of the drawing: one scene at a time on each GPU.
 
-    Args:
-        place: Where the rest of the work is done.
-        device: Where the network runs: ``auto``, ``cpu``, ``cuda`` for all GPUs, ``cuda:1`` for one.
+    ``device`` is ``auto``, ``cpu``, ``cuda`` for all GPUs, or ``cuda:1`` for one.
 
     Returns:
         As many processes as there are GPUs, but no more than were asked for; on a Ray cluster units with a GPU each;
         ``place`` itself where the network runs on processors.
-
-    Raises:
-        InputError: If this machine has no such device; of a cluster only its nodes know.
     """
     on_gpu = device.startswith("cuda") or (device == "auto" and torch.cuda.is_available())
     if isinstance(place, RayCluster):

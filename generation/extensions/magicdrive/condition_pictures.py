@@ -74,16 +74,10 @@ def write_condition_pictures(data: DataSet, names: Sequence[str], folder: Path, 
 def condition_pictures(
     clip: Clip, scene: Scene, frames: Sequence[int], images: Sequence[Images | None]
 ) -> dict[str, bytes]:
-    """All pictures of one clip.
+    """All pictures of one clip: PNG files by what they show.
 
-    Args:
-        clip: The conditions.
-        scene: Their scene.
-        frames: Frames of the scene at which boxes, visibility and map are drawn; all of them in the clip.
-        images: What the cameras saw there, any size; ``None`` for a dark ground.
-
-    Returns:
-        PNG files by what they show.
+    ``frames`` of the scene, all in the clip, are those at which boxes, visibility and map are drawn. ``images`` are
+    of the cameras there, any size; ``None`` for a dark ground.
     """
     places = [int(np.flatnonzero(clip.frames == frame)[0]) for frame in frames]
     adversaries = [slot for slot, name in enumerate(clip.boxes.ids) if name in scene.adversaries]
@@ -102,14 +96,7 @@ def condition_pictures(
 
 
 def shown_frames(scene: Scene) -> list[int]:
-    """Keyframes worth looking at: the first, and the one nearest to the decisive moment.
-
-    Args:
-        scene: The scene.
-
-    Returns:
-        Frame indices, one or two.
-    """
+    """Keyframes worth looking at, one or two: the first, and the one nearest to the decisive moment."""
     middle = moments(scene)[3]
     nearest = scene.keyframes[np.abs(scene.keyframes - middle).argmin()]
     return sorted({int(scene.keyframes[0]), int(nearest)})
@@ -122,9 +109,7 @@ def draw_boxes(clip: Clip, place: int, images: Images | None, adversaries: Seque
     box that the model is given is drawn above it in pale grey.
 
     Args:
-        clip: The conditions.
         place: Position of the frame in the clip.
-        images: What the cameras saw, or ``None``.
         adversaries: Slots to draw in the colour of adversaries.
 
     Returns:

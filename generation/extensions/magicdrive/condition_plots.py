@@ -50,13 +50,7 @@ _SLOT_ROWS: Final = 34
 def draw_visibility(clip: Clip, place: int, adversaries: Sequence[int]) -> bytes:
     """From above, for each view: boxes that it is told to use are filled, the others only outlined.
 
-    Args:
-        clip: The conditions.
-        place: Position of the frame in the clip.
-        adversaries: Slots drawn in the colour of adversaries.
-
-    Returns:
-        A PNG file.
+    The PNG is of the frame at position ``place`` in the clip; ``adversaries`` are slots.
     """
 
     def draw(figure: "Figure") -> None:
@@ -75,16 +69,7 @@ def draw_visibility(clip: Clip, place: int, adversaries: Sequence[int]) -> bytes
 
 
 def draw_map(clip: Clip, place: int, adversaries: Sequence[int]) -> bytes:
-    """The map channels of one frame with the boxes on them.
-
-    Args:
-        clip: The conditions.
-        place: Position of the frame in the clip.
-        adversaries: Slots drawn in the colour of adversaries.
-
-    Returns:
-        A PNG file.
-    """
+    """PNG of the map channels of the frame at position ``place`` in the clip, with the boxes on them."""
 
     def draw(figure: "Figure") -> None:
         extent = (-MAP_EXTENT_M, MAP_EXTENT_M, -MAP_EXTENT_M, MAP_EXTENT_M)
@@ -100,14 +85,7 @@ def draw_map(clip: Clip, place: int, adversaries: Sequence[int]) -> bytes:
 
 
 def draw_cameras(clip: Clip) -> bytes:
-    """Where the six cameras of the first frame stand and look, and their intrinsic numbers.
-
-    Args:
-        clip: The conditions.
-
-    Returns:
-        A PNG file.
-    """
+    """PNG of where the six cameras of the first frame stand and look, and of their intrinsic numbers."""
 
     def draw(figure: "Figure") -> None:
         plan, table = figure.subplots(1, 2, width_ratios=(1.0, 1.1))
@@ -127,15 +105,7 @@ def draw_cameras(clip: Clip) -> bytes:
 
 
 def draw_ego_motion(clip: Clip, keyframes: "NDArray[np.int64]") -> bytes:
-    """The way of the lidar in its first frame, and the length of each step.
-
-    Args:
-        clip: The conditions.
-        keyframes: Keyframes of the scene.
-
-    Returns:
-        A PNG file.
-    """
+    """PNG of the way of the lidar in its first frame, and of the length of each step."""
     way = np.linalg.inv(clip.rel_pos.astype(np.float64))[:, :2, 3]
     key = np.isin(clip.frames, keyframes)
 
@@ -159,15 +129,9 @@ def draw_ego_motion(clip: Clip, keyframes: "NDArray[np.int64]") -> bytes:
 
 
 def draw_pooling(clip: Clip, keyframes: "NDArray[np.int64]", adversaries: Sequence[int]) -> bytes:
-    """When each object is there, and which frames are averaged into one latent frame.
+    """PNG of when each object is there, and of which frames are averaged into one latent frame.
 
-    Args:
-        clip: The conditions.
-        keyframes: Keyframes of the scene.
-        adversaries: Slots with a line in the colour of adversaries.
-
-    Returns:
-        A PNG file.
+    ``adversaries`` are slots with a line in the colour of adversaries.
     """
     from matplotlib.patches import Patch
 
@@ -202,15 +166,7 @@ def draw_pooling(clip: Clip, keyframes: "NDArray[np.int64]", adversaries: Sequen
 
 
 def draw_words(clip: Clip, adversaries: Sequence[int]) -> bytes:
-    """The prompt, the numbers and the objects.
-
-    Args:
-        clip: The conditions.
-        adversaries: Slots marked as such.
-
-    Returns:
-        A PNG file.
-    """
+    """PNG of the prompt, the numbers and the objects; ``adversaries`` are slots marked as such."""
     kinds = [DETECTION_CLASSES[int(number)] for number in clip.boxes.classes.max(axis=0) if number >= 0]
     counts = ", ".join(f"{count} {name}" for name, count in Counter(kinds).most_common()) or "none"
     lines = [
@@ -288,7 +244,7 @@ def _colour(clip: Clip, place: int, slot: int, adversaries: Sequence[int]) -> st
 
 
 def _wedge(axes: "Axes", clip: Clip, view: int, place: int, length_m: float) -> None:
-    """What a camera sees, as a triangle from above."""
+    """Field of view of a camera, as a triangle from above."""
     camera = clip.cams[view, place].astype(np.float64)
     edges = np.array([[-camera[0, 2], 0.0, camera[0, 0]], [CALIBRATION_SIZE[0] - camera[0, 2], 0.0, camera[0, 0]]])
     rays = (edges / np.linalg.norm(edges, axis=1, keepdims=True)) @ camera[:, 3:6].T

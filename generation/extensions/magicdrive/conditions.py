@@ -109,14 +109,7 @@ class Conditions:
         return int(self.masks.shape[2])
 
     def to(self, device: torch.device | str) -> Self:
-        """The same conditions on another device.
-
-        Args:
-            device: Where to.
-
-        Returns:
-            A copy whose tensors lie there.
-        """
+        """Copy of the conditions with its tensors on another device."""
         values = {each.name: getattr(self, each.name) for each in fields(self)}
         moved: dict[str, Any] = {
             name: value.to(device) for name, value in values.items() if isinstance(value, Tensor | TextStates)

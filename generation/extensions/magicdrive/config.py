@@ -9,18 +9,12 @@ class MagicDriveConfig:
     """Sizes of the network; the defaults are the published ones (section 1 of the specification).
 
     Attributes:
-        hidden: Channels of a token.
-        heads: Attention heads of the transformer.
         encoder_heads: Attention heads of the condition encoders.
         depth: Pairs of a spatial and a temporal block in the base stream.
         control_depth: The same in the control stream.
-        caption_channels: Channels of the text encoder.
         text_tokens: Length of the stored null prompt.
         box_hidden: Channels inside the last layers of the box encoder.
         map_channels: Channels of the map encoder before its last layer.
-        map_layers: Layers of the bird's-eye map.
-        views: Cameras.
-        latent_channels: Channels of a view's latent.
         rounded: Round what goes in, and all frequencies, to bfloat16 even where the network computes more exactly,
             because the published weights were trained so (section 13).
         rows_multiple: Rows of tokens are padded to a multiple of this where their number times columns is none, as on

@@ -13,14 +13,9 @@ from generation.extensions.magicdrive.position import FOURIER_CHANNELS
 
 @dataclass(frozen=True, slots=True)
 class Workload:
-    """What the cost of a clip depends on.
+    """Sizes that the cost of a clip depends on.
 
-    Attributes:
-        frames: Of the clip.
-        size: Of its latent.
-        text_tokens: L, tokens of the prompt.
-        boxes: Box slots.
-        map_cells: Cells of the map along its sides.
+    ``text_tokens`` are those of the prompt, ``boxes`` the box slots, ``map_cells`` the cells along the map's sides.
     """
 
     frames: int
@@ -35,12 +30,9 @@ class Operations:
     """Floating-point operations of one evaluation of one branch.
 
     Attributes:
-        base: Of the base stream, of which the next four are parts together with those of the control stream.
-        control: Of the control stream.
+        base: Of the base stream; the four kinds of attention are parts of it and of the control stream.
         spatial_attention: Products of queries, keys and values over places.
         temporal_attention: The same over latent frames.
-        cross_attention: All of cross-attention.
-        between_views: All of the attention between views.
         encoders: Of all condition encoders; once for a branch.
     """
 
@@ -58,29 +50,18 @@ class Operations:
         return self.base + self.control
 
     def scene(self, steps: int, *, as_published: bool = False) -> float:
-        """Of a clip with guidance.
+        """Operations of a clip with guidance, 2 * steps evaluations.
 
-        Args:
-            steps: Of sampling.
-            as_published: Whether conditions are encoded at every evaluation.
-
-        Returns:
-            Operations of 2 * steps evaluations.
+        ``as_published`` encodes conditions at every evaluation.
         """
         return 2 * (steps * self.transformer + (steps if as_published else 1) * self.encoders)
 
 
 def operations(config: MagicDriveConfig, clip: Workload, *, as_published: bool = False) -> Operations:
-    """Count one evaluation.
+    """Count one evaluation of the network.
 
-    Args:
-        config: Sizes of the network.
-        clip: What is computed.
-        as_published: Count what the published code computes: keys and values of every condition token of every view and
-            frame, and projections between views once for each neighbour.
-
-    Returns:
-        The count.
+    ``as_published`` counts what the published code computes: keys and values of every condition token of every view
+    and frame, and projections between views once for each neighbour.
     """
     size, square = clip.size, config.hidden**2
     cells = config.views * size.frames

@@ -22,14 +22,7 @@ MAP_PADDINGS: Final = ((1, 1), (2, 1), (1, 1), (2, 1), (2, 1), (2, 1))
 
 
 def pooled_in_time(frames: Tensor) -> Tensor:
-    """Average frames in pairs, as the video autoencoder does; of an odd number the first stays alone.
-
-    Args:
-        frames: (frames, ...).
-
-    Returns:
-        (half of them, rounded up, ...).
-    """
+    """Average (frames, ...) in pairs, as the video autoencoder does; of an odd number the first stays alone."""
     alone = frames[: len(frames) % 2]
     return torch.cat([alone, parted(frames[len(frames) % 2 :], 0, -1, 2).mean(1)])
 
@@ -65,14 +58,7 @@ class TemporalEncoder(nn.Module):
         self.final_proj = nn.Linear(channels, channels)
 
     def over_time(self, tokens: Tensor) -> Tensor:
-        """Let each sequence look at itself and pool it to latent frames.
-
-        Args:
-            tokens: (sequences, T, C).
-
-        Returns:
-            (sequences, t, C).
-        """
+        """Let each sequence, (sequences, T, C), look at itself and pool it to latent frames, (sequences, t, C)."""
         shift_a, scale_a, gate_a, shift_m, scale_m, gate_m = self.scale_shift_table.unbind(0)
         rotation = self.rope.rotation(tokens.shape[1], tokens.dtype, rounded=self.rounded)
         tokens = tokens + gate_a * self.attn(modulated(tokens, shift_a, scale_a), rotation)
@@ -105,16 +91,10 @@ class BoxEncoder(TemporalEncoder):
         self._build_block(config)
 
     def forward(self, corners: Tensor, classes: Tensor, masks: Tensor, latent: Tensor) -> Tensor:
-        """Encode the boxes as one view sees them.
+        """Encode the boxes as one view sees them, to (t, n, C).
 
-        Args:
-            corners: (T, n, 8, 3) metres.
-            classes: (T, n), -1 where absent.
-            masks: (T, n): 1 seen, 0 absent or not seen, -1 hidden.
-            latent: (n, C).
-
-        Returns:
-            (t, n, C).
+        Corners are (T, n, 8, 3) metres; classes (T, n), -1 where absent; masks (T, n), 1 seen, 0 absent or not
+        seen, -1 hidden; latents (n, C).
         """
         dtype = self.bbox_proj.weight.dtype
         mean, log_variance = self.mean_var[classes % CLASSES, :, None].unbind(-2)

@@ -43,10 +43,7 @@ _GIB: Final = 2**30
 class Stage:
     """One network at work; the stages of a scene follow each other.
 
-    Attributes:
-        name: What is done.
-        operations: Floating-point operations.
-        gib: Memory of the device, GiB, weights included.
+    ``operations`` are floating-point operations; ``gib`` is memory of the device, weights included.
     """
 
     name: str
@@ -56,15 +53,10 @@ class Stage:
 
 @dataclass(frozen=True, slots=True)
 class RenderingEstimate:
-    """What a scene costs.
+    """Cost of a scene.
 
-    Attributes:
-        frames: Of the scene.
-        size: Of the pictures that the model draws, height and width.
-        stages: In their order.
-        device: For people.
-        tera_operations: That the device does in a second, 10^12.
-        measured: Whether that was measured here, or given.
+    ``size`` is height and width of the pictures that the model draws; the device does ``tera_operations``, 10^12,
+    in a second, which were ``measured`` here, or else given.
     """
 
     frames: int
@@ -104,18 +96,9 @@ def rendering_stages(
     words: str,
     dtype: torch.dtype,
 ) -> tuple[Stage, ...]:
-    """Count what a scene costs.
+    """Stages of a scene's cost, in their order.
 
-    Args:
-        scene: The scene.
-        geometry: Sizes of the pictures.
-        config: Sizes of the network.
-        steps: Of sampling.
-        words: The prompt.
-        dtype: What transformer and decoder compute in.
-
-    Returns:
-        The stages in their order.
+    ``dtype`` is the precision of transformer and decoder, ``steps`` are those of sampling.
     """
     frames = len(padded_frames(range(len(scene.timestamps_us))))
     size = LatentSize.of(frames, geometry.height, geometry.width, config.rows_multiple)
@@ -154,15 +137,9 @@ def network_numbers(config: MagicDriveConfig) -> int:
 
 @functools.cache
 def measured_speed(device: torch.device, dtype: torch.dtype, channels: int) -> float:
-    """How fast a device computes what the network mostly is: norm, modulation and the two products of an MLP.
+    """Speed, 10^12 operations in a second, of a device at the network's main work: norm, modulation and an MLP.
 
-    Args:
-        device: The device.
-        dtype: The precision.
-        channels: Of a token.
-
-    Returns:
-        10^12 operations in a second.
+    ``channels`` are those of a token.
     """
     tokens = _PROBE_TOKENS["cuda" if device.type == "cuda" else "cpu"]
     layer = nn.Sequential(nn.Linear(channels, 4 * channels), nn.GELU("tanh"), nn.Linear(4 * channels, channels))

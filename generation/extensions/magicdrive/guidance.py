@@ -13,15 +13,10 @@ GuidanceMode = Literal["rflow-slice", "rflow"]
 
 
 def null_conditions(model: MagicDriveDiT, conditions: Conditions, *, keep_map: bool) -> Conditions:
-    """What the other branch is told (section 8): size and frame rate, and a negative prompt if there is one.
+    """Conditions of the null branch (section 8): size and frame rate, and a negative prompt if there is one.
 
-    Args:
-        model: Whose learned null prompt, camera and ego motion are taken.
-        conditions: Of the branch that is told all.
-        keep_map: Whether the map stays.
-
-    Returns:
-        Conditions with one empty box, which stands for all of them.
+    There is one empty box, which stands for all of them; prompt, camera and ego motion are the learned null ones of
+    ``model``.
     """
     views, frames = conditions.views, conditions.frames
     text, negative = conditions.text, conditions.negative_text
@@ -51,12 +46,7 @@ class GuidedModel:
     ) -> None:
         """Take branches that are encoded already.
 
-        Args:
-            model: The network.
-            conditional: The branch that is told all.
-            unconditional: The other one.
-            scale: Guidance; 1 is the first branch alone.
-            together: Whether both branches are one batch, which takes twice the memory.
+        A scale of 1 is the first branch alone; both ``together`` as one batch take twice the memory.
         """
         self._model, self._scale = model, scale
         self._branches = (Encoded.batched([conditional, unconditional]),) if together else (conditional, unconditional)
@@ -76,16 +66,10 @@ class GuidedModel:
         """Encode both branches.
 
         Args:
-            model: The network.
-            conditions: Of one clip, on the network's device.
             mode: ``rflow-slice`` takes the map away from the null branch, ``rflow`` leaves it there.
-            scale: Guidance.
             together: Whether both branches are one batch, which takes twice the memory.
             keep_keys_values: Whether to keep what the blocks make of the conditions, for speed; not with ``together``.
             rows_multiple: To what rows of tokens are padded; as the configuration says by default.
-
-        Returns:
-            The guided network.
         """
         keep = keep_keys_values and not together
         null = null_conditions(model, conditions, keep_map=mode == "rflow")

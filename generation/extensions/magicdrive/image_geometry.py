@@ -21,11 +21,9 @@ _CELL_PX: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class ImageGeometry:
-    """What is drawn and what is written.
+    """Sizes of the pictures that are drawn and of those that are written.
 
     Attributes:
-        height: Of a picture that the model draws, pixels.
-        width: The same.
         output: Enlarged to the camera's full size, which is that of the published data sets and what SparseDrive's crop
             needs, or ``model`` for pictures as they are drawn. At full size the rows that the model does not draw, 4 of
             900 at 224 x 400, repeat the first one below.
@@ -53,14 +51,7 @@ class ImageGeometry:
         return CALIBRATION_SIZE[1] * self.scale - self.height
 
     def camera(self, camera: Camera) -> Camera:
-        """A camera with the calibration of the written picture.
-
-        Args:
-            camera: The same for images of any size.
-
-        Returns:
-            The camera of the picture.
-        """
+        """A camera with the calibration of the written picture."""
         full = camera.resized(*CALIBRATION_SIZE)
         if self.output != "model":
             return full
@@ -69,14 +60,7 @@ class ImageGeometry:
         return replace(full, intrinsic=intrinsic, width=self.width, height=self.height)
 
     def picture(self, drawn: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The picture that is written.
-
-        Args:
-            drawn: (height, width, 3) RGB as the model draws it.
-
-        Returns:
-            The same picture at the size of the output.
-        """
+        """Drawn picture, (height, width, 3) RGB, at the size of the output."""
         if self.output == "model":
             return drawn
         width, height = CALIBRATION_SIZE

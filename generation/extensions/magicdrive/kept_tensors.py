@@ -14,31 +14,18 @@ _NAME: Final = "tensor"
 
 
 def keep_tensor(path: Path, key: str, tensor: Tensor, facts: dict[str, Any] | None = None) -> None:
-    """Write a tensor, whole or not at all.
+    """Write a tensor, whole or not at all, as .safetensors.
 
-    Args:
-        path: A .safetensors file.
-        key: Content key of everything that the tensor depends on.
-        tensor: On any device.
-        facts: Plain values that belong to it.
-
-    Raises:
-        InputError: If it cannot be written.
+    ``key`` is the content key of everything that the tensor depends on; ``facts`` are its plain values.
     """
     found = tensor.detach().cpu().contiguous()
     write_tensors(path, {_NAME: found}, {"facts": facts or {}, "key": key, "sha256": _sha256(found)})
 
 
 def kept_tensor(path: Path, key: str) -> tuple[Tensor, dict[str, Any]] | None:
-    """Read a tensor that was kept.
+    """Read a tensor that was kept, on the processor, and its plain values.
 
-    Args:
-        path: A file of `keep_tensor`.
-        key: Content key of what is being computed.
-
-    Returns:
-        The tensor, on the processor, and its plain values; ``None`` if it is absent, damaged or of something else, to
-        be made again.
+    ``None`` if it is absent, damaged or of something else than ``key``, to be made again.
     """
     try:
         tensors, said = read_tensors(path)

@@ -13,13 +13,9 @@ PIXELS_PER_CELL = 8
 
 @dataclass(frozen=True, slots=True)
 class LatentSize:
-    """Size of a clip's latent.
+    """Size of a clip's latent: t latent frames, h rows and w columns of cells.
 
-    Attributes:
-        frames: Latent frames t.
-        rows: Cells from top to bottom, h.
-        columns: Cells from left to right, w.
-        padded_rows: Cells from top to bottom that the network computes with; the added ones are cropped.
+    The network computes with ``padded_rows``; the added ones are cropped.
     """
 
     frames: int
@@ -29,16 +25,9 @@ class LatentSize:
 
     @classmethod
     def of(cls, frames: int, height: int, width: int, rows_multiple: int = 1) -> Self:
-        """The latent of a clip.
+        """Latent of a clip of frames and pixels; t is a quarter of the frames, rounded up twice.
 
-        Args:
-            frames: Of the clip.
-            height: Of an image, pixels.
-            width: Of an image, pixels.
-            rows_multiple: Rows of tokens are padded to a multiple of this, as `MagicDriveConfig` says.
-
-        Returns:
-            Its size; t is a quarter of the frames, rounded up twice.
+        Rows of tokens are padded to a multiple of ``rows_multiple``, as `MagicDriveConfig` says.
         """
         rows, columns = height // PIXELS_PER_CELL, width // PIXELS_PER_CELL
         token_rows, token_columns = -(-rows // 2), -(-columns // 2)
@@ -58,14 +47,9 @@ class LatentSize:
 
 
 def unpacked_views(latent: Tensor, views: int) -> Tensor:
-    """Latents of the views apart.
+    """Latents of the views apart, (b, views, channels, t, h, w).
 
-    Args:
-        latent: (b, channels * views, t, h, w), channel-major and view-minor.
-        views: Cameras.
-
-    Returns:
-        (b, views, channels, t, h, w).
+    ``latent`` is (b, channels * views, t, h, w), channel-major and view-minor.
     """
     return parted(latent, 1, -1, views).transpose(1, 2)
 

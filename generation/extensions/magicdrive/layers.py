@@ -11,30 +11,12 @@ EPSILON: Final = 1e-6
 
 
 def modulated(x: Tensor, shift: Tensor, scale: Tensor) -> Tensor:
-    """Normalise over channels, scale and shift.
-
-    Args:
-        x: (..., C).
-        shift: Broadcasts with it.
-        scale: Broadcasts with it; added to one.
-
-    Returns:
-        (..., C).
-    """
+    """Normalise (..., C) over channels, scale and shift; ``shift`` and ``scale``, added to one, broadcast with it."""
     return torch.addcmul(shift, F.layer_norm(x, x.shape[-1:], eps=EPSILON), 1 + scale)
 
 
 def parted(x: Tensor, axis: int, *sizes: int) -> Tensor:
-    """One axis as several.
-
-    Args:
-        x: Any shape.
-        axis: Which.
-        sizes: Of the new axes; -1 for what is left.
-
-    Returns:
-        The same numbers.
-    """
+    """One axis as several of the given sizes; -1 for what is left."""
     out: Tensor = x.unflatten(axis, sizes)  # type: ignore[no-untyped-call]
     return out
 
@@ -45,7 +27,7 @@ def rounded_to_bfloat16(x: Tensor) -> Tensor:
 
 
 class RootMeanSquareNorm(nn.Module):
-    """Queries and keys are scaled to unit mean square; in single precision whatever the network computes in."""
+    """Queries and keys are scaled to unit mean square; in single precision, whichever the network computes in."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -74,12 +56,7 @@ class Mlp(nn.Module):
 
 @dataclass(frozen=True, slots=True)
 class Rotation:
-    """Rotary embedding of a sequence of frames.
-
-    Attributes:
-        cosine: (frames, channels of a head / 2).
-        sine: The same shape.
-    """
+    """Rotary embedding of a sequence of frames: cosine and sine, (frames, channels of a head / 2) each."""
 
     cosine: Tensor
     sine: Tensor
@@ -92,7 +69,7 @@ class Rotation:
 
 
 class RotaryFrequencies(nn.Module):
-    """How far one frame turns each pair of channels; the numbers come with the weights."""
+    """Angles by which one frame turns each pair of channels; the numbers come with the weights."""
 
     def __init__(self, head_channels: int) -> None:
         super().__init__()
@@ -100,15 +77,9 @@ class RotaryFrequencies(nn.Module):
         self.freqs = nn.Parameter(10000.0**-exponents, requires_grad=False)
 
     def rotation(self, frames: int, dtype: torch.dtype, *, rounded: bool) -> Rotation:
-        """The embedding of frames 0, 1, ...
+        """The embedding of frames 0, 1, ... for queries and keys of a precision.
 
-        Args:
-            frames: How many.
-            dtype: Of the queries and keys.
-            rounded: Whether frequencies, positions and their products are rounded to bfloat16 first.
-
-        Returns:
-            Cosines and sines.
+        ``rounded`` takes frequencies, positions and their products to bfloat16 first.
         """
         inner = torch.bfloat16 if rounded else torch.float32
         positions = torch.arange(frames, device=self.freqs.device, dtype=inner)
@@ -128,15 +99,7 @@ class SelfAttention(nn.Module):
         self.proj = nn.Linear(channels, channels)
 
     def forward(self, x: Tensor, rotation: Rotation | None = None) -> Tensor:
-        """Attend.
-
-        Args:
-            x: (sequences, length, C).
-            rotation: Of the positions in a sequence, if they have an order.
-
-        Returns:
-            (sequences, length, C).
-        """
+        """Self-attention in (sequences, length, C); ``rotation`` is of the positions, if they have an order."""
         q, k, v = parted(self.qkv(x), -1, 3, self.heads, -1).permute(2, 0, 3, 1, 4).unbind(0)
         q, k = self.q_norm(q), self.k_norm(k)
         if rotation is not None:

@@ -32,14 +32,12 @@ from generation.extensions.magicdrive.tokens import ConditionTokens
 
 @dataclass(frozen=True, slots=True)
 class Encoded:
-    """What the transformer needs to know of a clip, or of a batch of clips of one size.
+    """Conditions of a clip, or of a batch of clips of one size, as the transformer needs them.
 
     Attributes:
-        tokens: Condition tokens.
         control: (b, 1, t, S, C) map features and positions, with which the control stream starts.
         position: (S, C) embedding of places.
         rate: (b, C) embedding of the frame rate.
-        size: Of the latent.
         keys_values: What each block's cross-attention makes of the tokens, in the order of `MagicDriveDiT.blocks`, if
             it is kept.
     """
@@ -53,16 +51,9 @@ class Encoded:
 
     @classmethod
     def batched(cls, parts: Sequence[Self]) -> Self:
-        """Several clips, or branches of guidance, as one batch.
+        """Several clips, or branches of guidance, as one batch without kept keys and values.
 
-        Args:
-            parts: Of one size and image size, with equal numbers of text and box tokens.
-
-        Returns:
-            The batch, without kept keys and values.
-
-        Raises:
-            ValueError: If they are of different sizes.
+        They are of one size and image size, with equal numbers of text and box tokens.
         """
         first = parts[0]
         if any(part.size != first.size or not torch.equal(part.position, first.position) for part in parts):
@@ -85,16 +76,9 @@ class FinalLayer(nn.Module):
         self.linear = nn.Linear(channels, out)
 
     def forward(self, x: Tensor, time: Tensor, time_of_given: Tensor, given: Tensor | None) -> Tensor:
-        """Project.
+        """Projection of (b, V, t, S, C) tokens to (b, V, t, S, numbers of a patch).
 
-        Args:
-            x: (b, V, t, S, C).
-            time: (b, C) of the step.
-            time_of_given: (b, C) of frames that are given.
-            given: (b, t) bool, or ``None`` if no frame is.
-
-        Returns:
-            (b, V, t, S, numbers of a patch).
+        ``time``, (b, C), is of the step, ``time_of_given`` of frames that are ``given``, (b, t) bool.
         """
         out = self._modulated(x, time)
         if given is not None:
@@ -109,11 +93,7 @@ class FinalLayer(nn.Module):
 
 
 class MagicDriveDiT(nn.Module):
-    """The network.
-
-    Attributes:
-        config: Its sizes.
-    """
+    """Diffusion transformer of MagicDrive: velocities of a video's latents under conditions."""
 
     def __init__(self, config: MagicDriveConfig) -> None:
         super().__init__()
@@ -165,11 +145,7 @@ class MagicDriveDiT(nn.Module):
                     yield _block(control, level), True
 
     def compile_blocks(self, backend: str = "inductor") -> None:
-        """Have PyTorch compile the blocks in place: once for each of their four kinds, not for each block.
-
-        Args:
-            backend: Of `torch.compile`.
-        """
+        """Have PyTorch compile the blocks in place: once for each of their four kinds, not for each block."""
         # Scenes differ in words and boxes: each kind is compiled once for the first and once for all numbers of them.
         torch._dynamo.config.recompile_limit = max(torch._dynamo.config.recompile_limit, 32)
         for block, _ in self.blocks:
@@ -178,12 +154,7 @@ class MagicDriveDiT(nn.Module):
     def size_of(self, conditions: Conditions, rows_multiple: int | None = None) -> LatentSize:
         """Size of the latent of a clip.
 
-        Args:
-            conditions: Of the clip.
-            rows_multiple: To what rows of tokens are padded; as the configuration says by default.
-
-        Returns:
-            The size.
+        Rows of tokens are padded to a multiple of ``rows_multiple``, by default as the configuration says.
         """
         multiple = self.config.rows_multiple if rows_multiple is None else rows_multiple
         return LatentSize.of(conditions.frames, conditions.height, conditions.width, multiple)
@@ -196,19 +167,12 @@ class MagicDriveDiT(nn.Module):
         rows_multiple: int | None = None,
         keep_keys_values: bool = False,
     ) -> Encoded:
-        """Everything that does not depend on the timestep.
+        """Encode all conditions of one clip that do not depend on the timestep; gives a batch of one.
 
         Args:
-            conditions: Of one clip, on the network's device.
             box_repeats: How often each box counts: the null branch has one empty box in place of many equal ones.
             rows_multiple: To what rows of tokens are padded; as the configuration says by default.
             keep_keys_values: Whether to keep what the blocks make of the tokens, for speed.
-
-        Returns:
-            A batch of one.
-
-        Raises:
-            ValueError: If the conditions are for another network.
         """
         config = self.config
         own = (conditions.views, conditions.box_latent.shape[-1], conditions.text.hidden.shape[-1])
@@ -242,14 +206,10 @@ class MagicDriveDiT(nn.Module):
         Args:
             latent: (b, 96, t, h, w), channel-major and view-minor.
             timestep: (b,) from 1000, pure noise, to 0.
-            encoded: The conditions of the batch.
             given: (b, t) bool, True for latent frames that are known and without noise; ``None`` if no frame is.
 
         Returns:
             (b, 96, t, h, w) in single precision.
-
-        Raises:
-            ValueError: If the latent is not of the size of the conditions.
         """
         size = encoded.size
         wanted = (self.config.packed_channels, size.frames, size.rows, size.columns)

@@ -20,11 +20,7 @@ _TRAINED_SIDE_PIXELS: Final = 512
 def fourier(points: Tensor) -> Tensor:
     """Points and the sines and cosines of 1, 2, 4 and 8 times their coordinates (section 3).
 
-    Args:
-        points: (..., 3).
-
-    Returns:
-        (..., 27).
+    (..., 3) become (..., 27).
     """
     octaves = [wave(points * 2**octave) for octave in range(OCTAVES) for wave in (torch.sin, torch.cos)]
     return torch.cat([points, *octaves], -1)
@@ -35,16 +31,8 @@ def grid_embedding(
 ) -> Tensor:
     """Position of each token in a frame (section 6), stretched so that images of all sizes span alike.
 
-    Args:
-        rows: Rows of tokens, padding included.
-        columns: Columns of tokens.
-        pixels: Height and width of the image.
-        channels: Of a token.
-        rounded: Whether frequencies are rounded to bfloat16.
-        device: Where to.
-
-    Returns:
-        (rows * columns, channels): sines and cosines of the column, then of the row.
+    (rows * columns, channels): sines and cosines of the column, then of the row. ``rows`` have padding included;
+    ``pixels`` are height and width of the image; ``rounded`` takes frequencies to bfloat16.
     """
     scale = math.sqrt(pixels[0] * pixels[1]) / _TRAINED_SIDE_PIXELS
     side = round(math.sqrt(rows * columns))
@@ -69,14 +57,7 @@ class ScalarEmbedding(nn.Module):
         self.mlp = nn.Sequential(nn.Linear(SINUSOID_CHANNELS, channels), nn.SiLU(), nn.Linear(channels, channels))
 
     def forward(self, values: Tensor) -> Tensor:
-        """Embed.
-
-        Args:
-            values: (...) single precision.
-
-        Returns:
-            (..., C) in the precision of the weights.
-        """
+        """Embedding, (..., C) in the precision of the weights, of (...) values in single precision."""
         half = SINUSOID_CHANNELS // 2
         frequencies = torch.exp(-math.log(_LONGEST_PERIOD) / half * torch.arange(half, device=values.device))
         angles = values[..., None] * frequencies
@@ -92,14 +73,7 @@ class PatchEmbedding(nn.Module):
         self.proj = nn.Conv3d(channels, out, (1, 2, 2), (1, 2, 2))
 
     def forward(self, cells: Tensor) -> Tensor:
-        """Embed.
-
-        Args:
-            cells: (b, V, channels, t, h, w).
-
-        Returns:
-            (b, V, t, S, C).
-        """
+        """Embedding, (b, V, t, S, C), of (b, V, channels, t, h, w) cells."""
         cells = F.pad(cells, (0, cells.shape[-1] % 2, 0, cells.shape[-2] % 2))
         patches = parted(parted(cells, -1, -1, 2), -3, -1, 2).permute(0, 1, 3, 4, 6, 2, 5, 7)
         # The convolution as a matrix product, which is the same in all precisions and fast in all.

@@ -23,12 +23,7 @@ class PromptLook(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Prompt:
-    """What to draw, and what not.
-
-    Attributes:
-        positive: The prompt.
-        negative: Replaces the model's null prompt in guidance; ``None`` leaves it.
-    """
+    """Prompt, and what not to draw. ``negative`` replaces the model's null prompt in guidance; ``None`` leaves it."""
 
     positive: str
     negative: str | None = None
@@ -36,10 +31,9 @@ class Prompt:
 
 @dataclass(frozen=True, slots=True)
 class _Change:
-    """How a prompt is turned to another look.
+    """Change of a prompt to another look.
 
     Attributes:
-        opening: First words.
         negative: Negative prompt, as published.
         unwanted: Phrases (between commas) with such a word are left out.
         replaced: Words by what stands for them.
@@ -86,13 +80,7 @@ _CHANGES: Final = {
 def prompt_of(scene: Scene, look: PromptLook = PromptLook.RECORDED) -> Prompt:
     """The prompt of a scene: where it is, and its description as it stands.
 
-    Args:
-        scene: The scene.
-        look: Light and weather; as recorded, or another one, for which the prompt is rewritten and a negative prompt
-            added.
-
-    Returns:
-        The prompt.
+    For another ``look`` than the recorded one it is rewritten, and a negative prompt added.
     """
     location, description = scene.road_map.location, scene.description
     if description == IMPORTED:

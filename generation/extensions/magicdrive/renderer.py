@@ -46,14 +46,11 @@ _KEEP_EVERY_STEPS: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class RenderSettings:
-    """How to draw.
+    """Settings of a drawing.
 
     Attributes:
-        geometry: Sizes of the pictures.
-        look: Light and weather that are asked for.
         seed: Of noise and of the looks of objects. Both depend on the recorded scene besides and not on who drives
             adversarially in it, so that a scene and its variants look alike.
-        sampling: Steps and guidance.
         device: ``cpu``, ``cuda`` (with several workers all GPUs of the machine), ``cuda:1``; ``auto`` for GPUs where
             there are any.
         tera_operations: Operations that the device does in a second, 10^12, for estimates; measured by default.
@@ -85,12 +82,8 @@ class MagicDriveRenderer:
     ) -> None:
         """Say what is drawn with what; nothing is loaded.
 
-        Args:
-            settings: How to draw.
-            files: The weights; ``None`` for estimates only.
-            work: Folder for what is kept between stages. Only the speed of later commands depends on it.
-            config: Sizes of the transformer; the published ones by default.
-
+        Without ``files`` there are estimates only; ``work`` keeps tensors between stages, and only the speed of
+        later commands depends on it.
         """
         self.settings, self.files, self.work = settings, files, work
         self.config = config or MagicDriveConfig.full()
@@ -127,11 +120,11 @@ class MagicDriveRenderer:
         return scene if kept == count else scene.first_frames(kept)
 
     def camera_tracks(self, scene: Scene) -> Mapping[str, EgoTrack]:
-        """Where the ego is at the times of each camera: the model draws what a camera saw at its own sweep."""
+        """Tracks of the ego at the times of each camera: the model draws what a camera saw at its own sweep."""
         return camera_tracks(scene)
 
     def estimate(self, scene: Scene) -> RenderingEstimate:
-        """What a scene costs; nothing of it is drawn, and no weights are needed.
+        """Cost of a scene; nothing of it is drawn, and no weights are needed.
 
         Args:
             scene: The scene; its end is left out as `cut` does.

@@ -23,11 +23,10 @@ _TRAINED_PIXELS: Final = 512 * 512
 
 @dataclass(frozen=True, slots=True)
 class SamplingOptions:
-    """How to sample; the defaults are those of the published pipeline.
+    """Options of sampling; the defaults are those of the published pipeline.
 
     Attributes:
         steps: Evaluations of each branch.
-        guidance: Scale of guidance.
         mode: What the null branch is told, see `GuidedModel.of`.
         together: Whether both branches are one batch: the same velocities, fewer and larger kernels, twice the memory.
         keep_keys_values: Whether keys and values of the conditions are kept: the same velocities, 1 % fewer operations.
@@ -56,12 +55,9 @@ class GivenFrames:
 
 @dataclass(frozen=True, slots=True)
 class SamplingState:
-    """Everything that sampling needs to go on.
+    """State of sampling, to go on from after ``step`` steps.
 
-    Attributes:
-        step: Steps that are done.
-        latent: (1, 96, t, h, w) float32.
-        seed: Of all noise.
+    ``latent`` is (1, 96, t, h, w) float32; ``seed`` is of all noise.
     """
 
     step: int
@@ -69,27 +65,17 @@ class SamplingState:
     seed: int
 
     def save(self, path: Path, key: str) -> None:
-        """Write the state, whole or not at all.
+        """Write the state, whole or not at all, as .safetensors.
 
-        Args:
-            path: A .safetensors file.
-            key: Content key of everything that the state depends on.
-
-        Raises:
-            InputError: If it cannot be written.
+        ``key`` is the content key of everything that the state depends on.
         """
         keep_tensor(path, key, self.latent, {"step": self.step, "seed": self.seed})
 
     @classmethod
     def load(cls, path: Path, key: str) -> "SamplingState | None":
-        """Read a state.
+        """Read a state, on the processor.
 
-        Args:
-            path: A file of `save`.
-            key: Content key of what is being sampled.
-
-        Returns:
-            The state, on the processor; ``None`` if it is absent, damaged or of something else, to be made again.
+        ``None`` if it is absent, damaged or of something else than ``key``, to be made again.
         """
         found = kept_tensor(path, key)
         if found is None:
@@ -101,15 +87,7 @@ class SamplingState:
 def timesteps(height: int, width: int, frames: int, steps: int, *, rounded: bool) -> Tensor:
     """Timesteps at which the network is asked: the larger the video, the longer it stays near pure noise.
 
-    Args:
-        height: Of an image, pixels.
-        width: Of an image, pixels.
-        frames: Of the clip.
-        steps: How many timesteps.
-        rounded: Whether the size is computed with in bfloat16, as in the published pipeline.
-
-    Returns:
-        (steps,) falling from 1000.
+    (steps,) falling from 1000. ``rounded`` computes with the size in bfloat16, as in the published pipeline.
     """
     number_type = torch.bfloat16 if rounded else torch.float32
     high, wide, long = torch.tensor([height, width, frames], dtype=torch.float32).to(number_type)[:, None]
@@ -121,15 +99,9 @@ def timesteps(height: int, width: int, frames: int, steps: int, *, rounded: bool
 
 
 def first_state(model: MagicDriveDiT, conditions: Conditions, seed: int) -> SamplingState:
-    """Pure noise, the same on every device.
+    """State of pure noise before the first step, the same on every device.
 
-    Args:
-        model: The network.
-        conditions: Of the clip.
-        seed: Of all noise; make it of content.
-
-    Returns:
-        The state before the first step.
+    ``seed`` is that of all noise; make it of content.
     """
     size = model.size_of(conditions)
     shape = (1, model.config.packed_channels, size.frames, size.rows, size.columns)
@@ -147,22 +119,10 @@ def sample(
     given: GivenFrames | None = None,
     on_step: Callable[[SamplingState], None] | None = None,
 ) -> Tensor:
-    """Sample the latents of one clip.
+    """Sample the latents of one clip from `first_state`, or from a state that was saved after a step.
 
-    Args:
-        model: The network.
-        conditions: Of the clip, on any device.
-        state: From `first_state`, or one that was saved after a step.
-        options: How.
-        given: Latent frames that are known.
-        on_step: Called after each step, for progress and for saving.
-
-    Returns:
-        (1, 96, t, h, w) float32 on the network's device (`generation.extensions.magicdrive.latents.unpacked_views`
-        takes the views apart).
-
-    Raises:
-        InputError: If velocities are not finite.
+    (1, 96, t, h, w) float32 on the network's device (`generation.extensions.magicdrive.latents.unpacked_views`
+    takes the views apart). ``on_step`` is called after each step. Velocities that are not finite are refused.
     """
     options = options or SamplingOptions()
     device = model.base_token.device

@@ -20,7 +20,7 @@ _NEGLIGIBLE: Final = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class SensorFrames:
-    """Where the sensors are at the frames of a clip; V cameras in the model's order.
+    """Places of the sensors at the frames of a clip; V cameras in the model's order.
 
     Attributes:
         lidar: (T, 4, 4) lidar frame to global frame, metres.
@@ -34,18 +34,10 @@ class SensorFrames:
 
     @classmethod
     def of(cls, scene: Scene, frames: NDArray[np.int64]) -> Self:
-        """Place the sensors.
+        """Place the sensors at (T,) frames.
 
-        Args:
-            scene: The scene. Where its source has sweeps of its own each sensor stands where its sweep was taken, as
-                in the model's training; otherwise all share the ego pose of the frame.
-            frames: (T,) frame indices.
-
-        Returns:
-            The frames.
-
-        Raises:
-            InputError: If one of the six cameras is missing.
+        Where the source of the scene has sweeps of its own, each sensor stands where its sweep was taken, as in the
+        model's training; otherwise all share the ego pose of the frame. All six cameras have to be there.
         """
         order = model_order(scene)
         chosen = [scene.cameras[index] for index in order]
@@ -70,28 +62,17 @@ class SensorFrames:
 
 
 def camera_parameters(sensors: SensorFrames) -> NDArray[np.float32]:
-    """What the model is told about its cameras.
-
-    Args:
-        sensors: V cameras over T frames.
-
-    Returns:
-        (V, T, 3, 7) intrinsic matrix beside the camera->lidar transform.
-    """
+    """Parameters of the cameras for the model: (V, T, 3, 7) intrinsic matrix beside the camera->lidar transform."""
     transforms = sensors.lidar_from_camera[:, :, :3]
     intrinsics = np.broadcast_to(sensors.intrinsics[:, None], (*transforms.shape[:2], 3, 3))
     return np.asarray(np.concatenate([intrinsics, transforms], axis=-1), np.float32)
 
 
 def ego_motion(sensors: SensorFrames) -> NDArray[np.float32]:
-    """What the model is told about the way of the ego.
+    """Way of the ego for the model.
 
-    Args:
-        sensors: Lidar over T frames.
-
-    Returns:
-        (T, 4, 4) transforms of points from the first lidar frame to this one; the identity first, and no dust: entries
-        below one millionth are zero.
+    (T, 4, 4) transforms of points from the first lidar frame to this one; the identity first, and no dust: entries
+    below one millionth are zero.
     """
     motion = np.linalg.inv(sensors.lidar) @ sensors.lidar[0]
     motion[0] = np.eye(4)
@@ -129,14 +110,7 @@ def _ego_poses(scene: Scene, frames: NDArray[np.int64]) -> Floats:
 
 
 def camera_tracks(scene: Scene) -> dict[str, EgoTrack]:
-    """Ego motion at the times of each camera.
-
-    Args:
-        scene: The scene.
-
-    Returns:
-        Tracks by camera name; none where all sensors share the ego pose of the frame.
-    """
+    """Ego motion at the times of each camera, by its name; none where all sensors share the ego pose of the frame."""
     if scene.sweep_poses is None:
         return {}
     tracks = {}

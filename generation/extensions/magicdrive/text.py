@@ -15,15 +15,9 @@ class T5TextEncoder:
     """The published text encoder, in single precision as the published scripts use it."""
 
     def __init__(self, folder: Path, device: torch.device, tokens: int = TEXT_TOKENS) -> None:
-        """Load it.
+        """Load the encoder: configuration, weights and vocabulary; needs transformers.
 
-        Args:
-            folder: Configuration, weights and vocabulary.
-            device: Where it runs.
-            tokens: Length to which prompts are padded or cut.
-
-        Raises:
-            InputError: If transformers is not installed, or the folder does not hold what is needed.
+        ``tokens`` is the length to which prompts are padded or cut.
         """
         self._tokens, self._device = tokens, device
         self._tokenizer: Any = TRANSFORMERS.load("AutoTokenizer", folder)
@@ -31,14 +25,7 @@ class T5TextEncoder:
 
     @torch.no_grad()
     def encode(self, prompt: str) -> TextStates:
-        """Tokenise, pad or cut, encode.
-
-        Args:
-            prompt: The words, used as they are.
-
-        Returns:
-            Hidden states and which of them belong to words, on the processor.
-        """
+        """Hidden states of a prompt as it is, padded or cut, and which of them belong to words, on the processor."""
         words = self._tokenizer(
             prompt,
             max_length=self._tokens,

@@ -34,11 +34,7 @@ class ConditionTokens:
         return type(self)(layer(self.ego), layer(self.camera), layer(self.text), layer(self.boxes), self.box_repeats)
 
     def sequence(self) -> Tensor:
-        """All tokens in the model's order: ego motion, camera, text, boxes.
-
-        Returns:
-            (b, V, t, 2 + L + n, C).
-        """
+        """All tokens in the model's order, (b, V, t, 2 + L + n, C): ego motion, camera, text, boxes."""
         batch, views, frames = self.boxes.shape[:3]
         repeated = self.boxes if self.box_repeats == 1 else self._repeated_boxes()
         kinds = [kind.expand(batch, views, frames, -1, -1) for kind in (self.ego, self.camera, self.text)]
@@ -53,14 +49,8 @@ class ConditionTokens:
     def batched(cls, parts: Sequence[Self]) -> Self:
         """Several scenes or branches as one batch.
 
-        Args:
-            parts: With equal numbers of views, frames, text tokens and boxes.
-
-        Returns:
-            The batch; repeats are kept where all parts have the same.
-
-        Raises:
-            ValueError: If the numbers differ.
+        They have equal numbers of views, frames, text tokens and boxes; repeats are kept where all parts have the
+        same.
         """
         same = len({part.box_repeats for part in parts}) == 1
         boxes = [part.boxes if same else part._repeated_boxes() for part in parts]

@@ -10,14 +10,10 @@ from benchmark.weights.folders import content_hash, folder_of
 
 @dataclass(frozen=True, slots=True)
 class NetworkFiles:
-    """Where the three networks lie.
+    """Places of the three networks.
 
-    Attributes:
-        transformer: File of the diffusion transformer.
-        autoencoder: Folder of the video decoder.
-        text_encoder: Folder of the text encoder.
-        fingerprint: Of the transformer and the decoder, 64 hexadecimal digits.
-        text_fingerprint: Of the text encoder.
+    ``fingerprint`` is of the transformer and the decoder, 64 hexadecimal digits; ``text_fingerprint`` is of the
+    text encoder.
     """
 
     transformer: Path
@@ -28,17 +24,9 @@ class NetworkFiles:
 
     @classmethod
     def find(cls, given: Path | None, cache: Path | None = None) -> "NetworkFiles":
-        """Look for the weights.
+        """Look for the weights in a folder, or in the cache of all weights where none is given.
 
-        Args:
-            given: Folder that holds them, or ``None`` for the cache.
-            cache: Folder of all weights; the user's by default.
-
-        Returns:
-            Their places.
-
-        Raises:
-            InputError: If some are missing: what to get, where, how big.
+        `InputError` says what to get, where, and how big it is.
         """
         places = {weights: folder_of(weights, given, cache) for weights in (TRANSFORMER, AUTOENCODER, TEXT_ENCODER)}
         hashes = {weights: content_hash(weights, place) for weights, place in places.items()}

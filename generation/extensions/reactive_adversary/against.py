@@ -29,7 +29,7 @@ class PlanningAgainst(Planning):
     """Planning frames of an adversary that the ego may run into."""
 
     def around(self, frames: tuple[int, ...], raster: DrivableRaster) -> Surroundings:
-        """Everybody but the ego: what it survives is asked of a careful human in its place."""
+        """All but the ego: what it survives is asked of a careful human in its place."""
         found = surroundings(self.scene, self.agent, frames, raster)
         present = found.present.copy()
         present[:, -1] = False
@@ -53,7 +53,7 @@ class PlanningAgainst(Planning):
 
 
 def ego_speed(scene: Scene, frame: int) -> float:
-    """How fast the ego is at a frame, m/s, of its places around it."""
+    """Speed of the ego at a frame, m/s, of its places around it."""
     first, last = max(frame - 2, 0), min(frame + 1, len(scene.timestamps_us) - 1)
     way = np.hypot(*(scene.ego.position[last, :2] - scene.ego.position[first, :2]))
     return float(way) / max(float(scene.seconds[last] - scene.seconds[first]), 1e-9)

@@ -1,4 +1,4 @@
-"""What an adversary may drive: nobody but the ego is ever touched, and every plan ends well, to the last frame."""
+"""What an adversary may drive: none but the ego is ever touched, and every plan ends well, to the last frame."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -27,16 +27,16 @@ _CHUNK: Final = 10
 
 @dataclass(frozen=True, slots=True)
 class Surrounded:
-    """Everybody but an adversary and the ego, every 0.05 s from a planning frame to the scene's last.
+    """All others than an adversary and the ego, every 0.05 s from a planning frame to the scene's last.
 
     Attributes:
         frame_seconds: (K + 1,) of the frames that can be planned, since the planning frame; the first is 0.
-        seconds: (R,) instants after it, to the last frame: those at which the drive places everybody, and frames.
-        boxes: (R, N, 5) of everybody.
-        present: (R, N) who is there.
+        seconds: (R,) instants after it, to the last frame: those at which the drive places them, and frames.
+        boxes: (R, N, 5) of all.
+        present: (R, N) which are there.
         reach: (N,) half of the diagonals.
-        low: (C, N, 2) where nobody's centre is below within a run of instants; infinite for who is absent.
-        high: (C, N, 2) nor above.
+        low: (C, N, 2) below which no centre is within a run of instants; infinite where absent.
+        high: (C, N, 2) likewise above.
         size: (2,) length and width of the adversary, with the air around it.
     """
 
@@ -51,13 +51,9 @@ class Surrounded:
 
     @classmethod
     def of(cls, scene: Scene, agent: int, frame: int, clock_us: int) -> Self:
-        """Those of a scene.
+        """Surroundings of an adversary in a scene in which all others are where they will be.
 
-        Args:
-            scene: The scene, everybody where they will be.
-            agent: The adversary.
-            frame: The planning frame.
-            clock_us: Any time of the drive's clock.
+        ``clock_us`` is any time of the drive's clock.
         """
         now_us = int(scene.timestamps_us[frame])
         frames = (scene.timestamps_us[frame:] - now_us) / 1e6
@@ -78,14 +74,10 @@ class Surrounded:
         return cls(frames, seconds, boxes, present, reach, low, high, size)
 
     def clear_for(self, poses: Floats, first: int = 0) -> float:
-        """How long a motion touches nobody.
+        """Seconds until the last instant before a motion touches another; infinite where it never does.
 
-        Args:
-            poses: (F, 3) of the box centre at the planning frame and at those after it.
-            first: Frame of them from which on it is looked at.
-
-        Returns:
-            Seconds to the last instant before it touches somebody; infinite where it never does.
+        ``poses`` are (F, 3) of the box centre at the planning frame and after it, looked at from the ``first`` of
+        them on.
         """
         known = self.frame_seconds[: len(poses)]
         count = int(np.searchsorted(self.seconds, known[-1] + 1e-9, side="right"))
@@ -126,15 +118,9 @@ class Surrounded:
     def endings(self, poses: Floats, executed: int) -> Iterator[Floats]:
         """Ways in which a motion may go on to the scene's last frame once its first frames are driven.
 
-        It goes on as it is known, and then at its speed; or it brakes on its own path, at once or any number of half
-        seconds later, and stands.
-
-        Args:
-            poses: (F, 3) of the box centre at the planning frame and at those after it.
-            executed: How many of them are driven in any case.
-
-        Yields:
-            (K + 1, 3) poses, those that brake gently first.
+        It goes on as it is known, and then at its speed; or it brakes on its own path, at once or any number of
+        half seconds later, and stands. They are (K + 1, 3) poses, those that brake gently first; ``poses`` are
+        (F, 3) of the box centre at the planning frame and after it, ``executed`` of them driven in any case.
         """
         count = len(self.frame_seconds)
         end = min(len(poses), count) - 1
@@ -146,7 +132,7 @@ class Surrounded:
                     yield braked(poses, later, self.frame_seconds, braking)
 
     def ending(self, poses: Floats, executed: int) -> Floats | None:
-        """The first of them that touches nobody, ever; ``None`` if there is none."""
+        """The first of them that never touches another; ``None`` if there is none."""
         last = min(executed, len(self.frame_seconds) - 1)
         if self.clear_for(poses[: last + 1]) < np.inf:
             return None
@@ -156,7 +142,7 @@ class Surrounded:
         return None
 
     def longest(self, motions: Iterable[Floats]) -> Floats:
-        """The first of some motions that last longest before they touch somebody."""
+        """The first of some motions that last longest before they touch another."""
         return max(motions, key=self.clear_for)
 
 
@@ -164,8 +150,6 @@ def braked(poses: Floats, first: int, seconds: Floats, braking_m_s2: float) -> F
     """A motion that is driven to some frame and then braked on its own path.
 
     Args:
-        poses: (F, 3) of the box centre, one a frame.
-        first: Frame of them from which it brakes.
         seconds: (K,) of the frames; those beyond the F are reached on the last heading.
         braking_m_s2: Deceleration; 0 goes on at the speed that it has.
 
@@ -196,12 +180,7 @@ def braked(poses: Floats, first: int, seconds: Floats, braking_m_s2: float) -> F
 def in_order(scores: Floats, most: int) -> Iterator[tuple[int, int]]:
     """Round and index of the best candidates, the best first, and of as many from all over the rest.
 
-    Args:
-        scores: (R, B), lower is better; infinite ones are left out.
-        most: How many at most.
-
-    Yields:
-        Their places.
+    They are of (R, B) scores, lower is better; infinite ones are left out, and there are at most ``most``.
     """
     flat = scores.ravel()
     order: Integers = np.argsort(flat, kind="stable")

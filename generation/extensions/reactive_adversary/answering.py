@@ -1,4 +1,4 @@
-"""What others who answer will do: their own policy, run on for as long as scores look, from where everybody is now.
+"""What others who answer will do: their own policy, run on for as long as scores look, from where all are now.
 
 They are expected to answer an ego that does what is expected of it, and an adversary that goes on as it was planned.
 """
@@ -18,13 +18,9 @@ from generation.extensions.reactive_adversary.allowed import AHEAD_FRAMES
 
 @dataclass(frozen=True, slots=True)
 class Answering:
-    """Everybody else, who answers what the adversary and the ego do.
+    """All others, who answer what the adversary and the ego do.
 
-    Attributes:
-        policy: How they drive.
-        memory: What it remembers.
-        handover: The vehicle that the adversary drives.
-        own: (F, 3) poses of it, driven and expected, from the hand-over on.
+    ``own`` are (F, 3) poses of the vehicle of the adversary, driven and expected, from the hand-over on.
     """
 
     policy: AgentPolicy[Any]
@@ -34,16 +30,9 @@ class Answering:
 
 
 def with_expected_others(scene: Scene, others: Answering, moment: Moment, frame: int) -> Scene:
-    """The scene with everybody where they will be, if they answer.
+    """The scene, with the ego as it is expected, and all others where they will be, if they answer.
 
-    Args:
-        scene: With the ego as it is expected.
-        others: Everybody else.
-        moment: Now.
-        frame: The planning frame.
-
-    Returns:
-        The scene; beyond what is looked at, its tracks are held.
+    Beyond what is looked at, its tracks are held.
     """
     times = scene.timestamps_us
     last = min(frame + AHEAD_FRAMES, len(times) - 1)
@@ -67,7 +56,7 @@ def with_expected_others(scene: Scene, others: Answering, moment: Moment, frame:
 
 
 def _run_on(others: Answering, moment: Moment, scene: Scene, steps: int) -> tuple[Floats, Floats, Floats]:
-    """(R,) microseconds, (R, N, 5) boxes and (R, N) presence of everybody, beginning now."""
+    """(R,) microseconds, (R, N, 5) boxes and (R, N) presence of all, beginning now."""
     times, boxes, present = [moment.time_us], [moment.boxes], [moment.present]
     ego = scene.ego.boxes
     frames = (scene.timestamps_us - moment.time_us) / 1e6

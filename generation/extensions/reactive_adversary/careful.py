@@ -1,10 +1,10 @@
 """Whether a careful human would survive a candidate: all candidates of a batch at once, along the ego's way.
 
 In open loop an adversary never touches the recorded ego, and that keeps it fair. In closed loop the ego may do
-anything, and only somebody who may be hit is ever in anybody's way. So the search asks what a careful and competent
+anything, and only a vehicle that may be hit is ever in another's way. So the search asks what a careful and competent
 human would do in the ego's place (`benchmark.interactions`, on the path alone: two seconds to contact, 0.75 s of
-reaction, braking that rises to 0.774 g, and the speed that is left kept), in the world with everybody in it, and
-whether that driver is hit: by the candidate, or by anybody else because of it.
+reaction, braking that rises to 0.774 g, and the speed that is left kept), in the world with all others in it, and
+whether that driver is hit: by the candidate, or by another because of it.
 """
 
 from dataclasses import dataclass
@@ -68,14 +68,11 @@ class Bodies:
 
 @dataclass(frozen=True, slots=True)
 class CarefulAhead:
-    """A careful human in the ego's place, and everybody else.
+    """A careful human in the ego's place, and all others.
 
     Attributes:
-        way: The ego's way.
-        frame: The planning frame.
         station: Of the ego's centre, metres.
-        speed: m/s.
-        others: Everybody but the adversary who is ever in the ego's strip.
+        others: All but the adversary that are ever in the ego's strip.
         steps: (S,) frames after the planning frame.
         lost: Whether the careful human is hit by others if there is no adversary.
     """
@@ -92,12 +89,7 @@ class CarefulAhead:
     def of(cls, scene: Scene, agent: int, frame: int, speed: float, look_frames: int = LOOK_FRAMES) -> Self:
         """The careful human of a planning frame.
 
-        Args:
-            scene: With the ego as it is expected to drive on.
-            agent: The adversary.
-            frame: The planning frame.
-            speed: Of the ego there, m/s.
-            look_frames: How far is looked.
+        ``scene`` has the ego as it is expected to drive on, ``speed`` is the ego's, m/s.
         """
         last = min(frame + look_frames, len(scene.timestamps_us) - 1)
         steps = tuple(range(EVERY_FRAMES, last - frame + 1, EVERY_FRAMES)) or (last - frame,)
@@ -110,18 +102,14 @@ class CarefulAhead:
     def hit(self, motion: SimulatedMotion, size: Floats) -> Bools:
         """(B,) whether the careful human is hit, or would surely be soon after.
 
-        Args:
-            motion: Of B candidates.
-            size: (2,) length and width of the adversary.
+        ``size`` is (2,) length and width of the adversary.
         """
         return self.hits(self.placed(motion, size))
 
     def met(self, placed: Bodies, *, in_front: bool = True) -> Bools:
-        """(B,) whether an ego that does not react and somebody meet.
+        """(B,) whether an ego that does not react and one of B bodies meet.
 
-        Args:
-            placed: B bodies.
-            in_front: Whether only those count who are in front of it: who comes from the side may hit the ego.
+        ``in_front`` counts only bodies in front of it: one that comes from the side may hit the ego.
         """
         time = np.arange(len(self.steps) + 1) * EVERY_FRAMES / FRAME_HZ
         station, half = self.station + self.speed * time, 0.5 * self.way.length_m
@@ -132,7 +120,7 @@ class CarefulAhead:
         return np.asarray(over.any(axis=1) & ~over[:, 0] & ahead)
 
     def follows(self, now: Floats, size: Floats) -> bool:
-        """Whether somebody at (1, 3) is behind the ego."""
+        """Whether a vehicle at (1, 3) is behind the ego."""
         body = Bodies.of(self.way, now[None], size[None], (self.frame, self.frame))
         return bool(body.rear[0, 0] < self.station - 0.5 * self.way.length_m)
 
@@ -183,9 +171,6 @@ class CarefulAhead:
         """(B,) metres that are missing to stop behind the ego, for who comes up behind it, if it brakes from now on.
 
         It is planned anew after a second, and brakes no earlier.
-
-        Args:
-            placed: B bodies.
         """
         at, half = min(BLIND_FRAMES // EVERY_FRAMES, len(self.steps)), 0.5 * self.way.length_m
         speed = np.maximum(placed.rear[:, at] - placed.rear[:, at - 1], 0.0) * (FRAME_HZ / EVERY_FRAMES)
@@ -200,7 +185,7 @@ careful_ahead: Final = LastMade[Scene, CarefulAhead](CarefulAhead.of, kept=2)
 
 
 def _unsafe(rear: Floats, front: Floats, beside: Floats, station: Floats, speed: Floats, half: float) -> Bools:
-    """(..., B) whether a careful human has somebody in its way less than two seconds ahead."""
+    """(..., B) whether a careful human has a vehicle in its way less than two seconds ahead."""
     gap = rear[:, 0] - station - half
     closing = speed - (rear[:, 1] - rear[:, 0]) * (FRAME_HZ / EVERY_FRAMES)
     near = (gap <= 0.0) | ((closing > 0.0) & (gap <= CAREFUL_TIME_S * closing))
@@ -208,7 +193,7 @@ def _unsafe(rear: Floats, front: Floats, beside: Floats, station: Floats, speed:
 
 
 def _others(scene: Scene, agent: int, way: EgoWay, frame: int, steps: tuple[int, ...]) -> Bodies:
-    """Everybody but the adversary who is ever in the ego's strip; nobody who is in the ego's body now."""
+    """All but the adversary that are ever in the ego's strip; none that are in the ego's body now."""
     agents = scene.agents
     at = [frame, *(frame + step for step in steps)]
     there = np.flatnonzero(agents.valid[:, at].any(axis=1))

@@ -27,21 +27,14 @@ def considered_frame(
     *,
     as_made: bool,
 ) -> Mapping[str, Any]:
-    """What is kept of a planning frame.
+    """Record of a planning frame, a `ConsideredFrame` as JSON.
+
+    It has candidates of the round that the driven one is from, else of the best round.
 
     Args:
         scene: The scene as it was planned in.
-        agent: The adversary.
-        frame: The planning frame.
-        state: Its motion there.
-        found: The search; ``None`` where there was none.
         picked: Round and index of what was driven; ``None`` where no candidate was.
-        hyper: Settings of the search.
-        model: Its physics.
         as_made: Whether the track that the scene was made with went on.
-
-    Returns:
-        A `ConsideredFrame` as JSON: candidates of the round that the driven one is from, else of the best round.
     """
     did: Did = "track" if as_made else "slowed" if picked is None else "searched"
     shown: dict[str, Any] = {"frame": frame, "time_us": int(scene.timestamps_us[frame]), "did": did}

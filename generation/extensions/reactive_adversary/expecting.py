@@ -29,13 +29,7 @@ MOST_TURN_RAD: Final = np.pi / 2
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What has been seen of the ego.
-
-    Attributes:
-        times_us: (E,) instants, ending with now.
-        poses: (E, 3) of its rear axle.
-        speed: m/s, now.
-    """
+    """The ego as it has been seen: (E,) instants, ending with now, (E, 3) poses of its rear axle, and m/s now."""
 
     times_us: NDArray[np.int64]
     poses: Floats
@@ -48,7 +42,7 @@ class Seen:
         return cls(scene.timestamps_us[:count], scene.ego.pose[:count], 0.0)
 
     def then(self, moment: Moment) -> Self:
-        """What is known now."""
+        """Knowledge of now."""
         x, y, yaw = moment.ego[[0, 1, 4]]
         back = EGO_CENTER_FROM_REAR_AXLE_M
         pose = np.array([[x - back * np.cos(yaw), y - back * np.sin(yaw), yaw]])
@@ -80,14 +74,8 @@ class Seen:
 def expected_ego(scene: Scene, seen: Seen, plan: PlanInForce | None, knows: Knows) -> EgoTrack:
     """The ego's track as an adversary takes it to be; one that keeps its motion follows its route if it is on it.
 
-    Args:
-        scene: The scene, of which the route and its heights are taken.
-        seen: Where the ego has been.
-        plan: Its plan in force; looked at by those alone who know it.
-        knows: What is expected.
-
-    Returns:
-        Its track at all frames of the scene; that of the scene itself where the recording is known.
+    Route and heights are those of ``scene``, and the whole track where the recording is known; the ``plan`` in
+    force counts for adversaries alone that know it.
     """
     if knows is Knows.RECORDING:
         return scene.ego

@@ -20,13 +20,7 @@ from generation.search.hyperparameters import HyperParameters
 
 @dataclass(frozen=True, slots=True)
 class InTheLoop:
-    """Makes adversaries that are planned while somebody drives (`AdversaryMaker`).
-
-    Attributes:
-        settings: Budget, knowledge and search.
-        prior: Makes the diffusion model.
-        prior_fingerprint: Of that model.
-    """
+    """Maker of adversaries that are planned while a planner drives (`AdversaryMaker`)."""
 
     settings: AdversarySettings
     prior: PriorFactory = field(default_factory=PackagedPrior)
@@ -45,7 +39,7 @@ class InTheLoop:
 
     @property
     def facts(self) -> Mapping[str, Any]:
-        """What is measured."""
+        """Facts on the adversary that is measured."""
         return self.settings.facts(self.prior_fingerprint)
 
     def possible(self, scene: Scene) -> bool:
@@ -68,7 +62,7 @@ class InTheLoop:
 
 
 def adversary_that_answers(**settings: Any) -> InTheLoop:
-    """What ``drive --agents adversary`` puts among the agents; arguments and errors as of `AdversarySettings.of`."""
+    """Maker of the agent of ``drive --agents adversary``; arguments and errors as of `AdversarySettings.of`."""
     return InTheLoop.of(AdversarySettings.of(**settings))
 
 
@@ -88,20 +82,8 @@ how soon they can be in the ego's way."""
 def hand_over(scene: Scene, agent: int, start_us: int, hyper: HyperParameters) -> int:
     """Frame at which a vehicle leaves its recording, never before the drive starts.
 
-    A vehicle of a recording does when open loop would launch it; a known adversary at once, since it has to meet
-    somebody who is not where the recording was.
-
-    Args:
-        scene: The scene.
-        agent: The vehicle.
-        start_us: When the drive starts.
-        hyper: Settings of the search.
-
-    Returns:
-        The frame, at which the vehicle is there.
-
-    Raises:
-        InputError: If the vehicle is not there any more when the drive starts.
+    A vehicle of a recording does when open loop would launch it; a known adversary at once, since the ego that it
+    has to meet is not where the recording was. It has to be there when the drive starts.
     """
     begun = int(np.searchsorted(scene.timestamps_us, start_us))
     launch = 0 if scene.agents.ids[agent] in scene.adversaries else launch_frame(scene, agent, hyper)

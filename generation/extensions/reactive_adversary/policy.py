@@ -1,8 +1,8 @@
 """The policy ``adversary``: the search of open loop, again and again, against where the ego really is.
 
-Everybody else behaves by a policy of their own. At each planning frame the scene is what has happened so far, what is
+All others behave by a policy of their own. At each planning frame the scene is what has happened so far, what is
 expected of the ego, and what the others will do; `generation.search.planning` plans in it, and what it finds best is
-driven to the next planning frame, if from there on it can end without touching anybody but the ego, to the scene's last
+driven to the next planning frame, if from there on it can end without touching any but the ego, to the scene's last
 frame (`generation.extensions.reactive_adversary.allowed`). That ending is kept, and driven where nothing better is
 found.
 """
@@ -42,18 +42,15 @@ _FAR_M: Final = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """What an adversary remembers; a value.
+    """Memory of an adversary; a value.
 
     Attributes:
-        others: Memory of everybody else's policy.
         seen: Where the ego has been.
         state: Its motion at the end of what is planned.
         track: (F, 3) what is planned, from the hand-over on.
         ahead: (60, 3) how what was planned last would have gone on.
-        ending: (K, 3) how it goes on to the scene's last frame where nothing better is found: it touches nobody, if the
+        ending: (K, 3) how it goes on to the scene's last frame where nothing better is found: it touches none, if the
             others do as they were expected to do when it was looked at.
-        randomness: State of its generator of random numbers.
-        replanned: Its planning frames.
         as_made: Whether it is still on the track that the scene was made with.
     """
 
@@ -70,14 +67,13 @@ class Memory:
 
 @dataclass(frozen=True, slots=True)
 class _Chosen:
-    """What is driven next.
+    """Motion that is driven next.
 
     Attributes:
         executed: (F, 3) poses after the planning frame.
         ahead: (60, 3) those after them, as they are meant.
-        ending: (K, 3) those after them to the last frame that touch nobody, as far as is known.
+        ending: (K, 3) those after them to the last frame that touch no other, as far as is known.
         state: The motion at the end of what is driven.
-        replanning: What is noted of it.
         as_made: Whether the adversary stays on the track that the scene was made with.
         picked: Round and index of the candidate that it is, if it is one.
     """
@@ -93,19 +89,11 @@ class _Chosen:
 
 @dataclass(frozen=True, slots=True)
 class Adversary:
-    """The policy.
+    """Policy of an adversary from frame ``start``, its hand-over, on; ``run`` is its seed.
 
     Attributes:
-        scene: The scene that is driven.
-        agent: Index of the vehicle.
-        start: Frame of its hand-over.
-        run: Its seed.
-        settings: Budget, knowledge and search.
-        others: Policy of everybody else.
-        prior: Diffusion model.
-        diversify: Spread of first batches.
-        name: Of the policy.
-        draws: It draws from the content of the scene and its run, whatever the engine gives.
+        others: Policy of all others.
+        draws: It draws from the content of the scene and its run, not from the engine's keys.
     """
 
     scene: Scene
@@ -126,7 +114,7 @@ class Adversary:
         object.__setattr__(self, "model", self.settings.hyper.motion_model())
 
     def init(self, time_us: int, key: int) -> tuple[Memory, Moved]:
-        """Everybody where they are; nothing is planned yet."""
+        """All where they are; nothing is planned yet."""
         memory, moved = self.others.init(time_us, key)
         hyper, agent_id = self.settings.hyper, self.scene.agents.ids[self.agent]
         content = (scene_identity(self.scene), agent_id, self.run, hyper.fingerprint, self.prior.fingerprint)
@@ -155,7 +143,7 @@ class Adversary:
         return replace(memory, others=others), self.handover.moved(moved, rounded(memory.track), moment.time_us)
 
     def adversary(self, memory: Memory) -> AdversaryTrack:
-        """Where it has been planned to go so far."""
+        """Track that is planned for it so far."""
         return AdversaryTrack(self.agent, self.start, rounded(memory.track), memory.replanned)
 
     def _planning(self, scene: Scene, rng: np.random.Generator, road_around: Floats | None = None) -> Planning:
@@ -199,7 +187,7 @@ class Adversary:
         )
 
     def _recorded_ending(self, first: Floats, time_us: int) -> Floats:
-        """(K, 3) the rest of its recording after the hand-over, or brakes where that ends or touches somebody."""
+        """(K, 3) the rest of its recording after the hand-over, or brakes where that ends or touches another."""
         scene, agents = self.scene, self.scene.agents
         around = Surrounded.of(scene, self.agent, self.start, time_us)
         gone = np.flatnonzero(~agents.valid[self.agent, self.start :])
@@ -237,7 +225,7 @@ class Adversary:
     def _yielding(
         self, scene: Scene, around: Surrounded, frame: int, steps: int, chosen: _Chosen, memory: Memory
     ) -> _Chosen:
-        """What was chosen, or the brakes where a careful human does not survive it but survives them."""
+        """The chosen motion, or the brakes where a careful human does not survive it but survives them."""
         size = self.scene.agents.size[self.agent, :2]
         careful = careful_ahead(scene, self.agent, frame, ego_speed(scene, frame))
         now = memory.track[-1:]
@@ -256,7 +244,7 @@ class Adversary:
         return self._as_braked(frame, steps, clear[-1]) if clear and careful.follows(now, size) else chosen
 
     def _searched(self, planning: Planning, frame: int, memory: Memory) -> Refinement | None:
-        """What the search finds; nothing where it has nothing to draw from."""
+        """Result of the search; ``None`` where it has nothing to draw from."""
         try:
             (found,), _ = run_together([planning.plan(frame, memory.state, memory.track)], self.prior)
         except NothingToDraw:
@@ -308,7 +296,7 @@ class Adversary:
     def _noted(
         self, scene: Scene, frame: int, state: VehicleState, found: Refinement | None, chosen: _Chosen
     ) -> Replanning:
-        """What is noted of a planning frame."""
+        """Note on a planning frame."""
         if not self.settings.keep_considered:
             return chosen.replanning
         hyper, picked = self.settings.hyper, chosen.picked
@@ -318,7 +306,7 @@ class Adversary:
         return replace(chosen.replanning, considered=considered)
 
     def _last_resort(self, around: Surrounded, frame: int, steps: int, memory: Memory) -> _Chosen:
-        """Brake on the path that was meant, as gently as touches nobody; or what was kept; or what lasts longest."""
+        """Brakes on the meant path, as gently as touches no other; or the ending that was kept; or the longest one."""
         kept = np.concatenate([memory.track[-1:], memory.ending])
         slowed = self._slowed_by((0.0, *BRAKING_M_S2), around, memory)
         return self._as_braked(frame, steps, around.longest((*slowed, kept)))
@@ -349,14 +337,9 @@ class Adversary:
 
 
 def driven_motion(poses: Floats, length_m: float) -> SimulatedMotion:
-    """The motion of one track, as if a candidate had done it.
+    """Motion of one track, (S + 1, 3) of the box centre, one a frame, as if a candidate had done it.
 
-    Args:
-        poses: (S + 1, 3) of the box centre, one a frame.
-        length_m: Length of the vehicle.
-
-    Returns:
-        A batch of one; what the tracker asked for is not known.
+    What the tracker asked for is not known.
     """
     axle = rear_axle(poses, length_m)
     heading = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])

@@ -20,7 +20,7 @@ OTHERS: Final = ("replay", "idm")
 
 
 class Knows(StrEnum):
-    """What an adversary expects of the ego.
+    """Knowledge of an adversary about the ego.
 
     ``PLAN``: that it drives its plan in force. ``MOTION``: that it keeps its speed on its route, or its turn where it
     has left that. ``NOTHING``: that it stays where it is. ``RECORDING``: the recorded future, which only the recorded
@@ -40,13 +40,11 @@ def in_the_loop() -> HyperParameters:
 
 @dataclass(frozen=True, slots=True)
 class AdversarySettings:
-    """An adversary in the loop.
+    """Settings of an adversary in the loop.
 
     Attributes:
         knows: What it expects of the ego.
         every_frames: It is planned anew after so many frames of 1/12 s.
-        others: Policy of everybody else.
-        hyper: Its search.
         keep_considered: Whether what it considered is kept; nothing else depends on it.
 
     Raises:
@@ -108,7 +106,7 @@ class AdversarySettings:
         return cls(known[knows], frames, others=others, hyper=hyper, keep_considered=keep_considered)
 
     def facts(self, prior_fingerprint: str) -> Mapping[str, Any]:
-        """What is measured, in names: two tables whose adversaries differ in it never mix."""
+        """Facts on what is measured, in names: two tables whose adversaries differ in it never mix."""
         return {
             "policy": VERSION,
             "knows": self.knows.value,

@@ -17,7 +17,7 @@ Rgb = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Atmosphere:
-    """How a look lights the world.
+    """Light and weather of a look.
 
     Attributes:
         sky: Colour overhead.
@@ -46,25 +46,13 @@ class Atmosphere:
     rain: bool
 
     def fade(self, distance_m: Floats) -> Floats:
-        """Share of the haze colour in what is seen at a distance.
-
-        Args:
-            distance_m: (...) metres.
-
-        Returns:
-            (...) 0 near, towards 1 far away.
-        """
+        """Share of the haze colour at distances of (...) metres: 0 near, towards 1 far away."""
         return np.asarray(1.0 - np.exp(-((np.maximum(distance_m, 0.0) / self.haze_m) ** 1.5)))
 
     def beam_at(self, ahead_m: Floats, left_m: Floats) -> Floats:
         """Light of the ego's head lamps at points around it.
 
-        Args:
-            ahead_m: (...) metres ahead of the rear axle.
-            left_m: (...) metres to the left.
-
-        Returns:
-            (...) factor to add to the tint.
+        Metres ahead of the rear axle and to the left; the result is a factor to add to the tint.
         """
         if self.beam == 0.0:
             return np.zeros(np.broadcast_shapes(np.shape(ahead_m), np.shape(left_m)))

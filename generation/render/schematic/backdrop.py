@@ -25,13 +25,10 @@ _STEEPEST, _LEVELS = 0.6, 1 << 12
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Rows of an image that look at the ground from similar distances.
+    """Rows of an image, ``first`` to before ``last``, that look at the ground from similar distances.
 
-    Attributes:
-        first: First row.
-        last: One past the last row.
-        plan: Which plan view they read: 0 fine, 1 middle, 2 coarse.
-        samples: Vertical samples per pixel, averaged.
+    ``plan`` is the plan view that they read, 0 fine, 1 middle, 2 coarse; ``samples`` per pixel, vertical, are
+    averaged.
     """
 
     first: int
@@ -42,7 +39,7 @@ class Band:
 
 @dataclass(frozen=True, slots=True)
 class Backdrop:
-    """What of a view depends only on how the camera stands above the ground.
+    """Parts of a view that depend only on how the camera stands above the ground.
 
     Attributes:
         sky: (h, w, 3) sky; the haze colour below the horizon.
@@ -62,14 +59,7 @@ class Backdrop:
 
     @classmethod
     def of(cls, view: View, air: Atmosphere, ego_yaw: float, ego_xy: Floats) -> "Backdrop":
-        """Work out a backdrop.
-
-        Args:
-            view: Camera and its place.
-            air: Light and weather.
-            ego_yaw: Heading of the ego, which its head lamps follow, radians.
-            ego_xy: (2,) rear axle, global.
-        """
+        """Work out a backdrop. Head lamps follow ``ego_yaw``, radians; ``ego_xy`` is the rear axle, global."""
         height = float(view.eye[2] - view.ground_z)
         x, y, z = view.pixel_rays()
         slope = z / np.sqrt(np.maximum(x * x + y * y, np.float32(1e-12)))
@@ -82,16 +72,7 @@ class Backdrop:
         return cls(sky, fade, np.asarray(1.0 - fade, np.float32), light, bands, hazy_until)
 
     def draw(self, view: View, plans: tuple[PlanView, PlanView, PlanView], skyline: "Skyline") -> NDArray[np.uint8]:
-        """Picture of everything that does not stand on the ground.
-
-        Args:
-            view: The camera.
-            plans: Plan views of the ground.
-            skyline: What stands at the horizon.
-
-        Returns:
-            (h, w, 3) RGB.
-        """
+        """Picture, (h, w, 3) RGB, of everything that does not stand on the ground: ground, sky and skyline."""
         image = self.sky.copy()
         skyline.draw(image, view)
         if not self.bands:
@@ -189,9 +170,7 @@ def _look_through(seen: NDArray[np.uint8], plan: NDArray[np.uint8], image_to_pla
 class Skyline:
     """Distant blocks around the horizon, fixed to compass directions.
 
-    Attributes:
-        quads: (B, 4, 3) directions of their corners.
-        colour: (B, 3) RGB.
+    ``quads`` are (B, 4, 3) directions of their corners, ``colour`` is (B, 3) RGB.
     """
 
     quads: Floats

@@ -14,7 +14,7 @@ from benchmark.geometry import Bools, Floats
 
 
 class Role(IntEnum):
-    """What a facet is made of; decides its colour."""
+    """Material of a facet; decides its colour."""
 
     PAINT = 0
     GLASS = 1

@@ -55,14 +55,7 @@ class Facets:
         )  # fmt: skip
 
     def solids(self, chosen: NDArray[np.int64]) -> tuple["Facets", NDArray[np.int64]]:
-        """Only some solids, renumbered.
-
-        Args:
-            chosen: Rising indices of solids.
-
-        Returns:
-            The solids, and the indices of their facets.
-        """
+        """Some of the solids, renumbered, and the indices of their facets; ``chosen`` are rising."""
         renumbered = np.full(len(self.footprint), -1)
         renumbered[chosen] = np.arange(len(chosen))
         solid = renumbered[self.solid]
@@ -77,11 +70,7 @@ _BY_FACET = ("quads", "normal", "colour", "glows", "solid", "layer", "ahead", "d
 
 
 def joined(parts: list[Facets]) -> Facets:
-    """Several sets of facets as one; solids and batches are renumbered.
-
-    Args:
-        parts: Any number of sets.
-    """
+    """Several sets of facets as one; solids and batches are renumbered."""
     if not parts:
         return Facets.none()
     fields = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _BY_SOLID + _BY_FACET}
@@ -93,28 +82,15 @@ def joined(parts: list[Facets]) -> Facets:
 
 
 def unit_normals(quads: Floats) -> Floats:
-    """Outward normals from the diagonals.
-
-    Args:
-        quads: (..., 4, 3) corners.
-
-    Returns:
-        (..., 3) unit vectors; zero for a degenerate quadrilateral.
-    """
+    """Outward unit normals, (..., 3), of (..., 4, 3) corners from the diagonals; zero where degenerate."""
     normal = np.cross(quads[..., 2, :] - quads[..., 0, :], quads[..., 3, :] - quads[..., 1, :])
     return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12))
 
 
 def seen_colours(facets: Facets, air: Atmosphere, ego_pose: Floats) -> NDArray[np.uint8]:
-    """Colours after light, head lamps and haze.
+    """Colours, (Q, 3) RGB, after light, head lamps and haze.
 
-    Args:
-        facets: What is lit.
-        air: How.
-        ego_pose: (3,) planar pose that the head lamps and the distance refer to.
-
-    Returns:
-        (Q, 3) RGB.
+    Head lamps and distance refer to the (3,) planar pose.
     """
     sun = np.array(air.sun) / np.linalg.norm(air.sun)
     # Half the light wraps around to the side away from the sun, as it does under an open sky.

@@ -57,13 +57,9 @@ class PlanView:
 
 @dataclass(slots=True)
 class Ground:
-    """Plan views around wherever the ego is.
+    """Plan views around the place of the ego.
 
-    Attributes:
-        polygons: What is painted.
-        colours: RGB of each coat.
-        base: RGB of what nothing covers.
-        style: How rough it is.
+    ``colours`` has the RGB of each coat, ``base`` that of the ground that nothing covers.
     """
 
     polygons: tuple[PaintedPolygons, ...]
@@ -97,14 +93,7 @@ class Ground:
         return float(x), float(y)
 
     def around(self, position: Floats) -> tuple[PlanView, PlanView, PlanView]:
-        """Fine, middle and coarse plan views around a place.
-
-        Args:
-            position: (2,) metres, global.
-
-        Returns:
-            Three plan views of falling resolution.
-        """
+        """Fine, middle and coarse plan views around a place, (2,) metres, global."""
         centre = self.centre_of(position)
         if self._plans is None or centre != self._centre:
             snapped = np.array(centre)
@@ -139,7 +128,7 @@ def _add_grain(pixels: NDArray[np.uint8], resolution_m: float, style: Style) -> 
 
 @functools.lru_cache(maxsize=4)
 def _grain(count: int, resolution_m: float, name: str) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """What a style's grain adds to a plan view of ``count`` pixels a side, and what it takes away; one of them is 0."""
+    """Grain that a style adds to a plan view of ``count`` pixels a side, and that it takes away; one of them is 0."""
     tile = grain_tile(round(_STEP_M / resolution_m), resolution_m, STYLES[name])
     repeats = -(-count // len(tile))
     around = np.tile(tile, (repeats, repeats, 1))[:count, :count]

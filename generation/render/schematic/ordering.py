@@ -13,16 +13,10 @@ _NEXT = (1, 2, 3, 0)
 def drawing_order(footprints: Floats, eye: Floats) -> list[int]:
     """Order upright convex solids so that each is drawn after everything that it can hide.
 
-    Of two solids seen in the same direction, the one whose farthest point is nearer than the other's nearest point is
-    in front; where their distances overlap, a line along one of their sides that separates them decides: the solid on
-    the eye's side is in front.
-
-    Args:
-        footprints: (N, 4, 2) convex quadrilaterals, counter-clockwise, metres.
-        eye: (2,) viewpoint, metres.
-
-    Returns:
-        N indices, the first to be drawn first.
+    Of two solids seen in the same direction, the one whose farthest point is nearer than the other's nearest point
+    is in front; where their distances overlap, a line along one of their sides that separates them decides: the
+    solid on the eye's side is in front. (N, 4, 2) footprints are counter-clockwise, metres; the N indices have the
+    first to be drawn first.
     """
     behind = _is_behind(np.asarray(footprints, np.float64) - np.asarray(eye, np.float64))
     offset = footprints - eye

@@ -24,7 +24,7 @@ _KERB_M = 0.22
 
 
 class Coat(IntEnum):
-    """What a polygon is painted with; later coats cover earlier ones."""
+    """Paint of a polygon; later coats cover earlier ones."""
 
     CAR_PARK = 0
     PAVEMENT = 1
@@ -39,7 +39,6 @@ class PaintedPolygons:
     """Polygons of one coat.
 
     Attributes:
-        coat: The paint.
         rings: For each polygon its outer ring and holes, each (M, 2) metres, global.
         bounds: (P, 4) x_min, y_min, x_max, y_max of each polygon.
     """
@@ -50,14 +49,7 @@ class PaintedPolygons:
 
 
 def painted_polygons(road_map: RoadMap) -> tuple[PaintedPolygons, ...]:
-    """Everything on the ground that has a colour of its own, lowest coat first.
-
-    Args:
-        road_map: The map.
-
-    Returns:
-        One entry per coat.
-    """
+    """Everything on the ground that has a colour of its own, lowest coat first."""
     roads = list(shapely.get_parts(road_map.drivable_area))
     white = [stripe for name in sorted(road_map.ped_crossings) for stripe in _stripes(road_map.ped_crossings[name])]
     white += [bar for name in sorted(road_map.stop_lines) for bar in _stop_bar(road_map.stop_lines[name])]
@@ -83,13 +75,10 @@ def paint(
     world_to_pixel: Floats,
     colours: Mapping[Coat, tuple[float, float, float]],
 ) -> None:
-    """Fill polygons in a plan view.
+    """Fill polygons in a plan view, (h, w, 3) RGB, in place; pixels that no polygon covers stay.
 
-    Args:
-        canvas: (h, w, 3) RGB, painted in place; what no polygon covers stays.
-        polygons: From `painted_polygons`.
-        world_to_pixel: (2, 3) affine map from metres to pixels (columns, rows).
-        colours: RGB of each coat; coats without a colour are left out.
+    ``world_to_pixel`` is the (2, 3) affine map from metres to columns and rows; coats without a colour are left
+    out.
     """
     window = _world_window(canvas, world_to_pixel)
     for layer in polygons:

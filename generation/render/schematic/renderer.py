@@ -116,13 +116,12 @@ class Stage:
     def go_on(self, scene: Scene) -> None:
         """Draw the frames of another scene from now on, of the same road and the same agents with other tracks.
 
-        Args:
-            scene: For example the world as it was driven so far.
+        It may be the world as it was driven so far.
         """
         self.scene, self.traffic = scene, self.traffic.in_scene(scene)
 
     def pictures(self, frame: int) -> Images:
-        """What the cameras see at a frame."""
+        """Pictures of the cameras at a frame."""
         ego = self.scene.ego
         position, rotation = ego.position[frame], ego.rotation[frame]
         pose = ego.pose[frame]

@@ -200,14 +200,9 @@ def shape_named(name: str) -> Shape:
 
 
 def shape_name(category: str, size: Floats) -> str:
-    """Which shape an object has.
+    """Name of an object's shape, for `shape_named`; an unknown category is a crate.
 
-    Args:
-        category: nuScenes category.
-        size: (3,) length, width, height, metres.
-
-    Returns:
-        Name for `shape_named`; an unknown category is a crate.
+    ``size`` is length, width, height, metres.
     """
     if category == "vehicle.car":
         return "van" if size[2] > 2.0 else ("suv" if size[2] > 1.66 else "sedan")

@@ -17,13 +17,9 @@ _PART_STEP = 64
 
 
 def draw_standing(image: NDArray[np.uint8], view: View, facets: Facets, colours: NDArray[np.uint8]) -> None:
-    """Draw solids with correct occlusion, in place.
+    """Draw solids with correct occlusion into an (h, w, 3) RGB backdrop.
 
-    Args:
-        image: (h, w, 3) RGB backdrop.
-        view: The camera.
-        facets: The solids.
-        colours: (Q, 3) RGB as seen, from `facets.seen_colours`.
+    ``colours`` are (Q, 3) as seen, from `facets.seen_colours`.
     """
     in_view = _solids_in_view(view, facets)
     if not len(in_view):
@@ -48,11 +44,7 @@ def draw_standing(image: NDArray[np.uint8], view: View, facets: Facets, colours:
 def draw_shadows(image: NDArray[np.uint8], view: View, footprints: Floats, air: Atmosphere) -> None:
     """Darken the ground under and beside vehicles, softly, in place.
 
-    Args:
-        image: (h, w, 3) RGB, nothing standing drawn yet.
-        view: The camera.
-        footprints: (N, 4, 2) outlines on the ground.
-        air: Where the sun is and how deep shadows are.
+    ``image`` is (h, w, 3) RGB, nothing standing drawn yet; ``footprints`` are (N, 4, 2).
     """
     if not len(footprints) or air.shadow == 0.0:
         return

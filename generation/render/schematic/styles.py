@@ -32,7 +32,7 @@ _NOISE_TILE: Final = 512
 
 @dataclass(frozen=True, slots=True)
 class Pipeline:
-    """What a camera does to the light that reaches it; see `developed`.
+    """Effects of a camera on the light that reaches it; see `developed`.
 
     Attributes:
         blur: Standard deviation of the lens's blur, as a share of the image's width.
@@ -55,7 +55,7 @@ class Pipeline:
 
 @dataclass(frozen=True, slots=True)
 class Style:
-    """How a scene is drawn beyond what is in it.
+    """Way of drawing a scene beyond its content.
 
     Attributes:
         name: Part of the renderer's name; empty for the first style.
@@ -69,7 +69,6 @@ class Style:
         surfaces: Factor on each channel of the ground's surfaces; those that are not named stay.
         fine_grain: Standard deviation of the ground's fine grain, grey levels.
         patches: Standard deviation of its soft patches.
-        pipeline: The camera; ``None`` is a perfect one.
     """
 
     name: str = ""
@@ -86,14 +85,7 @@ class Style:
     pipeline: Pipeline | None = None
 
     def lit(self, air: Atmosphere) -> Atmosphere:
-        """Light and weather in this style.
-
-        Args:
-            air: Of the first style.
-
-        Returns:
-            The same look, lit otherwise.
-        """
+        """Light and weather of the first style, lit as in this one."""
         cos, sin = np.cos(self.sun_turn_rad), np.sin(self.sun_turn_rad)
         x, y, z = air.sun
         return replace(
@@ -152,16 +144,7 @@ def tinted(colour: Rgb, factor: Rgb) -> Rgb:
 
 
 def developed(image: NDArray[np.uint8], pipeline: Pipeline, seed: int) -> NDArray[np.uint8]:
-    """The picture that a camera delivers.
-
-    Args:
-        image: (H, W, 3) RGB, sharp and without noise.
-        pipeline: The camera.
-        seed: Of its noise.
-
-    Returns:
-        (H, W, 3) RGB.
-    """
+    """Picture that a camera delivers of a sharp one without noise, (H, W, 3) RGB."""
     height, width = image.shape[:2]
     curve, deviation = _tables(pipeline)
     light = cv2.LUT(cv2.GaussianBlur(image, (0, 0), pipeline.blur * width), curve)
@@ -210,13 +193,7 @@ def _tiled_noise(height: int, width: int) -> NDArray[np.float32]:
 def grain_tile(count: int, resolution_m: float, style: Style) -> NDArray[np.uint8]:
     """The roughness of real surfaces as grey noise around 128: fine grain and soft patches, seamless at its edges.
 
-    Args:
-        count: Pixels of a side.
-        resolution_m: Size of a pixel.
-        style: How rough.
-
-    Returns:
-        (count, count, 3).
+    (count, count, 3).
     """
     random = np.random.default_rng(content_seed("grain", *style.salt, count))
     fine = random.normal(0.0, style.fine_grain, (count, count))

@@ -28,12 +28,7 @@ _FOLIAGE = ((74, 112, 58), (88, 122, 60), (62, 100, 62), (108, 128, 66))
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """Places where something may stand.
-
-    Attributes:
-        boxes: (P, 5) footprints, global.
-        seeds: P seeds, made of the place.
-    """
+    """Places where something may stand: (P, 5) global footprints, and P seeds, made of the place."""
 
     boxes: Floats
     seeds: list[int]
@@ -44,15 +39,9 @@ class Plot:
 
 
 def surroundings(scene: Scene, *, lamps: bool, salt: tuple[str, ...] = ()) -> Facets:
-    """Everything that stands beside the road along the way of the ego.
+    """One solid per building or tree beside the road along the way of the ego; none where the map has no road.
 
-    Args:
-        scene: Gives the map, the way, and the objects that nothing may stand on.
-        lamps: Whether windows are lit.
-        salt: Of a style; goes into the colours of facades.
-
-    Returns:
-        One solid per building or tree; none where the map has no road.
+    ``lamps`` lights windows; ``salt`` of a style goes into the colours of facades.
     """
     road_map = scene.road_map
     if road_map.drivable_area.is_empty:

@@ -50,7 +50,6 @@ class Traffic:
     """The agents of a scene, ready to be placed.
 
     Attributes:
-        scene: The scene.
         bodies: One solid per agent around the origin, heading along +x, lamps off.
         role: (Q,) materials of their facets.
         braking: (N, T) whether a vehicle's brake lamps are on.
@@ -86,15 +85,7 @@ class Traffic:
         return np.flatnonzero(agents.valid[:, frame] & (np.hypot(offset[:, 0], offset[:, 1]) < DRAWN_WITHIN_M))
 
     def facets(self, frame: int, *, lamps: bool) -> Facets:
-        """Facets of everything near the ego at a frame.
-
-        Args:
-            frame: Frame index.
-            lamps: Whether head and tail lamps are on.
-
-        Returns:
-            One solid per agent.
-        """
+        """Facets of everything near the ego at a frame, one solid per agent; ``lamps`` are head and tail lamps."""
         agents, members = self.scene.agents, self.near(frame)
         bodies, chosen = self.bodies.solids(members)
         role, solid = self.role[chosen], bodies.solid

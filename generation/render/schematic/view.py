@@ -30,61 +30,36 @@ class View:
 
     @classmethod
     def of(cls, camera: Camera, ego_position: Floats, ego_rotation: Floats) -> "View":
-        """Place a camera.
-
-        Args:
-            camera: Calibration, mounted on the ego.
-            ego_position: (3,) global, metres.
-            ego_rotation: (4,) quaternion, global.
-        """
+        """Place a camera that is mounted on the ego, at (3,) metres and (4,) quaternion, both global."""
         body, mount = _turn(ego_rotation.tobytes()), _turn(camera.rotation.tobytes())
         eye = body @ camera.translation + ego_position
         return cls(camera, eye, (body @ mount).T, float(ego_position[2]))
 
     def to_camera(self, points: Floats) -> Floats:
-        """Global points in camera axes.
-
-        Args:
-            points: (..., 3) metres.
-
-        Returns:
-            (..., 3) metres; the last component is the depth.
-        """
+        """Global points in camera axes, (..., 3) metres each; the last component is the depth."""
         # One product of all points: a stack of small ones takes four times as long and gives the same.
         offset = (points - self.eye).reshape(-1, 3)
         return np.asarray(offset @ self.rotation.T).reshape(np.shape(points))
 
     def to_pixels(self, in_camera: Floats) -> Floats:
-        """Pinhole projection.
+        """Pinhole projection of (..., 3) camera axes, depth positive, to (..., 2) columns and rows.
 
-        Args:
-            in_camera: (..., 3) camera axes, depth positive.
-
-        Returns:
-            (..., 2) columns and rows; integer values are pixel centres.
+        Integer values are pixel centres.
         """
         homogeneous = in_camera @ self.camera.intrinsic.T
         return np.asarray(homogeneous[..., :2] / homogeneous[..., 2:3])
 
     def ground_to_pixel(self) -> Floats:
-        """Homography from ground coordinates (x, y, 1), metres, global, to homogeneous pixels.
-
-        Returns:
-            (3, 3) matrix.
-        """
+        """(3, 3) homography from ground coordinates (x, y, 1), metres, global, to homogeneous pixels."""
         columns = np.column_stack(
             [self.rotation[:, 0], self.rotation[:, 1], self.rotation @ (np.array([0.0, 0.0, self.ground_z]) - self.eye)]
         )
         return np.asarray(self.camera.intrinsic @ columns)
 
     def pixel_rays(self, step: int = 1) -> NDArray[np.float32]:
-        """Directions in which the pixels look.
+        """Directions, (3, h, w) global x, y, z, in which the pixels look, of every ``step``-th column and row.
 
-        Args:
-            step: Take every ``step``-th column and row.
-
-        Returns:
-            (3, h, w) global x, y, z; single precision, because pictures need no more and there are many pixels.
+        Single precision, because pictures need no more and there are many pixels.
         """
         turn = (self.rotation.T @ np.linalg.inv(self.camera.intrinsic)).astype(np.float32)
         columns = np.arange(0, self.camera.width, step, dtype=np.float32)
@@ -101,14 +76,9 @@ def _turn(quaternion: bytes) -> Floats:
 
 
 def clip_near(polygon: Floats, near_m: float = NEAR_M) -> Floats:
-    """Part of a convex polygon in front of the near plane (Sutherland and Hodgman).
+    """Part, possibly empty, of a convex polygon in front of the near plane (Sutherland and Hodgman).
 
-    Args:
-        polygon: (M, 3) camera axes.
-        near_m: Depth of the plane.
-
-    Returns:
-        (M', 3) polygon; M' is 0 where nothing is left.
+    (M, 3) camera axes; ``near_m`` is the depth of the plane.
     """
     kept: list[Floats] = []
     for index in range(len(polygon)):

@@ -16,17 +16,10 @@ _LIDAR_CERTAIN_M = 50.0
 
 
 def annotate(agents: Agents, parked: Bools, ego: EgoTrack, keyframes: NDArray[np.int64]) -> Annotations:
-    """Annotations at the keyframes.
+    """Annotations, (N, K), of agents at the (K,) keyframes. ``parked`` says (N,) which vehicles are parked.
 
-    Args:
-        agents: N agents at every frame.
-        parked: (N,) whether a vehicle is parked.
-        ego: Recorded ego motion.
-        keyframes: (K,) frames.
-
-    Returns:
-        (N, K) annotations. Visibility is the share of sight lines from the ego's roof that no nearer box crosses;
-        lidar points fall with the square of the distance and that share, and are at least one within 50 m.
+    Visibility is the share of sight lines from the ego's roof that no nearer box crosses; lidar points fall with
+    the square of the distance and that share, and are at least one within 50 m.
     """
     position, yaw, valid = agents.position[:, keyframes], agents.yaw[:, keyframes], agents.valid[:, keyframes]
     seen = np.zeros(valid.shape)

@@ -10,19 +10,10 @@ from generation.sources.town.paths import STATION_M, Path
 def quintic(
     where: Floats, first: float, last: float, start: tuple[float, float], goal: tuple[float, float]
 ) -> tuple[Floats, Floats]:
-    """Values and slopes of the quintic between two values and slopes, its second derivatives zero; held outside.
+    """(N,) values and (N,) slopes of the quintic between two values and slopes, its second derivatives zero.
 
-    Held with the value and without slope: excursions begin and end with neither.
-
-    Args:
-        where: (N,) at which places.
-        first: Where it begins.
-        last: Where it ends, greater.
-        start: Value and slope there.
-        goal: Likewise at the end.
-
-    Returns:
-        (N,) values and (N,) slopes.
+    Outside ``first`` to ``last``, which is greater, it is held with the value and without slope: excursions begin
+    and end with neither. ``start`` and ``goal`` are value and slope at both ends.
     """
     length = last - first
     u = np.clip((where - first) / length, 0.0, 1.0)
@@ -46,16 +37,12 @@ def curvature_at(path: Path, stations: Floats) -> Floats:
 
 
 def beside_path(path: Path, metres: Floats, aside: Floats, slope: Floats) -> Floats:
-    """Rear-axle poses of who drives beside a path and never slips: the heading is that of its own motion.
+    """Rear-axle poses, (N, 3), of a drive beside a path without slip: the heading is that of its own motion.
 
     Args:
-        path: The path.
         metres: (N,) where along it.
         aside: (N,) metres to the left of it.
         slope: (N,) change of ``aside`` over a metre.
-
-    Returns:
-        (N, 3) x, y, yaw.
     """
     stations = metres / STATION_M
     pose = between_grid(path.rear, stations)

@@ -22,12 +22,7 @@ _ADULT, _CHILD = "human.pedestrian.adult", "human.pedestrian.child"
 def add_parked(world: World, near: Floats, rng: np.random.Generator, *, share: float, most: int) -> None:
     """Fill part of the parking places along the ego's way; road works block a few of those at the kerb.
 
-    Args:
-        world: Who is there already.
-        near: (K, 2) points of the ego's way.
-        rng: Chance.
-        share: Share of the places that are taken.
-        most: Upper bound on the number of cars.
+    ``near`` are (K, 2) points of that way; ``share`` of the places are taken, by at most ``most`` cars.
     """
     places = [place for place in world.town.standing if _distance(near, place.pose[:2]) < _PARKED_REACH_M]
     kerb = [index for index, place in enumerate(places) if not place.in_car_park]
@@ -73,11 +68,7 @@ def _add_road_works(world: World, pose: Floats, rng: np.random.Generator) -> Non
 def add_walkers(world: World, near: Floats, rng: np.random.Generator, *, wanted: int) -> None:
     """Pedestrians on the pavements along the ego's way, some of them standing.
 
-    Args:
-        world: Who is there already.
-        near: (K, 2) points of the ego's way.
-        rng: Chance.
-        wanted: How many.
+    ``near`` are (K, 2) points of that way.
     """
     added = 0
     for _ in range(6 * wanted):
@@ -97,7 +88,7 @@ def add_walkers(world: World, near: Floats, rng: np.random.Generator, *, wanted:
 
 
 def add_crossing_pedestrians(world: World, near: Floats, rng: np.random.Generator, *, wanted: int) -> None:
-    """Pedestrians who cross the road ahead of the ego; whoever is planned later gives way to them."""
+    """Pedestrians who cross the road ahead of the ego; vehicles that are planned later give way to them."""
     walks = [walk for walk in world.town.crossing_walks if _distance(near, walk.mean(axis=0)) < _CROSSING_REACH_M]
     if not walks:
         return
@@ -113,11 +104,9 @@ def add_meeting_pedestrians(
     """Pedestrians who walk across the ego's way, from pavement to pavement, when it is about to come there.
 
     Args:
-        world: Who is there already.
         way: (K, 2) points of the ego's way, from where it starts.
-        rng: Chance.
-        wanted: How many; fewer where there is no pavement on both sides or somebody is in their way.
-        speed_mps: About how fast the ego drives where nobody hinders it.
+        wanted: How many; fewer where there is no pavement on both sides or another is in their way.
+        speed_mps: About how fast the ego drives where it is free to.
     """
     length, added = float(lengths_along(way)[-1]), 0
     for _ in range(_MEETING_TRIES * wanted):

@@ -30,14 +30,9 @@ def headings(line: Floats) -> Floats:
 
 
 def offset(line: Floats, left_m: float | Floats) -> Floats:
-    """A parallel curve, vertex by vertex.
+    """Parallel curve of an (M, 2) smooth polyline, vertex by vertex, with the same stations.
 
-    Args:
-        line: (M, 2) smooth polyline.
-        left_m: Distance to the left of the driving direction, one number or (M,).
-
-    Returns:
-        (M, 2) polyline with the same stations.
+    ``left_m`` is the distance to the left of the driving direction, one number or (M,).
     """
     heading = headings(line)
     normal = np.column_stack([-np.sin(heading), np.cos(heading)])
@@ -73,16 +68,8 @@ def turn(
 ) -> Floats:
     """A drivable curve between two poses: straight, one arc, straight where that is possible, else a cubic.
 
-    Args:
-        start: (2,) metres.
-        start_heading: Radians.
-        end: (2,) metres.
-        end_heading: Radians.
-        step_m: Vertex spacing.
-        max_radius_m: Upper bound on the radius of the arc; it is as large as the shorter leg allows below it.
-
-    Returns:
-        (M, 2) polyline from ``start`` to ``end``.
+    (M, 2) polyline from ``start`` to ``end``, (2,) metres each, its vertices ``step_m`` apart. The arc is as large
+    as the shorter leg allows, its radius below ``max_radius_m``.
     """
     change = float(wrap_angle(np.array(end_heading - start_heading)))
     first, second = unit(start_heading), unit(end_heading)
@@ -125,15 +112,8 @@ def _cubic(start: Floats, first: Floats, end: Floats, second: Floats, step_m: fl
 def smoothed(line: Floats, *, spacing_m: float, deviation_m: float) -> Floats:
     """Round the curvature steps of a polyline so that a car can drive it; the ends are extended straight.
 
-    A Gaussian over arc length, summed tap by tap so that the bytes do not depend on a linear-algebra library.
-
-    Args:
-        line: (M, 2) evenly spaced polyline.
-        spacing_m: Its spacing.
-        deviation_m: Standard deviation of the Gaussian; an arc of radius R moves inwards by deviation^2 / (2 R).
-
-    Returns:
-        (M, 2) smoothed polyline.
+    A Gaussian over arc length, summed tap by tap so that the bytes do not depend on a linear-algebra library. With
+    standard deviation ``deviation_m`` an arc of radius R moves inwards by deviation^2 / (2 R).
     """
     reach = round(3 * deviation_m / spacing_m)
     taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) * spacing_m / deviation_m) ** 2)
@@ -151,12 +131,7 @@ def smoothed(line: Floats, *, spacing_m: float, deviation_m: float) -> Floats:
 def between_grid(values: Floats, where: Floats) -> Floats:
     """Smooth look-up between the entries of an even grid (Catmull-Rom cubic).
 
-    Args:
-        values: (M, ...) entries.
-        where: (K,) fractional indices; up to one beyond the ends is extrapolated.
-
-    Returns:
-        (K, ...) interpolated entries.
+    (K,) fractional indices into (M, ...) entries; up to one beyond the ends is extrapolated.
     """
     count = len(values)
     where = np.clip(where, -1.0, float(count))

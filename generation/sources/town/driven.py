@@ -2,8 +2,8 @@
 
 From each key frame the way back is that of `generation.sources.town.off_path`: offsets aside and along the path that
 fade as quintics, at the heading of the motion. Along the path the first of these counts that a driver can drive, that
-touches nobody as everybody moves in the scene, and that ends on the road: as the town's driver drives at the same
-places, which needs no knowledge of when that was, with room to whoever is ahead; back to where that driver is at the
+touches none as all move in the scene, and that ends on the road: as the town's driver drives at the same
+places, which needs no knowledge of when that was, with room to a vehicle ahead; back to where that driver is at the
 same time, sooner and sooner; and to a stop, harder and harder.
 """
 
@@ -57,13 +57,9 @@ _GAP_M: Final = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """Where a planner drove the ego of a scene.
+    """Drive of a planner in the ego of a scene.
 
-    Attributes:
-        planner: Its name.
-        poses: (K, 3) rear axle at the key frames until the drive was over.
-        speeds: (K,) m/s.
-        commands: K commands.
+    (K, 3) poses of the rear axle and (K,) speeds, m/s, at the key frames until the drive was over.
     """
 
     planner: str
@@ -73,18 +69,7 @@ class Driven:
 
     @classmethod
     def of_row(cls, planner: str, row: DriveRow) -> "Driven":
-        """A drive of a record.
-
-        Args:
-            planner: Who drove.
-            row: The drive.
-
-        Returns:
-            Its key frames.
-
-        Raises:
-            InputError: If it was not planned from at the town's key frames.
-        """
+        """A drive of a record; it must have been planned at the town's key frames."""
         ticks = row.ticks
         at_keyframes = np.diff(ticks.time_us[: len(ticks.command)]) == _KEYFRAME_US
         if not at_keyframes.all():
@@ -115,19 +100,14 @@ class Driven:
 
 
 def ways_back(world: World, planned: PlannedEgo, driven: Driven) -> Floats:
-    """From each key frame, where a good driver would go.
+    """Way of a good driver from each key frame.
 
     Args:
-        world: Everybody else.
         planned: The ego as the town's driver would drive.
-        driven: As it was driven.
 
     Returns:
         (K, 6, 2) global positions of the lidar origin at the plan's steps; NaN where no way was found, and beyond the
         end of the scene.
-
-    Raises:
-        InputError: If the drive did not begin where the town's driver does.
     """
     begin = between_grid(planned.path.rear, planned.stations[:1])[0]
     if np.hypot(*(begin - driven.poses[0])[:2]) > _SAME_PLACE_M:
@@ -149,14 +129,7 @@ def ways_back(world: World, planned: PlannedEgo, driven: Driven) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class _Away:
-    """Where the ego is, seen from the planned drive.
-
-    Attributes:
-        metres: Along the path.
-        aside_m: To the left of it.
-        turned_rad: Heading against the path's.
-        speed_mps: Along the path.
-    """
+    """Place of the ego seen from the planned drive: along the path, to the left of it, heading and speed against it."""
 
     metres: float
     aside_m: float
@@ -268,11 +241,7 @@ def _during(track: Track, first: int, count: int) -> Track:
 
 
 def lasting(rows: Sequence[DriveRow]) -> dict[str, DriveRow]:
-    """Drives by scene: those that went on for a while and did not fail.
-
-    Raises:
-        InputError: If a scene was driven more than once.
-    """
+    """Drives by scene: those that went on for a while and did not fail."""
     scenes = [row.scene for row in rows]
     twice = next((name for name in scenes if scenes.count(name) > 1), None)
     if twice is not None:

@@ -25,11 +25,7 @@ _BAY_WIDTH_M = 2.7
 def build_crossing(draft: Draft, node: Node, arms: list[Arm], trims: dict[str, float]) -> None:
     """Connect the arms of a crossing or T junction and add its surface.
 
-    Args:
-        draft: What is being built.
-        node: The junction.
-        arms: Its roads.
-        trims: Distance of each road's beginning from the node, by road.
+    ``trims`` has the distance of each road's beginning from the node.
     """
     for arm in arms:
         for other in arms:
@@ -115,13 +111,7 @@ def _require_connected(draft: Draft, arms: list[Arm]) -> None:
 
 
 def build_roundabout(draft: Draft, node: Node, arms: list[Arm]) -> None:
-    """A one-lane roundabout, counter-clockwise.
-
-    Args:
-        draft: What is being built.
-        node: Its centre.
-        arms: Its roads, one lane per direction.
-    """
+    """A one-lane roundabout, counter-clockwise; its roads have one lane per direction."""
     arms = sorted(arms, key=lambda arm: float(arm.heading % (2 * np.pi)))
     for arm, following in zip(arms, [*arms[1:], arms[0]]):
         span = float((following.heading - arm.heading) % (2 * np.pi))
@@ -184,11 +174,7 @@ def _add_ring_connector(draft: Draft, node: Node, source: str, target: str, role
 def build_car_park(draft: Draft, node: Node, arm: Arm, *, width_m: float) -> None:
     """A car park behind an access road: a one-way loop between four rows of bays.
 
-    Args:
-        draft: What is being built.
-        node: Where the access road ends.
-        arm: The access road.
-        width_m: Extent across the access road.
+    It is ``width_m`` wide across the access road.
     """
     # Frame of the car park: x into it, y to the left of that.
     pose = np.array([*node.position, float(wrap_angle(np.array(arm.heading + np.pi)))])

@@ -21,7 +21,7 @@ EAST, NORTH, WEST, SOUTH = 0.0, np.pi / 2, np.pi, -np.pi / 2
 
 
 class NodeKind(StrEnum):
-    """What a node of the road graph is."""
+    """Kind of a node of the road graph."""
 
     CROSSING = "crossing"
     ROUNDABOUT = "roundabout"
@@ -31,13 +31,7 @@ class NodeKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A place where roads meet or end.
-
-    Attributes:
-        name: Unique in the town.
-        kind: What is built there.
-        position: (2,) metres.
-    """
+    """A place where roads meet or end, (2,) metres; its name is unique in the town."""
 
     name: str
     kind: NodeKind
@@ -49,8 +43,6 @@ class Road:
     """A road between two nodes.
 
     Attributes:
-        name: Unique in the town.
-        ends: Names of the nodes at its start and end.
         reference: (M, 2) line between the directions, from node to node.
         lanes: Lanes per direction.
         kerb_parking: Whether it has a parking strip on both sides.
@@ -67,12 +59,7 @@ class Road:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Nodes and roads of one town.
-
-    Attributes:
-        nodes: By name.
-        roads: By name.
-    """
+    """Nodes and roads of one town, by name."""
 
     nodes: dict[str, Node]
     roads: dict[str, Road]
@@ -117,15 +104,7 @@ PLANS = ("avenue", "ring")
 
 
 def make_layout(plan: str, rng: np.random.Generator) -> Layout:
-    """Draw one town's road graph.
-
-    Args:
-        plan: ``avenue`` or ``ring``.
-        rng: Where the town differs from others of the same plan.
-
-    Returns:
-        The graph in a frame with all coordinates between 0 and `CANVAS_M`.
-    """
+    """Draw one town's road graph, all coordinates between 0 and `CANVAS_M`. ``plan`` is ``avenue`` or ``ring``."""
     road_plans = _AVENUE_ROADS if plan == "avenue" else _RING_ROADS
     kinds = dict.fromkeys(("C", "N", "S", "W", "E", "P"), NodeKind.CROSSING)
     kinds["E" if plan == "avenue" else "C"] = NodeKind.ROUNDABOUT

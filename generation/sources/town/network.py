@@ -16,7 +16,7 @@ WALKWAY_WIDTH_M = 2.6
 
 
 class Role(StrEnum):
-    """What a lane is for."""
+    """Purpose of a lane."""
 
     ROAD = "road"
     STRAIGHT = "straight"
@@ -35,12 +35,9 @@ class TownLane:
     Attributes:
         name: Identifier, the same as in the road map.
         line: (M, 2) centreline in driving direction.
-        role: What it is for.
         road: Name of its road, or of its node inside junctions.
         index: 0 next to the opposite direction.
         siblings: Names of all lanes of its direction by ``index``; stations correspond.
-        speed_mps: Speed limit.
-        polygon: Surface.
     """
 
     name: str
@@ -57,11 +54,7 @@ class TownLane:
 class Arm:
     """A road where it meets a node.
 
-    Attributes:
-        road: Name of the road.
-        heading: Direction away from the node, radians.
-        incoming: Lanes that end here, from the middle outwards.
-        outgoing: Lanes that begin here, from the middle outwards.
+    ``heading`` points away from the node, radians; lanes are named from the middle outwards.
     """
 
     road: str
@@ -72,11 +65,9 @@ class Arm:
 
 @dataclass(frozen=True, slots=True)
 class StandingPlace:
-    """Where something can be parked: pose of the box centre.
+    """Pose of the box centre, (3,) x, y, yaw, where something can be parked.
 
-    Attributes:
-        pose: (3,) x, y, yaw.
-        in_car_park: Bay of a car park, else strip at the kerb.
+    It is a bay of a car park, or else a strip at the kerb.
     """
 
     pose: Floats
@@ -89,17 +80,10 @@ class Draft:
 
     Attributes:
         prefix: Put before identifiers of the map.
-        lanes: By name.
         links: Pairs of lanes that follow each other.
-        surfaces: Road surfaces by name.
         junctions: Names in ``surfaces`` that are junctions.
-        dividers: Painted lines.
-        crossings: Pedestrian crossings.
-        crossing_walks: (2, 2) walking lines across them, from kerb to kerb.
-        stop_lines: Stop areas.
-        car_parks: Parking surfaces.
+        crossing_walks: (2, 2) walking lines across the crossings, from kerb to kerb.
         walks: (M, 2) lines along the pavements.
-        standing: Parking places.
         green: Traffic islands, kept free of pavement.
     """
 
@@ -123,14 +107,10 @@ class Town:
     """A finished town.
 
     Attributes:
-        layout: Its road graph.
-        road_map: What is written to data sets.
-        lanes: Lanes by name.
         successors: Names of the lanes after each lane, sorted.
         predecessors: Names of the lanes before each lane, sorted.
         crossing_walks: (2, 2) walking lines across the pedestrian crossings.
         walks: (M, 2) lines along the pavements, 1 m spacing.
-        standing: Parking places.
     """
 
     layout: Layout
@@ -144,15 +124,7 @@ class Town:
 
 
 def strip(right: Floats, left: Floats) -> Polygon:
-    """Surface between two sides.
-
-    Args:
-        right: (M, 2) one side.
-        left: (M, 2) the other side in the same direction.
-
-    Returns:
-        A polygon.
-    """
+    """Surface between two sides, (M, 2) each in the same direction."""
     return Polygon(np.concatenate([right, left[::-1]]))
 
 

@@ -2,7 +2,7 @@
 
 The rear axle follows the planned path at a lateral offset d(s) that depends on the station, and at a station that runs
 ahead of the planned one by e(t). Its heading is that of its own motion, the path's and atan(d' / (1 - curvature d)), so
-that it never slips sideways, at whatever speed. Offsets are quintic: away from the path, and back to it, without a jump
+that it never slips sideways, at any speed. Offsets are quintic: away from the path, and back to it, without a jump
 of velocity or acceleration.
 """
 
@@ -46,12 +46,7 @@ _GAP_M: Final = 0.25
 
 @dataclass(frozen=True, slots=True)
 class PlannedEgo:
-    """The ego as it would drive.
-
-    Attributes:
-        path: Where it goes.
-        stations: (FRAMES,) where on it at 12 Hz, in steps of `STATION_M`.
-    """
+    """The ego as it would drive: its path, and the (FRAMES,) places on it at 12 Hz, in steps of `STATION_M`."""
 
     path: Path
     stations: Floats
@@ -85,13 +80,8 @@ def driven_off_path(
 ) -> tuple[Floats, tuple[Excursion, ...]]:
     """Let the ego depart from its path and come back, as often as the scene has time for.
 
-    An excursion is taken where the ego can drive it within a driver's limits, stays on the road and touches nobody; it
+    An excursion is taken where the ego can drive it within a driver's limits, stays on the road and touches none; it
     is made smaller until it can, or left out.
-
-    Args:
-        world: Everybody else.
-        planned: The ego as it would drive.
-        rng: Decides the excursions.
 
     Returns:
         (FRAMES, 3) rear-axle poses, and the excursions in the order of time.
@@ -130,7 +120,7 @@ def _drawn(planned: PlannedEgo, begin: float, rng: np.random.Generator) -> _Want
 
 
 def _size(main_range: tuple[float, float], aside: float, rng: np.random.Generator, *, main: bool) -> float:
-    """How far to one of the sides: within a range where it is the main thing, else anything up to a little."""
+    """Distance to one of the sides: within a range where it is the main thing, else anything up to a little."""
     side = float(rng.choice([-1.0, 1.0]))
     return side * float(rng.uniform(*main_range) if main else rng.uniform(0.0, aside))
 

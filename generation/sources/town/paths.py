@@ -31,15 +31,9 @@ _ROOM_FOR_LANE_CHANGE_M = 75.0
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """Size and wheels of a vehicle.
+    """Size, metres, and wheels of a vehicle.
 
-    Attributes:
-        category: nuScenes category.
-        length: Metres.
-        width: Metres.
-        height: Metres.
-        wheelbase: Rear to front axle, metres.
-        center_ahead: Box centre ahead of the rear axle, metres.
+    ``wheelbase`` is rear to front axle, ``center_ahead`` the box centre ahead of the rear axle.
     """
 
     category: str
@@ -58,7 +52,6 @@ class Leg:
     """One lane of a route.
 
     Attributes:
-        lane: Name of the lane.
         changes_to: Name of the sibling lane that it ends in, or ``None``.
         change_from_m: Where a lane change begins, along the lane.
         change_length_m: How long it takes.
@@ -77,12 +70,9 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """Where a vehicle goes, station by station (`STATION_M` apart), whatever its speed.
+    """Way of a vehicle, station by station (`STATION_M` apart), at any speed.
 
-    Attributes:
-        rear: (M, 3) x, y, yaw of the rear axle.
-        speed_limit: (M,) m/s by sign and by curvature.
-        body: Who drives it.
+    (M, 3) x, y, yaw of the rear axle, and (M,) limits in m/s by sign and by curvature.
     """
 
     rear: Floats
@@ -127,11 +117,8 @@ def find_route(
     """A random chain of lanes around a start.
 
     Args:
-        town: Where.
-        lane: Lane of the start.
         start_m: Front axle at the start, along the lane; may be negative, then the route begins further back.
         length_m: Least length ahead of the start.
-        rng: Chance.
         likes: Weight of each possible next lane; zero forbids it.
         change_chance: Chance of a lane change on each road that has room for it.
 
@@ -185,14 +172,8 @@ def build_path(town: Town, legs: list[Leg], start_m: float, body: Body, *, later
     the rear axle moves along the heading and never sideways.
 
     Args:
-        town: Where.
-        legs: The route.
         start_m: Front axle at station 0, along the first leg.
-        body: The vehicle.
         lateral_m: Constant offset to the left of the centrelines.
-
-    Returns:
-        The path from the start on.
     """
     lines, limits, along = [], [], 0.0
     for leg in legs:

@@ -43,14 +43,7 @@ def heading_from(road: Road, node: str) -> float:
 
 
 def trim_lengths(layout: Layout) -> dict[tuple[str, str], float]:
-    """How far from each node each of its roads begins: far enough for kerbs of the usual radius.
-
-    Args:
-        layout: The road graph.
-
-    Returns:
-        Metres by (road, node).
-    """
+    """Metres by (road, node) from a node to the beginning of a road there: enough for kerbs of the usual radius."""
     trims: dict[tuple[str, str], float] = {}
     for node in layout.nodes.values():
         roads = [road for road in layout.roads.values() if node.name in road.ends]
@@ -75,16 +68,9 @@ def _kerb_radius(road: Road, other: Road) -> float:
 
 
 def build_road(draft: Draft, layout: Layout, road: Road, trims: dict[tuple[str, str], float]) -> tuple[Arm, Arm]:
-    """Add one road to the draft.
+    """Add one road to the draft; gives its arms at its start and at its end.
 
-    Args:
-        draft: What is being built.
-        layout: The road graph.
-        road: Which road.
-        trims: `trim_lengths` of the graph.
-
-    Returns:
-        The road's arms at its start and at its end.
+    ``trims`` are the `trim_lengths` of the graph.
     """
     total = float(lengths_along(road.reference)[-1])
     line = cut(road.reference, trims[road.name, road.ends[0]], total - trims[road.name, road.ends[1]], _STATION_M)

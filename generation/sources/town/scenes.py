@@ -66,15 +66,7 @@ _LEAST_EGO_DISTANCE_M = 60.0
 def town_scene_names(split: Split, count: int) -> tuple[str, ...]:
     """Names of the first scenes of a split: four digits, none of them a scene of nuScenes.
 
-    Args:
-        split: ``val`` or ``train``.
-        count: How many.
-
-    Returns:
-        ``scene-8000``... for val, ``scene-9000``... for train.
-
-    Raises:
-        InputError: If the split is unknown or four digits cannot name so many scenes.
+    They are ``scene-8000``... for val and ``scene-9000``... for train; four digits must be enough.
     """
     if split not in get_args(Split):
         raise InputError(f"the embedded town has no split {split!r}; choose val or train")
@@ -92,31 +84,14 @@ def town_scene(split: Split, index: int, *, seed: int = 0, crossing: int = 0) ->
         index: Number of the scene in its split, from 0.
         seed: Different seeds give different towns and traffic.
         crossing: Most pedestrians more who cross the ego's way when it comes; with any, all is different but the town.
-
-    Returns:
-        The scene.
-
-    Raises:
-        InputError: If the split is unknown or the index has no name.
     """
     return _found(split, index, seed, crossing, off_path=False)[0]
 
 
 def town_scene_off_path(index: int, *, seed: int = 0, crossing: int = 0) -> tuple[Scene, tuple[Excursion, ...]]:
-    """A training scene of the embedded town in which the ego gets off its path and comes back.
+    """A training scene of the embedded town in which the ego gets off its path and comes back, and when it was off it.
 
-    Everybody else does what they do in `town_scene`. One of `KEPT_ON_PATH_EVERY` scenes stays as it is.
-
-    Args:
-        index: Number of the scene in ``train``, from 0.
-        seed: As for `town_scene`.
-        crossing: As for `town_scene`.
-
-    Returns:
-        The scene, and when the ego was off its path.
-
-    Raises:
-        InputError: As `town_scene`.
+    All others do what they do in `town_scene`. One of `KEPT_ON_PATH_EVERY` scenes stays as it is.
     """
     off_path = index % KEPT_ON_PATH_EVERY != KEPT_ON_PATH_EVERY - 1
     return _found("train", index, seed, crossing, off_path=off_path)
@@ -125,19 +100,8 @@ def town_scene_off_path(index: int, *, seed: int = 0, crossing: int = 0) -> tupl
 def town_scene_driven(index: int, driven: Driven, *, seed: int = 0, crossing: int = 0) -> tuple[Scene, DrivenEgo]:
     """A training scene of the embedded town in which the ego goes where a planner drove it, as long as that drove.
 
-    Everybody else does what they do in `town_scene`.
-
-    Args:
-        index: Number of the scene in ``train``, from 0.
-        driven: The drive.
-        seed: As for `town_scene`.
-        crossing: As for `town_scene`.
-
-    Returns:
-        The scene, and where a good driver would go from each key frame.
-
-    Raises:
-        InputError: As `town_scene`, or if the drive is of another town.
+    All others do what they do in `town_scene`. With the scene comes where a good driver would go from each key
+    frame.
     """
     world, planned, programme = _settled("train", index, seed, crossing)
     wanted = ways_back(world, planned, driven)
@@ -162,7 +126,7 @@ def _found(
 
 
 def _settled(split: Split, index: int, seed: int, crossing: int) -> tuple[World, PlannedEgo, Programme]:
-    """Everybody in a scene, and the ego as it would drive."""
+    """World of a scene with all in it, and the ego as it would drive."""
     if index < 0:
         raise InputError(f"the number of a town scene starts at 0, got {index}")
     town_scene_names(split, index + 1)
@@ -190,7 +154,7 @@ def _lane_points(location: str, seed: int) -> LanePoints:
 def _populate(
     town: Town, location: str, seed: int, programme: Programme, rng: np.random.Generator, crossing: int
 ) -> tuple[World, PlannedEgo] | None:
-    """One attempt at a scene: a route, then everybody in the order in which they have the right of way."""
+    """One attempt at a scene: a route, then all others in the order in which they have the right of way."""
     theme = programme.theme
     route = ego_route(town, theme, rng)
     if route is None:
@@ -289,7 +253,7 @@ def _scene(world: World, programme: Programme, split: str, index: int, seed: int
 
 
 def _agents(world: World, key: tuple[str, int, int]) -> tuple[Agents, Bools]:
-    """Everybody who is seen at a keyframe, in the order of placement; where absent, the nearest pose is held."""
+    """Agents that are seen at a keyframe, in the order of placement; where absent, the nearest pose is held."""
     rows: list[tuple[str, Floats, Bools, list[float], bool]] = []
     for track in world.tracks:
         boxes = np.broadcast_to(track.boxes, (FRAMES, 5))

@@ -1,4 +1,4 @@
-"""When a vehicle is where on its path: the cheapest speed profile that touches nobody.
+"""When a vehicle is where on its path: the cheapest speed profile that touches no other.
 
 Vehicles are planned one after another; each sees the whole motion of those before it. The plan is the exact optimum
 over a lattice of whole metres per second and one-second steps, then smoothed so that acceleration is continuous.
@@ -38,15 +38,12 @@ def reachable_stations(path: Path) -> int:
 
 
 def blocked_stations(path: Path, others: Floats, present: Bools) -> Bools:
-    """Where the vehicle would touch somebody, with a margin.
+    """Places, (Q, B), at which the vehicle would touch another, with a margin.
 
     Args:
         path: The vehicle's path, B = `reachable_stations` of it matter.
         others: (J, Q, 5) boxes at quarter seconds; Q = 1 for things that stand still.
         present: (J, Q) whether they are there.
-
-    Returns:
-        (Q, B) verdicts.
     """
     count = reachable_stations(path)
     own = path.boxes(np.arange(0.0, count, 2.0))
@@ -71,17 +68,12 @@ def blocked_stations(path: Path, others: Floats, present: Bools) -> Bools:
 
 
 def plan_speed(path: Path, blocked: Bools, *, start_mps: int, desired_mps: Floats, pace: Floats) -> Floats | None:
-    """The cheapest profile along a path.
+    """The cheapest profile along a path: (FRAMES,) fractional stations, or ``None`` if every profile touches another.
 
     Args:
-        path: Where the vehicle goes.
         blocked: (4 * SECONDS + 1, B) from `blocked_stations`.
-        start_mps: Speed at the start.
         desired_mps: (B,) speed the driver would like at each station.
         pace: (SECONDS,) factor on it for each second.
-
-    Returns:
-        (FRAMES,) fractional stations, or ``None`` if every profile touches somebody.
     """
     room = round((_STANDING_GAP_M + _HEADWAY_AT_START_S * start_mps) / STATION_M)
     choices = None if blocked[0, :room].any() else _search(path, blocked, start_mps, desired_mps, pace)

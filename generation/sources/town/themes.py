@@ -18,13 +18,7 @@ _ROUTE_TRIES = 400
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """One lane of the ego's route as a theme sees it.
-
-    Attributes:
-        lane: The lane.
-        begin_m: Where it begins, measured from the ego's start.
-        end_m: Where it ends.
-    """
+    """One lane of the ego's route as a theme sees it, from ``begin_m`` to ``end_m`` after the ego's start."""
 
     lane: TownLane
     begin_m: float
@@ -36,17 +30,12 @@ class Theme:
     """A kind of scene.
 
     Attributes:
-        name: Short name.
-        title: First words of the description.
         fits: Whether a route suits the theme.
         begins_on: Role of the lane on which the ego starts.
-        change_chance: Chance that the ego changes lanes where it can.
         leader: ``none``, ``slow`` (a bus or truck) or ``stop-and-go``.
         companions: Vehicles around the ego at the start.
         passing: Vehicles that meet it later.
         parked: Most parked cars.
-        pedestrians: Pedestrians on pavements.
-        crossing: Pedestrians who cross.
     """
 
     name: str
@@ -145,12 +134,7 @@ ONCOMING = Theme("oncoming", "Street with oncoming and parked cars", _oncoming, 
 
 @dataclass(frozen=True, slots=True)
 class Programme:
-    """Which theme is shown in which light.
-
-    Attributes:
-        theme: What happens.
-        look: Light and weather.
-    """
+    """A theme and the light and weather in which it is shown."""
 
     theme: Theme
     look: Look
@@ -182,16 +166,7 @@ def stretches(town: Town, legs: list[Leg], start_m: float) -> list[Stretch]:
 
 
 def ego_route(town: Town, theme: Theme, rng: np.random.Generator) -> tuple[list[Leg], float] | None:
-    """A random route that suits a theme.
-
-    Args:
-        town: Where.
-        theme: What it should show.
-        rng: Chance.
-
-    Returns:
-        Legs and start as from `find_route`, or ``None`` if the town has no such route.
-    """
+    """A random route that suits a theme: legs and start as from `find_route`, or ``None`` if the town has none."""
     names = [name for name, lane in town.lanes.items() if lane.role is theme.begins_on and town.predecessors[name]]
     for _ in range(_ROUTE_TRIES):
         name = names[int(rng.integers(len(names)))]

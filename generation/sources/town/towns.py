@@ -31,14 +31,9 @@ _ISLAND_KERB_M = 0.5
 
 @lru_cache(maxsize=8)
 def build_town(location: str, seed: int) -> Town:
-    """The town at a location.
+    """The town at a location of `OFFICIAL_LOCATIONS`; the same object on every call of this process.
 
-    Args:
-        location: One of `OFFICIAL_LOCATIONS`; every second one has an avenue, the others a ring road.
-        seed: Different seeds give different towns.
-
-    Returns:
-        The town; the same object on every call of this process.
+    Every second one has an avenue, the others a ring road; different seeds give different towns.
     """
     rng = np.random.default_rng(content_seed("town", TOWN_VERSION, location, seed))
     layout = make_layout(PLANS[OFFICIAL_LOCATIONS.index(location) % len(PLANS)], rng)

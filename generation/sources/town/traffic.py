@@ -21,12 +21,7 @@ _HEAVY_ROLES = (Role.ROAD, Role.STRAIGHT, Role.LEFT)
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """What drives around and how often.
-
-    Attributes:
-        bodies: Kinds of vehicles.
-        shares: Their shares, adding up to one.
-    """
+    """Vehicles of the traffic, and the shares of their kinds, which add up to one."""
 
     bodies: tuple[Body, ...]
     shares: tuple[float, ...]
@@ -60,13 +55,10 @@ MIXED = Fleet((COMPACT, SEDAN, SUV, VAN, TRUCK, BUS, MOTORCYCLE), (0.21, 0.33, 0
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where a vehicle begins.
+    """Start of a vehicle's drive.
 
-    Attributes:
-        lane: Name of the lane.
-        along_m: Front axle along the lane; negative begins on a lane before it.
-        speed_mps: Speed there.
-        lateral_m: Offset to the left of the lane's middle.
+    ``along_m`` is its front axle along the lane, negative for a lane before it; ``lateral_m`` is to the left of the
+    lane's middle.
     """
 
     lane: str
@@ -86,20 +78,13 @@ def add_vehicle(
     pace: Floats | None = None,
     change_chance: float = 0.15,
 ) -> bool:
-    """Plan a vehicle and add it if it can drive there and is seen for some seconds.
+    """Plan a vehicle and add it if it can drive there and is seen for some seconds; says whether it was added.
 
     Args:
-        world: Who is there already.
-        start: Where it begins.
-        body: What it is.
-        rng: Chance.
         likes: Weight of each lane for its route.
         eagerness: Factor on the speed limit.
         pace: (SECONDS,) factor on the speed in each second.
         change_chance: Chance of a lane change per road.
-
-    Returns:
-        Whether it was added.
     """
     heavy = body.length > 6.0
 
@@ -129,18 +114,18 @@ def add_vehicle(
 
 
 def natural_pace(rng: np.random.Generator) -> Floats:
-    """(SECONDS,) factors near one: nobody keeps a speed exactly."""
+    """(SECONDS,) factors near one: no driver keeps a speed exactly."""
     period, phase = float(rng.uniform(7.0, 16.0)), float(rng.uniform(0.0, 2 * np.pi))
     return np.asarray(1.0 + float(rng.uniform(0.03, 0.12)) * np.sin(2 * np.pi * np.arange(SECONDS) / period + phase))
 
 
 def indifferent(lane: TownLane) -> float:
-    """Weight of a lane for somebody who goes anywhere but rarely to the car park."""
+    """Weight of a lane for a driver who goes anywhere but rarely to the car park."""
     return 0.1 if lane.role is Role.CAR_PARK else 1.0
 
 
 def following(town: Town, legs: list[Leg]) -> Callable[[TownLane], float]:
-    """Weights for somebody who prefers to go where a route goes."""
+    """Weights for a driver who prefers to go where a route goes."""
     turns = {(town.lanes[leg.lane].road, town.lanes[leg.lane].role) for leg in legs}
 
     def likes(lane: TownLane) -> float:
@@ -153,10 +138,7 @@ def following(town: Town, legs: list[Leg]) -> Callable[[TownLane], float]:
 class LanePoints:
     """All points of all lanes of a town, to find the lanes near a place.
 
-    Attributes:
-        names: Name of the lane of each point.
-        poses: (N, 3) x, y, heading.
-        along: (N,) arc length on the lane.
+    (N, 3) poses x, y, heading; (N,) arc length ``along`` the lane, which ``names`` names for each point.
     """
 
     names: tuple[str, ...]

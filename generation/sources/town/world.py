@@ -20,13 +20,9 @@ _KERB_TOLERANCE_M = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """One participant's motion.
+    """Motion of one participant: (FRAMES, 5) boxes, or (1, 5) for things that stand still.
 
-    Attributes:
-        category: nuScenes category.
-        height: Metres.
-        boxes: (FRAMES, 5) boxes, or (1, 5) for things that stand still.
-        parked: Whether it stands there without a driver.
+    ``parked`` says that it stands there without a driver.
     """
 
     category: str
@@ -40,10 +36,8 @@ class World:
     """Everything placed so far.
 
     Attributes:
-        town: Where.
         ego_rear: (FRAMES, 3) rear-axle poses of the ego, once it is planned.
         ego_boxes: (FRAMES, 5) its metric footprint.
-        tracks: The others.
     """
 
     town: Town
@@ -54,14 +48,8 @@ class World:
     def drive(self, path: Path, *, start_mps: int, eagerness: float, pace: Floats) -> Floats | None:
         """Plan a vehicle among those already there.
 
-        Args:
-            path: Where it goes.
-            start_mps: Its speed at the start.
-            eagerness: Factor on the speed limit that it likes to drive.
-            pace: (SECONDS,) factor on that in each second.
-
-        Returns:
-            (FRAMES, 3) rear-axle poses, or ``None`` if it cannot drive without touching somebody.
+        (FRAMES, 3) rear-axle poses, ``None`` if it cannot drive without a touch. ``eagerness`` is a factor on the
+        speed limit that it likes to drive, ``pace`` (SECONDS,) one on that in each second.
         """
         stations = self.stations(path, start_mps=start_mps, eagerness=eagerness, pace=pace)
         return None if stations is None else between_grid(path.rear, stations)
@@ -82,12 +70,9 @@ class World:
         return stations if self.is_free(boxes, path.body) else None
 
     def is_free(self, boxes: Floats, body: Body | None = None, *, gap_m: float = _SMALLEST_GAP_M) -> bool:
-        """Whether a track touches nobody and, for vehicles, stays on the road where it is seen.
+        """Whether a track, (FRAMES, 5) or (1, 5) boxes, touches none and, for vehicles, keeps to the road where seen.
 
-        Args:
-            boxes: (FRAMES, 5) or (1, 5) boxes.
-            body: The vehicle, or ``None`` for those who may leave the road.
-            gap_m: Free space demanded around it.
+        ``gap_m`` is the free space demanded around it; without ``body`` it may leave the road.
         """
         grown = boxes + np.array([0.0, 0.0, gap_m, gap_m, 0.0])
         for others in self._obstacles():
@@ -101,7 +86,7 @@ class World:
         return body is None or self.is_on_road(boxes)
 
     def _obstacles(self) -> list[Floats]:
-        """Boxes of everybody: (J, FRAMES, 5) of those who move and (J, 1, 5) of those who stand."""
+        """Boxes of all: (J, FRAMES, 5) of those who move and (J, 1, 5) of those who stand."""
         moving = [track.boxes for track in self.tracks if len(track.boxes) > 1]
         if self.ego_boxes is not None:
             moving.append(self.ego_boxes)
@@ -122,7 +107,7 @@ class World:
         return np.asarray(np.hypot(boxes[:, 0] - self.ego_rear[:, 0], boxes[:, 1] - self.ego_rear[:, 1]))
 
     def present(self, boxes: Floats) -> Bools:
-        """(FRAMES,) whether somebody is near enough to be annotated."""
+        """(FRAMES,) whether a participant is near enough to be annotated."""
         return np.asarray(self.distance_to_ego(boxes) < ANNOTATION_RANGE_M)
 
     def place_ego(self, rear: Floats) -> None:

@@ -45,18 +45,10 @@ PUBLISHED: Final = "names and shapes of tensors, published size"
 
 
 def verify_magicdrive(golden: Path, device: str = "cpu") -> list[Check]:
-    """Compare the network with a golden set.
+    """Compare the network with a golden set, its folder or the one above it: one check for each quantity.
 
-    Args:
-        golden: The set's folder or the one above it.
-        device: What the network runs on; tolerances are those of single precision.
-
-    Returns:
-        One check for each quantity; those of names alone if names or shapes differ, since weights cannot be filled
-        then.
-
-    Raises:
-        InputError: If the set cannot be used.
+    There are those of names alone if names or shapes differ, since weights cannot be filled then. Tolerances are
+    those of single precision.
     """
     below = golden / "dev"
     folder = below if (below / FILES[0]).is_file() else golden
@@ -136,7 +128,7 @@ def _compare(comparison: Comparison, golden: GoldenArrays, name: str, ours: Tens
 
 
 def _compare_inner(comparison: Comparison, clips: Clips, stored: GoldenArrays) -> None:
-    """What the blocks give in one evaluation of clip A; the same tolerance, since it is the same evaluation."""
+    """Compare the blocks in one evaluation of clip A; the same tolerance, since it is the same evaluation."""
     with _tapped(clips.network, stored.names) as taps:
         clips.forward("A")
     views = clips.network.config.views

@@ -72,15 +72,7 @@ class _Manifest(WeightsRecipe):
 
 
 class Schedule(BaseModel):
-    """Timesteps for one size of video.
-
-    Attributes:
-        height: Of an image, pixels.
-        width: Of an image, pixels.
-        num_frames: Of the video.
-        kwargs_dtype: What the size was computed with in.
-        timesteps: From 1000 down.
-    """
+    """Timesteps, from 1000 down, for one size of video. ``kwargs_dtype`` is what the size was computed with in."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -95,10 +87,8 @@ class Schedule(BaseModel):
 class Case:
     """One clip of the set.
 
-    Attributes:
-        conditions: What is known of it; the negative prompt belongs to some quantities only.
-        latent: (1, 96, t, h, w) noise.
-        timestep: (1,).
+    The negative prompt in ``conditions`` belongs to some quantities only; ``latent`` is (1, 96, t, h, w) noise,
+    ``timestep`` (1,).
     """
 
     conditions: Conditions
@@ -112,13 +102,9 @@ class MagicDriveSet:
 
     Attributes:
         recipe: How weights are made.
-        config: The network.
-        shapes: Of its tensors by name.
         published_shapes: Of the tensors of the published network, where the set lists them.
-        inputs: Of all clips.
         outputs: What the official code computed.
         inner: What its blocks computed for clip A, where the set has it.
-        schedules: Timesteps for sizes of videos, where the set has them.
     """
 
     recipe: WeightsRecipe
@@ -151,7 +137,7 @@ class MagicDriveSet:
         )
 
     def case(self, name: str) -> Case:
-        """What the set stores of a clip, of that letter."""
+        """Stored clip of that letter."""
         stored, config = self.inputs, self.config
         views, caption = config.views, config.caption_channels
         prefix = f"{name}.in."

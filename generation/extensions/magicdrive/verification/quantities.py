@@ -22,12 +22,9 @@ REAL_INTRINSICS: Final = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Clips:
-    """The network with the clips of a set.
+    """The network with the weights of a set, and the set's clips.
 
-    Attributes:
-        network: Filled with the weights of the set.
-        rounded: The same network with weights, inputs and frequencies rounded to bfloat16.
-        golden: The set.
+    ``rounded`` is the same network with weights, inputs and frequencies rounded to bfloat16.
     """
 
     network: MagicDriveDiT
