@@ -20,10 +20,7 @@ class CameraFeatures:
     Attributes:
         values: (cameras or B * cameras, S, C) features of all levels, each flattened row by row, level after level: S
             cells.
-        shapes: Rows and columns of the levels, fine to coarse.
         projections: (cameras, 4, 4) or (B, cameras, 4, 4) float32, lidar frame in metres to pixels of the input images.
-        height_px: Of the input images.
-        width_px: Of the input images.
     """
 
     values: Tensor
@@ -34,29 +31,15 @@ class CameraFeatures:
 
     @classmethod
     def of(cls, maps: Sequence[Tensor], projections: Tensor, height_px: int, width_px: int) -> "CameraFeatures":
-        """From feature maps.
-
-        Args:
-            maps: (cameras or B * cameras, C, h, w) for each level, fine to coarse.
-            projections: (cameras, 4, 4) or (B, cameras, 4, 4).
-            height_px: Of the images.
-            width_px: Of the images.
-
-        Returns:
-            The same, ready to be sampled.
-        """
+        """Features from maps of (cameras or B * cameras, C, h, w) for each level, fine to coarse."""
         values = torch.cat([features.flatten(2) for features in maps], -1).transpose(1, 2).contiguous()
         shapes = tuple((int(features.shape[-2]), int(features.shape[-1])) for features in maps)
         return cls(values, shapes, projections, height_px, width_px)
 
     def locate(self, points: Tensor) -> Tensor:
-        """Where points are in the images.
+        """Places in the images of points of (..., N, P, 3) metres, lidar frame, with a leading B of several key frames.
 
-        Args:
-            points: (..., N, P, 3) metres, lidar frame; with a leading B where there are several key frames.
-
-        Returns:
-            (..., N, cameras, P, 2) x, y where 0 to 1 spans the image; also what lies outside.
+        (..., N, cameras, P, 2) x, y where 0 to 1 spans the image; also of points outside.
         """
         # Written out, because matrix products may run in reduced precision: a pixel off is another feature.
         x, y, z = points[..., None, :, :].float().unbind(-1)
@@ -79,7 +62,6 @@ def deformable_aggregation(
 
     Args:
         values: (cameras, S, C) as in `CameraFeatures`.
-        shapes: Rows and columns of the L levels.
         locations: (N, cameras, P, 2) x, y where 0 to 1 spans the image, both ends excluded.
         weights: (N, cameras, L, P, G) for G groups of neighbouring channels.
         first_camera: (N,) which of `values` is a query's first camera, where they are of several key frames.
@@ -143,7 +125,6 @@ class CameraSampling(nn.Module):
     Attributes:
         camera_encoder: From the first three rows of a projection to channels.
         weights_fc: From a query and a camera to weights of levels, points and groups.
-        output_proj: On the sum of samples.
     """
 
     camera_encoder: nn.Sequential
@@ -155,15 +136,9 @@ class CameraSampling(nn.Module):
         self.groups = groups
 
     def sample(self, queries: Tensor, points: Tensor, cameras: CameraFeatures) -> Tensor:
-        """Sample images.
+        """Samples of the images, (..., N, C) at (..., N, P, 3) metres, lidar frame, for queries of (..., N, C).
 
-        Args:
-            queries: (..., N, C), with a leading B where there are several key frames.
-            points: (..., N, P, 3) metres, lidar frame.
-            cameras: What there is to sample.
-
-        Returns:
-            (..., N, C).
+        A leading B where there are several key frames.
         """
         count, levels, total = points.shape[-2], len(cameras.shapes), queries.shape[:-1].numel()
         views = self.camera_encoder(cameras.projections[..., :3, :].flatten(-2))

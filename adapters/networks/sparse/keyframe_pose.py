@@ -17,9 +17,7 @@ class KeyframePose:
     """When and where.
 
     Attributes:
-        timestamp_s: Of the key frame, seconds.
         global_T_lidar: (4, 4) float64 on the processor, lidar frame to world.
-        scene_token: Of the scene that the frame belongs to.
     """
 
     timestamp_s: float
@@ -29,12 +27,7 @@ class KeyframePose:
 
 @dataclass(frozen=True, slots=True)
 class RigidMotion:
-    """From remembered frames to present ones, of one clip or of several side by side.
-
-    Attributes:
-        now_T_then: (..., 4, 4) float32, lidar frame of the remembered frame to that of the present one.
-        seconds: In between; a tensor where there are several.
-    """
+    """From remembered frames to present ones, of one clip or of several side by side."""
 
     now_T_then: Tensor
     seconds: Tensor | float
@@ -63,10 +56,9 @@ class RigidMotion:
 
 @dataclass(frozen=True, slots=True)
 class KeyframeMotion(RigidMotion):
-    """From a remembered frame to the present one, with one matrix.
+    """Motion from a remembered frame to the present one, with one matrix.
 
-    Attributes:
-        seconds: In between; rounded to single precision, and negative if frames come out of order.
+    `seconds` is rounded to single precision, and negative if frames come out of order.
     """
 
     seconds: float

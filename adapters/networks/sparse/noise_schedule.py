@@ -50,15 +50,9 @@ def noised(clean: Tensor, noise: Tensor) -> Tensor:
 
 
 def previous_sample(sample: Tensor, clean: Tensor, timestep: int) -> Tensor:
-    """One step of the way back without new noise (DDIM, Song et al., 2021).
+    """Sample one step before, without new noise (DDIM, Song et al., 2021).
 
-    Args:
-        sample: What the step started with.
-        clean: What the network takes to be the plan without noise; cut to -1 ... 1.
-        timestep: Of `sample`.
-
-    Returns:
-        The sample one step before.
+    `clean` is what the network takes to be the plan without noise; it is cut to -1 ... 1.
     """
     share = SIGNAL_SHARES[timestep]
     before = SIGNAL_SHARES[timestep - 1] if timestep > 0 else 1.0

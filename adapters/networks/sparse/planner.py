@@ -48,14 +48,7 @@ class SparsePlanner(NativePlanner[SparseNetwork]):
 
 
 def example_frame(config: SparseConfig) -> SparseInputs:
-    """Made-up inputs of one key frame, the same every time.
-
-    Args:
-        config: Sizes of the network.
-
-    Returns:
-        Inputs on the processor.
-    """
+    """Made-up inputs of one key frame, the same every time."""
     form = config.image_format
     return SparseInputs(
         images=torch.from_numpy(example_images(form)),

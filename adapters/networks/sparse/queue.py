@@ -32,13 +32,10 @@ class QueueMemory:
 
     Attributes:
         features: (L, N, C) of agents.
-        boxes: (L, N, 11).
         periods: (N,) int64, how many of the newest frames an agent has been seen in.
         ids: (N,) int64 numbers of the agents.
         confidence: (N,) 0 to 1, in the newest frame.
         ego_features: (L, 1, C); the newest is that after the planner has looked around.
-        ego_boxes: (L, 1, 11).
-        ego_period: As `periods`.
         status: (10,) of the ego, as predicted.
         front: (1, numbers) what plans leave of the numbers that they took from the front camera, if they look there.
     """
@@ -63,9 +60,6 @@ class Queue:
         features: (L, N, C).
         boxes: (L, N, 11) in the present lidar frame.
         periods: (N,) int64.
-        ego_features: (L, 1, C).
-        ego_boxes: (L, 1, 11).
-        ego_period: How many of the frames count.
     """
 
     features: Tensor
@@ -107,17 +101,9 @@ class InstanceQueue(nn.Module):
     def forward(
         self, past: QueueMemory | None, motion: KeyframeMotion | None, agents: Decoded, ids: Tensor, front: Tensor
     ) -> Queue:
-        """Add a frame.
+        """Agents and the ego over the last frames, this one included.
 
-        Args:
-            past: What the frame before left.
-            motion: From that frame to this one.
-            agents: Of this frame.
-            ids: (N,) numbers of the agents.
-            front: (1, C, h, w) coarsest feature map of the front camera.
-
-        Returns:
-            Agents and the ego over the last frames.
+        `ids` are (N,) numbers of the agents, `front` the (1, C, h, w) coarsest feature map of the front camera.
         """
         feature = self.ego_feature_encoder(front).flatten(1)[None]
         box = self.ego_anchor.float()[None]
