@@ -13,10 +13,7 @@ class VADConfig(BEVConfig):
     """Sizes of VAD, beside those of all networks with a bird's-eye view.
 
     Attributes:
-        agents: Agent queries.
-        map_instances: Map queries.
         points_per_line: Points of a map element.
-        steps: Planned and forecast steps of 0.5 s.
         backbone_outputs: Stages (0 to 3) that feed the feature pyramid.
         lane_distance: Largest distance, as a share of the perception range, at which a map element is seen by an agent.
         lane_score: Least score of a map element that an agent sees.
