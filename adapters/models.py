@@ -27,7 +27,6 @@ class Network:
     """A network and what is known of its official code; variants of a family replace a few of these.
 
     Attributes:
-        build: Its class, which is given a configuration.
         config: Makes the configuration.
         example: Makes inputs of one key frame of a configuration, the same every time, on the processor.
         published_normalisation: What the official weights were trained with (`adapters.camera_inputs.NORMALISATIONS`).
@@ -81,7 +80,6 @@ class Model:
     """One planner.
 
     Attributes:
-        name: Shown in tables.
         planner: Its class; that of a network is given the network and where its weights come from.
         network: What plans, if it is a network that is written here natively.
         weights: Published weights that it has (`benchmark.weights.catalogue`); variants share those of another.
@@ -131,14 +129,7 @@ class Model:
         return self.miniature
 
     def configuration(self, shapes: Mapping[str, Sequence[int]] | None = None) -> Any:
-        """Sizes of its network.
-
-        Args:
-            shapes: Of the tensors that the network is for, by name.
-
-        Returns:
-            What the network is built from.
-        """
+        """Configuration of its network; `shapes` are those of the tensors that it is for, by name."""
         make = resolve(self.net.config)
         return make(shapes or {}) if self.net.fitted else make()
 
@@ -150,16 +141,10 @@ class Model:
         device: str = "cpu",
         as_published: Sequence[str] = (),
     ) -> Any:
-        """Its network as it is evaluated, with random weights.
+        """Its network, a `torch.nn.Module` as it is evaluated, with random weights.
 
-        Args:
-            shapes: Of the tensors that the network is for, by name, where it depends on them.
-            seed: Of the run.
-            device: Where it is made; ``meta`` needs no memory.
-            as_published: What it does as in its published runs, of those that the entry knows.
-
-        Returns:
-            A `torch.nn.Module`.
+        `shapes` are those of the tensors that it is for, by name, where it depends on them; the device ``meta`` needs
+        no memory; `as_published` is of what the entry knows.
         """
         # Read before the device is set: constants of modules need memory whatever the network is built on.
         make, config = resolve(self.net.build), self.configuration(shapes)
@@ -171,14 +156,7 @@ class Model:
 
 
 def resolve(reference: str) -> Any:
-    """What a text of the table names.
-
-    Args:
-        reference: ``module:attribute``, where attributes may have dots.
-
-    Returns:
-        The attribute, its module imported.
-    """
+    """Attribute that a text of the table names, ``module:attribute`` where attributes may have dots; it is imported."""
     module, _, attribute = reference.partition(":")
     return attrgetter(attribute)(import_module(module))
 

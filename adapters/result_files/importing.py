@@ -25,14 +25,9 @@ SHOWN: Final[tuple[SampleOrder, ...]] = ("assumed", "consistent", "proven", "tok
 
 @dataclass(frozen=True, slots=True)
 class ImportedPlans:
-    """Plans of one or several result files.
+    """Plans of one or several result files: `found` in the frame of the files, `plans` by token as protocols take them.
 
-    Attributes:
-        paths: The files.
-        format: Their format.
-        found: Plans in the frame of the files.
-        plans: The same as protocols take them, by sample token.
-        plausibility: What tests of unit, frame, origin and time measured.
+    `plausibility` is what tests of unit, frame, origin and time measured.
     """
 
     paths: tuple[Path, ...]
@@ -50,21 +45,12 @@ def import_results(
     frame: FrameName | None = None,
     as_is: bool = False,
 ) -> ImportedPlans:
-    """Find the plans of result files.
+    """Plans of the result files of one run.
 
-    Args:
-        opened: Files of one run, or folders.
-        samples: Samples of the split.
-        scenes: Only these scenes are evaluated: a file without tokens may be of them alone.
-        frame: Frame of the waypoints, if it is not that of the format.
-        as_is: Take plans as they stand, whatever would fit better.
-
-    Returns:
-        The plans.
-
-    Raises:
-        RefusedFile: If a file is damaged or hostile, its plans belong to other samples, or cannot be what they must be.
-        InputError: If files have different formats.
+    Where only some `scenes` are evaluated, a file without tokens may be of them alone. `frame` is that of the
+    waypoints, if it is not that of the format; `as_is` takes plans as they stand, whatever would fit better. Files of
+    different formats are an `InputError`; a damaged or hostile file, or plans of other samples or such as cannot be, a
+    `RefusedFile`.
     """
     first = opened[0]
     for other in opened[1:]:

@@ -30,12 +30,9 @@ _MAKER = "adapters.result_files.importing:import_results"
 
 
 class ResultFilePlanner:
-    """Gives the plans of result files.
+    """Planner that gives the plans of result files, by sample token.
 
-    Args:
-        name: Shown in tables.
-        plans: By sample token.
-        skipped: Why the plan of a sample cannot be read, by token.
+    `skipped` says why the plan of a sample cannot be read.
     """
 
     def __init__(self, name: str, plans: Mapping[str, Plan], skipped: Mapping[str, str]) -> None:
@@ -46,17 +43,7 @@ class ResultFilePlanner:
         """Nothing is remembered."""
 
     def plan(self, observation: Observation) -> Plan:
-        """Look the sample up.
-
-        Args:
-            observation: The sample.
-
-        Returns:
-            Its plan.
-
-        Raises:
-            InputError: If the files have none, which is recorded as a failure of this sample.
-        """
+        """The plan of the sample; that the files have none is recorded as a failure of this sample."""
         plan = self._plans.get(observation.sample_token)
         if plan is None:
             why = self._skipped.get(observation.sample_token)
@@ -71,8 +58,6 @@ class ResultFileFactory:
     Attributes:
         facts: Its identity: name and hash of the files.
         plans_from: What the files say, for the record.
-        plans: By sample token.
-        skipped: Why the plan of a sample cannot be read, by token.
         caveats: What the record has to say of plans that were taken as they stand.
     """
 

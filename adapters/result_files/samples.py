@@ -25,25 +25,13 @@ and single precision."""
 
 @dataclass(frozen=True, slots=True)
 class OtherSplits:
-    """The other splits of the data set, for files that belong to one of them.
-
-    Attributes:
-        data: The data set.
-        split: The split that was asked for.
-    """
+    """The other splits of the data set, for files that belong to one of them."""
 
     data: "DataSet"
     split: str
 
     def first(self, fits: Callable[[Set[str]], bool]) -> str | None:
-        """The first other split that a file fits.
-
-        Args:
-            fits: Whether it may be of a split with these sample tokens.
-
-        Returns:
-            Its name, or ``None``.
-        """
+        """Name of the first other split that a file fits, by its sample tokens."""
         for split, scenes in scenes_by_split(self.data)[0].items():
             tokens = {sample for scene in scenes for sample in self.data.keyframe_rows(scene).values()}
             if split != self.split and fits(tokens):
