@@ -21,11 +21,9 @@ class Tolerance:
     """What is allowed.
 
     Attributes:
-        allowed: Largest error.
         of_spread: Whether it is a share of the standard deviation of the golden tensor, or in the tensor's unit.
         share: Of the values for which it holds. The others, which a network with random weights pushes over a bend, may
             be off by more.
-        unit: Of the tensor, where it is told.
         rows: Whether a row counts as one value, its worst.
         others: What the errors of all values are called where `share` does not hold for all.
         allowed_of_others: How far they may be off, of the spread.
@@ -105,14 +103,8 @@ def compare_tensor(
 ) -> None:
     """Compare a tensor.
 
-    Args:
-        comparison: Gets the errors.
-        name: Of the quantity.
-        quantity: Ours.
-        stored: The part of ours that is stored, and the stored numbers.
-        whole: What the set says about the whole.
-        spread: Golden standard deviation; that of the stored numbers by default.
-        hanging: Which numbers are undecided.
+    `stored` are the part of ours that is stored, and the stored numbers; `whole` is what the set says about the whole;
+    `spread` the golden standard deviation, of the stored numbers by default; `hanging` which numbers are undecided.
     """
     (ours, golden), title, allowed, where = stored, quantity.title(name), quantity.tolerance, comparison.where
     undecided = np.zeros(ours.shape, np.bool_) if hanging is None else hanging

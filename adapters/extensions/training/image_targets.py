@@ -72,14 +72,7 @@ class _SeenBoxes:
 
 
 def image_targets(frame: TrainingFrame) -> ImageTargets:
-    """What is in the images of a frame.
-
-    Args:
-        frame: The frame.
-
-    Returns:
-        Targets of its images.
-    """
+    """Targets of the images of a frame."""
     height, width = frame.images.shape[-2:]
     seen = _seen_boxes(frame, width, height)
     heat, boxes, has_box = _box_maps(seen, len(frame.images), height // CELL_PX, width // CELL_PX)
@@ -88,14 +81,7 @@ def image_targets(frame: TrainingFrame) -> ImageTargets:
 
 
 def front_heat(frame: TrainingFrame) -> NDArray[np.float32]:
-    """Centres of boxes in the front camera's image alone.
-
-    Args:
-        frame: The frame.
-
-    Returns:
-        (classes, h, w) as `ImageTargets.heat`.
-    """
+    """Centres of boxes in the front camera's image alone: (classes, h, w) as `ImageTargets.heat`."""
     front = replace(frame, images=frame.images[FRONT : FRONT + 1], lidar2img=frame.lidar2img[FRONT : FRONT + 1])
     height, width = frame.images.shape[-2:]
     heat, _, _ = _box_maps(_seen_boxes(front, width, height), 1, height // CELL_PX, width // CELL_PX)

@@ -58,12 +58,7 @@ class Around:
 
     @classmethod
     def of(cls, frames: Sequence[TrainingFrame], steps: int) -> "Around":
-        """Everybody annotated.
-
-        Args:
-            frames: F of them.
-            steps: T.
-        """
+        """All that is annotated in F frames, for T steps."""
         boxes, there = [], []
         for frame in frames:
             future, size = frame.futures[:, :steps], frame.boxes[:, None, 3:5].expand(-1, steps, -1)
@@ -77,14 +72,10 @@ class Around:
 
 
 def missing_room(plans: Tensor, around: Around) -> Tensor:
-    """How much room plans lack, to whoever they lack it most at each step.
+    """Room that plans lack, (F, M) metres, to the body they lack it most to at each step.
 
-    Args:
-        plans: (F, M, T, 2) positions of the lidar, metres, in the lidar frames.
-        around: Of the same F key frames.
-
-    Returns:
-        (F, M) metres, means over the steps; 0 where there is room to everybody.
+    Means over the steps; 0 where there is room to all. `plans` are (F, M, T, 2) positions of the lidar, metres, in the
+    lidar frames.
     """
     if around.boxes.shape[1] == 0:
         return plans.sum((-2, -1)) * 0

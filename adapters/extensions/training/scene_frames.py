@@ -46,18 +46,10 @@ class _Motion:
 
 
 def scene_arrays(data: DataSet, name: str) -> Arrays:
-    """Everything that is learned from a scene.
+    """Arrays of all that is learned from a scene, by name.
 
-    Args:
-        data: The data set.
-        name: The scene.
-
-    Returns:
-        Arrays by name, for K key frames: those of `TrainingFrame` with a leading K, except that what differs in number
-        is put end to end, with ``box_starts`` and ``line_starts`` (K + 1,) where each frame begins.
-
-    Raises:
-        InputError: If the scene is broken, an image is missing, or what is said of the ego cannot be read.
+    For K key frames: those of `TrainingFrame` with a leading K, except that what differs in number is put end to end,
+    with ``box_starts`` and ``line_starts`` (K + 1,) where each frame begins.
     """
     scene, truths = data.scene(name), data.truth(name)
     require_two_hz(scene, "training")
@@ -194,15 +186,7 @@ def _of_map(road_map: RoadMap, pose: Floats) -> Arrays:
 
 
 def drivable_cells(road_map: RoadMap, pose: Floats) -> Bools:
-    """The drivable area around the lidar.
-
-    Args:
-        road_map: The map.
-        pose: (3,) planar lidar pose, global.
-
-    Returns:
-        Cells as `TrainingFrame.drivable` has them.
-    """
+    """Cells of the drivable area around a planar lidar pose, (3,) global, as `TrainingFrame.drivable` has them."""
     cell_m = 2 * DRIVABLE_HALF_M / DRIVABLE_CELLS
     along = (np.arange(DRIVABLE_CELLS) + 0.5) * cell_m - DRIVABLE_HALF_M
     forward, right = np.meshgrid(along, along, indexing="ij")

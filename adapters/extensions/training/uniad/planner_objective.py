@@ -17,14 +17,10 @@ from adapters.networks.uniad.model import UniAD
 
 @dataclass(frozen=True, slots=True)
 class PlannerSights:
-    """What the plan of a key frame is made from, in half precision.
+    """Inputs of the plan of a key frame, in half precision.
 
-    Attributes:
-        bev: (cells, C) bird's-eye view.
-        mode_queries: (modes, C) forecast states of the ego.
-        state: (C,) its track.
-        finest_front: (1, C, h, w) finest feature map of the front camera.
-        can_bus: (18,) float32, how the ego moves.
+    `bev` is (cells, C), `mode_queries` (modes, C) forecast states of the ego, `state` (C,) its track, `finest_front`
+    (1, C, h, w), `can_bus` (18,) float32.
     """
 
     bev: Tensor
@@ -40,12 +36,6 @@ class PlannerObjective:
     In the clips of `adapters.extensions.training.uniad.objective.UniADObjective` tracks are a few frames old, and stand
     for whom they should. A small network would know the frames by heart: some of the ego's forecast and track is
     forgotten anew in each step, the planner has its dropout, and what is read in the front camera stays as it is.
-
-    Args:
-        network: To be trained.
-
-    Attributes:
-        network: The same.
     """
 
     clip_frames = 1
