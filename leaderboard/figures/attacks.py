@@ -40,14 +40,10 @@ _APART: Final = 0.013
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What one setting of a generator made: the adversarial scenes of one split of one data set.
+    """One setting of a generator: the adversarial scenes of one split of one data set.
 
-    Attributes:
-        data_name: Name of the data set.
-        split: The split.
-        worst: The worst feature; ``None`` where nobody compared with recordings.
-        without_fault: Share of the scenes whose adversaries have no fault.
-        success: Attributable attack success on each planner, of scenes.
+    `worst` is the worst feature, ``None`` where there was no comparison with recordings; `without_fault` the share of
+    the scenes whose adversaries have no fault; `success` the attributable attack success on each planner, of scenes.
     """
 
     data_name: str

@@ -37,14 +37,7 @@ _HATCH = "#9a9a9a"
 
 @dataclass(frozen=True, slots=True)
 class Square:
-    """A cell of a picture.
-
-    Attributes:
-        text: Its number.
-        below: What stands small below it.
-        colour: Red, green, blue, 0..1.
-        bold: Whether it stands out.
-    """
+    """A cell of a picture."""
 
     text: str
     below: str

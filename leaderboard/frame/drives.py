@@ -31,9 +31,7 @@ NO_SENSOR: Final = "none"
 class Driven:
     """A record of drives as a row of a table; its numbers are cells.
 
-    Attributes:
-        record: The record.
-        name: Its planner, with what tells its version from others of its world.
+    `name` is its planner, with what tells its version from others of its world.
     """
 
     record: DriveRecord
@@ -70,13 +68,9 @@ class Driven:
 
 @dataclass(frozen=True)
 class World:
-    """One thing that was measured, and who drove in it.
+    """One thing that was measured, and its records: planners before privileged ones, by name.
 
-    Attributes:
-        title: In words.
-        sensor: What the cameras of those saw that look.
-        records: Planners before privileged ones, by name.
-        name: Part of a file's name.
+    `title` is in words, `name` a part of a file's name; `sensor` is what the cameras of those saw that look.
     """
 
     title: str
@@ -117,12 +111,9 @@ class World:
 
 
 def worlds(records: Sequence[DriveRecord]) -> list[World]:
-    """What was measured, each with the records that may stand beside each other; NeuroNCAP's engines last.
+    """Worlds that were measured, each with the records that may stand beside each other; NeuroNCAP's engines last.
 
     Planners that look at nothing stand beside those of every sensor: what cameras see is nothing to them.
-
-    Raises:
-        InputError: If two records are of one planner in one version.
     """
     kinds: dict[str, list[DriveRecord]] = {}
     for record in records:

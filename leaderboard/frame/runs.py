@@ -29,10 +29,7 @@ Made = TypeVar("Made")
 class Row(Generic[Found]):
     """A run as a row of a table; its numbers are cells, which say of which protocol and record they are.
 
-    Attributes:
-        record: The record.
-        judge: Protocol or definition behind the numbers; empty where they rest on none.
-        found: What was measured.
+    `judge` is the protocol or definition behind them; empty where they rest on none.
     """
 
     record: RunRecord
@@ -98,11 +95,8 @@ class Row(Generic[Found]):
 class Frame:
     """The runs on one data set, and what was measured of them, each thing once.
 
-    Attributes:
-        data_name: Name of the data set, for titles.
-        given: The records as they were given.
-        runs: The same in the order of tables.
-        against: Further records that they may be compared with, the newest last.
+    `given` are the records as they were given, `runs` the same in the order of tables; `against` further ones that
+    they may be compared with, the newest last.
     """
 
     def __init__(self, data_name: str, records: Iterable[RunRecord], against: Iterable[RunRecord] = ()) -> None:
@@ -148,11 +142,7 @@ class Frame:
         return [Row(record, judge, found) for record, found in said if found is not None]
 
     def scored(self, record: RunRecord, protocol: str) -> Scored:
-        """Verdicts on one of the runs, read once.
-
-        Raises:
-            InputError: As `benchmark.metrics.scores.scored`.
-        """
+        """Verdicts on one of the runs, read once."""
         key = id(record), protocol_of(record, protocol)
         if key not in self._scored:
             self._scored[key] = scored(record, protocol=protocol)

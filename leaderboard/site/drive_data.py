@@ -79,10 +79,6 @@ def drive_files(drives: Sequence[DriveRecord], sheets: Sheets) -> dict[str, byte
 def drive_index(drives: Sequence[DriveRecord], sheets: Sheets) -> list[dict[str, Any]]:
     """What pages say of drives.
 
-    Args:
-        drives: Records of drives.
-        sheets: Scene sheets.
-
     Returns:
         For each ``key`` (null without a sheet), ``scene`` (the scene's key), ``planner``, ``privileged``,
         ``miniature``, ``world``, ``sensor``, ``family``, ``run``, ``runs``, ``end``, ``contact``, ``failure``,
@@ -276,15 +272,10 @@ def _contact(
 
 
 def driven_poses(seconds: Floats, ticks: Floats, states: Floats) -> Floats:
-    """Where the ego is between stored states: a cubic through places and speeds, headings by the shortest turn.
+    """Places of the ego between stored states: a cubic through places and speeds, headings by the shortest turn.
 
-    Args:
-        seconds: (F,) times; those before and after the states are held to them.
-        ticks: (K,) times of the states.
-        states: (K, 4 or more) x, y, yaw, speed along the heading.
-
-    Returns:
-        (F, 3) x, y, yaw.
+    (F, 3) x, y, yaw at (F,) times, which are held to the states; these are (K, 4 or more) x, y, yaw, speed along the
+    heading at (K,) ticks.
     """
     yaw = np.unwrap(states[:, _YAW])
     if len(ticks) == 1:

@@ -40,13 +40,9 @@ NOTES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class PlacedTable:
-    """A table and where it stands.
+    """A table and its place: `folder` is that of its files below the leaderboard's.
 
-    Attributes:
-        table: The table.
-        data_name: Name of its data set; empty for what is of none.
-        group: What it is shown together with, for example ``protocol vad``.
-        folder: Where its files lie below the leaderboard's folder.
+    `data_name` is empty for what is of none; `group` is what it is shown together with, for example ``protocol vad``.
     """
 
     table: Table
@@ -60,10 +56,7 @@ class PlacedFigure:
     """A figure among the site's files.
 
     Attributes:
-        data_name: Name of its data set.
-        title: What it shows.
         path: Its file below the site's folder.
-        dark_path: The same for a dark page.
         size_px: (width, height) at which its letters are as large as the page's, so that a page leaves room before it
             is loaded.
     """
@@ -144,12 +137,10 @@ def _table(placed: PlacedTable, name: str, origins: "_Origins", written: frozens
 
 
 class _Origins:
-    """What many cells have in common, written once: cells name its place as ``record``.
+    """Common parts of many cells, written once: cells name its place as ``record``.
 
-    Attributes:
-        found: For each origin the places of its unit, of what is counted, of its protocol, record and source among the
-            words; -1 where there is none.
-        words: Texts.
+    `found` has for each origin the places of its unit, of what is counted, of its protocol, record and source among
+    the words; -1 where there is none.
     """
 
     def __init__(self) -> None:

@@ -35,18 +35,13 @@ class _Seen:
     """What run records say of one scene, by planner where it is of one.
 
     Attributes:
-        source: The recording that it was made from.
-        manoeuvre: Of its adversary.
-        seconds: Its length.
         adversarial: Whether its split has adversaries, so that contacts with others are counted by themselves.
         verdicts: By protocol whether the planner fails it (`benchmark.metrics.effect.touched_scenes`).
         others: Protocols under which a plan touches somebody else first.
         unsaid: Protocols under which a plan collides and nobody says with whom.
-        causes: Of attributed collisions.
         colliding: Samples that touch the adversary first under ``exact``, anybody without adversaries; ``None`` where
             that is not said. What has none is left out.
         bystanders: The same of samples that touch somebody else first.
-        failed: Samples on which the planner failed.
         judgement: Who survives it.
         severity: How severe the planner's plans are.
     """
@@ -77,9 +72,6 @@ def scene_index(
     """One entry for each scene that a record or a sheet names, by data set, split (the paper's three first) and name.
 
     ``written`` are paths of the site's files; they tell which scenes have a thumbnail.
-
-    Raises:
-        InputError: If a sheet was made from other content than a record of its split.
     """
     seen: dict[SceneName, _Seen] = {}
     for record in records:
@@ -256,9 +248,6 @@ def _require_same_content(records: Sequence[RunRecord], sheets: Sheets) -> None:
 def judgement_entry(judgement: JudgementSummary | None) -> dict[str, Any] | None:
     """What was said of a scene.
 
-    Args:
-        judgement: It, or ``None`` where nobody judged the scene.
-
     Returns:
         ``survives`` (names of drivers), ``unsolvable``, ``margin``, ``gap``, ``ttc``, ``tet``, ``pet``, ``btn`` of the
         recorded ego, ``faults`` (words), ``unknown`` (words), ``map``; null where there is nothing to say.
@@ -282,9 +271,6 @@ def judgement_entry(judgement: JudgementSummary | None) -> dict[str, Any] | None
 
 def severity_entries(record: RunRecord) -> dict[str, dict[str, Any]]:
     """How severe a planner's plans are, by scene; only of scenes with something to say.
-
-    Args:
-        record: Of one planner on one split.
 
     Returns:
         ``contacts`` (samples whose first contact is with an adversary, with anybody on a split without them),

@@ -43,7 +43,6 @@ def collision_table(frame: Frame, protocol: str) -> Table:
     """Collision rates and L2 of our runs under one protocol, or the paper's Table 1.
 
     Args:
-        frame: The runs; those without the protocol are named below the table.
         protocol: Protocol of every number in the table. ``native`` is that of each planner's own repository: then
             planners without one come after the others, under ``exact``, and those whose own protocol takes maxima or
             latches stand in its own table alone.

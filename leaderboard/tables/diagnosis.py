@@ -44,11 +44,9 @@ _MANOEUVRES: Final = [
 
 @dataclass(frozen=True, slots=True)
 class _Samples:
-    """Samples of a record that ``exact`` counts.
+    """Samples of a record that ``exact`` counts: the scene of each, and whether it collides.
 
-    Attributes:
-        rows: Of each its scene, and whether it collides.
-        colliding: Of those that collide the scene, and why.
+    `colliding` are the scenes of those that do, and why.
     """
 
     rows: tuple[tuple[str, bool], ...]

@@ -14,13 +14,7 @@ from leaderboard.frame.specification import Value, intervals, numbers, tabulate,
 
 @dataclass(frozen=True, slots=True)
 class FurtherColumn:
-    """A column of a summary that has a place of its own in tables.
-
-    Attributes:
-        name: In the summary.
-        head: In the table.
-        says: What it is.
-    """
+    """A column of a summary that has a place of its own in tables."""
 
     name: str
     head: str

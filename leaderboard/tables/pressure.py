@@ -55,12 +55,7 @@ _COLUMNS: Final = [
 
 @dataclass(frozen=True, slots=True)
 class Pressure:
-    """One planner against one budget.
-
-    Attributes:
-        row: Its drives.
-        budget: Seconds between plans, rounds, candidates.
-    """
+    """Drives of one planner against one budget: seconds between plans, rounds, candidates."""
 
     row: Driven
     budget: tuple[float, int, int]

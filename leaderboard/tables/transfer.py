@@ -68,9 +68,6 @@ def both_matrices(records: Sequence[RunRecord], protocol: str) -> list[TransferM
     """The paper's matrix and, under ``exact``, that of contacts with the adversary alone.
 
     The second is of the planners whose records say whom contacts are with, if two do.
-
-    Raises:
-        InputError: As `benchmark.metrics.transfer.transfer`.
     """
     found = [transfer(records, protocol=protocol)]
     telling = [record for record in records if says_whom(record)]
@@ -184,14 +181,9 @@ def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
 
 
 def lift_table(data_name: str, matrix: TransferMatrix) -> Table:
-    """How far failures transfer beyond what failure rates give: lift and phi of every two planners, as a matrix.
+    """Lift and phi of every two planners, as a matrix: how far failures transfer beyond what failure rates give.
 
-    Args:
-        data_name: Name of the data set, for the title.
-        matrix: From `benchmark.metrics.transfer.transfer`.
-
-    Returns:
-        One row and one column per planner: lift with its interval above the diagonal, phi with its below it.
+    One row and one column per planner: lift with its interval above the diagonal, phi with its below it.
     """
     names = planner_names(matrix)
     rows: list[dict[str, Value]] = [

@@ -66,17 +66,7 @@ class DriveFilm:
     """One drive's film."""
 
     def __init__(self, driven: DrivenSheet, record: DriveRecord, name: str, settings: FilmSettings) -> None:
-        """Find what is to be shown.
-
-        Args:
-            driven: The drive.
-            record: The record that it is of.
-            name: The planner, as tables name it.
-            settings: How the film is made.
-
-        Raises:
-            InputError: If there are no pictures for the layout, or the drive ends before the film begins.
-        """
+        """Find what is to be shown; a drive that ends before the film begins is an `InputError`."""
         self.driven, self.record, self.name, self.settings = driven, record, name, settings
         self.layout = _possible_layout(driven, settings.layout)
         self._sheet, self._style = driven.stored.sheet, planner_style(0)

@@ -45,13 +45,7 @@ class Panel:
     """Draws the panel of one film."""
 
     def __init__(self, sheet: Sheet, tracks: Sequence[PlannerTrack], *, from_above: bool) -> None:
-        """Take what does not change.
-
-        Args:
-            sheet: The scene.
-            tracks: Planners.
-            from_above: Whether the frame shows the scene from above, which has more to explain.
-        """
+        """Take what does not change; a frame that shows the scene from above has more to explain."""
         self._sheet, self._tracks, self._from_above = sheet, tracks, from_above
         self._miniatures = any(track.miniature for track in tracks)
         self._gap_m: Floats = adversary_gap(sheet)

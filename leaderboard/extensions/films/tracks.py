@@ -21,12 +21,7 @@ from benchmark.report.words import split_of
 
 @dataclass(frozen=True, slots=True)
 class Tally:
-    """What a planner's counted samples came to.
-
-    Attributes:
-        counted: How many there are.
-        touches: How many collide, by whom they touch first; none is left out.
-    """
+    """Counted samples of a planner, and how many collide, by whom they touch first; none is left out."""
 
     counted: int
     touches: Mapping[Whom, int]
@@ -46,15 +41,9 @@ class Tally:
 
 @dataclass(frozen=True, slots=True)
 class PlannerTrack:
-    """One planner in one scene.
+    """One planner in one scene: its plan at each sample that it was asked at, by frame, with (T,) times of frames.
 
-    Attributes:
-        name: Of the planner.
-        style: How it is drawn.
-        protocol: Who judges it.
-        miniature: Whether it is a small network that ranks nothing.
-        plans: Its plan at each sample that it was asked at, by frame.
-        seconds: (T,) time of each frame.
+    `miniature` says whether it is a small network that ranks nothing.
     """
 
     name: str
@@ -81,20 +70,11 @@ class PlannerTrack:
 def planner_tracks(
     sheet: Sheet, records: Sequence[RunRecord], models: Sequence[str], protocol: str
 ) -> tuple[PlannerTrack, ...]:
-    """Find planners' plans for a scene.
+    """Tracks of planners in a scene, in the order in which they are named.
 
-    Args:
-        sheet: The scene.
-        records: Any run records.
-        models: Planners, as tables name them.
-        protocol: Who judges; ``native`` is each planner's own.
-
-    Returns:
-        One track for each planner, in the order in which they are named. Other modes and forecasts are drawn of the
-        first one only: those of several planners cannot be told apart.
-
-    Raises:
-        InputError: If a planner has no record of the scene or several, or the record is of other data than the sheet.
+    ``native`` judges each by its own protocol. Other modes and forecasts are drawn of the first one only: those of
+    several planners cannot be told apart. A planner without a record of the scene, or with several, or with one of
+    other data than the sheet, is an `InputError`.
     """
     tracks = []
     for place, name in enumerate(dict.fromkeys(models)):

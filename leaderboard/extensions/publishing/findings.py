@@ -10,11 +10,8 @@ Kind = Literal["path", "host", "user", "secret", "picture", "request", "link", "
 class Found:
     """One thing that should not leave the house, or that does not work elsewhere.
 
-    Attributes:
-        file: Path below the folder, ``/`` between parts; empty where it is about several.
-        line: Its line, from 1; 0 where there are no lines.
-        kind: What it is.
-        says: What was found, in a few words.
+    `file` is below the folder, ``/`` between parts; empty where it is about several. Lines count from 1; 0 where there
+    are none.
     """
 
     file: str

@@ -58,12 +58,9 @@ _SECRET: Final = (
 
 @dataclass(frozen=True, slots=True)
 class House:
-    """What would tell of this machine.
+    """House: names that would tell of this machine.
 
-    Attributes:
-        folders: First parts of absolute paths.
-        hosts: Names of the machine.
-        users: Names of whoever is logged in.
+    `folders` are first parts of absolute paths, `users` those logged in.
     """
 
     folders: tuple[str, ...]
