@@ -60,7 +60,7 @@ class Network:
 
 @dataclass(frozen=True, slots=True)
 class Miniature:
-    """What a small network whose weights come with this package stands for, and how it is trained.
+    """Miniature: the full models for which a small network with packaged weights stands, and its training.
 
     Attributes:
         stands_for: Full models in whose place it runs on the embedded data set where their weights are absent.
@@ -124,7 +124,7 @@ class Model:
 
     @property
     def small(self) -> Miniature:
-        """What it is as a miniature."""
+        """Its entry as a miniature."""
         assert self.miniature is not None, f"{self.name} is no miniature"
         return self.miniature
 
@@ -193,7 +193,7 @@ def miniature(name: str) -> Model:
 
 
 def published_as(planner: str) -> str | None:
-    """What the paper calls a planner of this name, whoever runs it; ``None`` if it did not run it."""
+    """Name of a planner in the paper, for any run of it; ``None`` if the paper did not run it."""
     model = MODELS.get(planner.lower())
     return None if model is None else model.published_as
 
@@ -367,6 +367,6 @@ MODELS: Final = {
 
 
 def verified_models() -> dict[str, str]:
-    """What compares each model with its official code, family by family."""
+    """References to the comparison of each model with its official code, family by family."""
     known = {name: model.net.verify for name, model in published_models().items() if model.net.verify is not None}
     return dict(sorted(known.items(), key=lambda item: item[1], reverse=True))

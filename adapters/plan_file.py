@@ -146,7 +146,7 @@ class PlanFile:
 
 
 class PlanFilePlanner:
-    """Gives the plans of a file."""
+    """Planner that gives the plans of a file, after which it is named unless a name is given."""
 
     def __init__(self, plans: PlanFile, name: str | None = None) -> None:
         self.name = name or plans.path.stem
@@ -189,7 +189,7 @@ class PlanFileFactory:
 
     @property
     def sentences(self) -> list[str]:
-        """What there is to report of the file."""
+        """Sentences about the file."""
         rows = "sample_token holds tokens of sample_data rows; each stands for the sample of its keyframe"
         told = [f"{self.path}: {rows}"] if self.tokens else []
         return [*told, f"{self.path}: {checks_said(self.measured)}"]
@@ -272,7 +272,7 @@ def _foreign(
     samples: "SplitSamples",
     records: Sequence[Path],
 ) -> InputError | None:
-    """What to say of a file of which no row belongs to the split; ``None`` if some do."""
+    """Error of a file of which no row belongs to the split; ``None`` if some do."""
     present = set(plans.keys)
     if not present.isdisjoint(set().union(*samples.values())):
         return None

@@ -116,7 +116,7 @@ class NativePlanner(ABC, Generic[Network]):
         return replace(plan, waypoints=steered(plan.waypoints, least_m), modes=modes)
 
     def _own_settings(self) -> dict[str, Any]:
-        """What of the network identifies a run, beside what all of them have."""
+        """Settings of the network that identify a run, beside those that all of them have."""
         return {}
 
     @abstractmethod

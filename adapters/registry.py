@@ -225,7 +225,7 @@ def require_known(name: str) -> None:
 
 
 def made_by(name: str) -> str:
-    """What makes a planner that there is, as ``package.module:name``."""
+    """Class or function that made a planner, as ``package.module:name``."""
     installed = installed_planners()
     if is_address(name):
         return _MAKER_OVER_HTTP

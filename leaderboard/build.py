@@ -90,7 +90,7 @@ class _Made:
 
 
 def _lines(folder: str, item: Item) -> list[str]:
-    """What the page shows of an item of a section."""
+    """Lines of the page for an item of a section."""
     if isinstance(item, NamedFigure):
         return [f"![{escape_markdown(item.title)}]({quote(_picture(folder, item.name))})", ""]
     return [item if isinstance(item, str) else item.markdown()]
@@ -167,7 +167,7 @@ def _all_files(results: Results, *, site: bool) -> dict[str, bytes | Path]:
 def _require_own(folder: Path) -> None:
     """Refuse to write into, and later clear, a folder that is not a site of ours.
 
-    Empty folders and unfinished files are nobody's: who is killed before a first site has its first file leaves some.
+    Empty folders and unfinished files count as ours: a run killed before a first site has its first file leaves some.
     """
     if not (folder / INDEX_PATH).is_file() and any(
         not path.is_dir() and not is_left_over(path) for path in folder.rglob("*")

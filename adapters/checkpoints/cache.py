@@ -15,7 +15,7 @@ _AGAIN: Final = "import or fetch them again"
 
 
 class Provenance(BaseModel):
-    """Where weights come from; kept in the header of their file.
+    """Origin of weights, kept in the header of their file.
 
     Attributes:
         normalisation: Which pixel values they want (`adapters.camera_inputs.NORMALISATIONS`).
@@ -39,7 +39,7 @@ class Provenance(BaseModel):
 
 
 def weights_folder() -> Path:
-    """Where imported weights are kept."""
+    """Folder of imported weights."""
     return weights_root()
 
 

@@ -46,7 +46,7 @@ def require_weights(name: str, checkpoint: Path | None) -> None:
 
 
 def no_weights(model: str) -> InputError:
-    """What to say where a full model has no weights."""
+    """Error that says that a full model has no weights."""
     small = miniature_of(model)
     instead = "" if small is None else f"; or try its small sibling, which comes with this package: --model {small}"
     return InputError(f"there are no weights for {model}; {what_to_get(model)}{instead}")
@@ -58,7 +58,7 @@ def official_weights(model: str) -> PublishedWeights | None:
 
 
 def what_to_get(model: str) -> str:
-    """Where the weights of a model are had."""
+    """Sentence that says where the weights of a model are had."""
     official = official_weights(model)
     if official is None:
         return "give a file with --checkpoint"

@@ -29,7 +29,7 @@ _WEIGHTS = "ego_status.safetensors"
 
 @dataclass(frozen=True, slots=True)
 class EgoMotion:
-    """How the ego moves and moved, for B samples, in the ego frame of each.
+    """Motion of the ego now and before, for B samples, in the ego frame of each.
 
     Attributes:
         past: (B, 4, 3) x, y, yaw at 2.0, 1.5, 1.0, 0.5 s ago.

@@ -73,7 +73,7 @@ class ResultFileFactory:
 
     @property
     def sentences(self) -> list[str]:
-        """What there is to know of the import, for whoever waits."""
+        """Sentences about the import, for the terminal."""
         found = self.plans_from
         said = [
             f"{', '.join(found.files)}: {found.format}, {found.plans} plans for {counted(found.samples, 'sample')}; "

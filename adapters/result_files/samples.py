@@ -105,8 +105,8 @@ class RecordedSamples:
         """The same in every order of info files that are sorted by time, the likelier one first.
 
         Where scenes overlap in time, as all variants of one recording do, a converter mixes them, and the info files
-        that are exported here keep them apart (`benchmark.datasets.exported_order`). Nobody can run a planner with
-        memory on variants that are mixed; recordings of two cars at the same time have official info files.
+        that are exported here keep them apart (`benchmark.datasets.exported_order`). No planner with memory
+        runs on variants that are mixed; recordings of two cars at the same time have official info files.
         """
         exported = exported_order(self.scenes, self.timestamps_us)
         if np.array_equal(exported, self.by_time):

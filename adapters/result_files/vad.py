@@ -102,7 +102,7 @@ def _require_command(path: Path, row: int, command: int, samples: RecordedSample
 
 
 def _compare_metrics(path: Path, at: int, row: int, plan: Floats, stored: Any, samples: RecordedSamples) -> int:
-    """How many stored displacements agree; none where the sample has none."""
+    """Number of stored displacements that agree; none where the sample has none."""
     if not isinstance(stored, dict) or stored.get("fut_valid_flag") is None:
         return 0
     complete, token = bool(samples.complete[row]), samples.tokens[row]

@@ -141,7 +141,7 @@ def _say(figure: Figure, heading: str, words: Sequence[str], theme: Theme) -> No
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where a setting stands on an axis, and its interval."""
+    """Place of a setting on an axis, and its interval."""
 
     at: float
     low: float | None

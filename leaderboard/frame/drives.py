@@ -45,13 +45,13 @@ class Driven:
 
     @property
     def origin(self) -> Origin:
-        """Where its numbers come from."""
+        """Origin of its numbers."""
         facts = self.record.facts
         return Origin(facts.measured.world, named_record(self.record.content_id, self.name, facts.split))
 
     @cached_property
     def rates(self) -> Mapping[str, RateRow]:
-        """What the record says, by column, as it is defined now."""
+        """Rates of the record, by column, as they are defined now."""
         return columns_of(self.record)
 
     def cell(self, column: str, unit: str = PERCENT) -> Cell | None:
@@ -62,7 +62,7 @@ class Driven:
         return self.origin.percent(rate, "drives") if unit == PERCENT else self.origin.amount(rate, unit, "drives")
 
     def drives(self) -> Cell:
-        """How many drives there are."""
+        """Number of drives."""
         return self.origin.count(self.record.summary.drives, "drives")
 
 
@@ -87,7 +87,7 @@ class World:
 
     @property
     def notes(self) -> list[str]:
-        """What has to be said of the records: sensor, few scenes, marks, old scores."""
+        """Notes on the records: sensor, few scenes, marks, old scores."""
         first = self.records[0].facts
         # A scene of which nobody says where it comes from is its own recording.
         known = first.scene_facts
@@ -103,7 +103,7 @@ class World:
         return [*self._said_of_sensor(), *([FEW_NOTE] if few else []), *marks, *lacking, *stale]
 
     def _said_of_sensor(self) -> list[str]:
-        """What pictures depended on besides the sensor's name."""
+        """Notes on what pictures depended on besides the sensor's name."""
         found = [each.facts.measured for each in self.records if each.facts.measured.sensor == self.sensor]
         facts = found[0].sensor_facts if found else {}
         said = ", ".join(f"{name} {value}" for name, value in sorted(facts.items()))

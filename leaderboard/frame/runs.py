@@ -68,19 +68,19 @@ class Row(Generic[Found]):
 
     @property
     def origin(self) -> Origin:
-        """Where its numbers come from."""
+        """Origin of its numbers."""
         return origin_of(self.record, self.judge or None)
 
     def samples(self, count: int) -> Cell:
-        """How many of its samples."""
+        """Cell of a count of its samples."""
         return self.origin.count(count, "samples", self.record.summary.samples)
 
     def scenes(self, count: int) -> Cell:
-        """How many of the scenes that ran."""
+        """Cell of a count of the scenes that ran."""
         return self.origin.count(count, "scenes", len(self.record.run.scenes))
 
     def scenes_of_split(self) -> Cell:
-        """How many scenes of its split ran."""
+        """Cell of the number of scenes of its split that ran."""
         return self.origin.count(len(self.record.run.scenes), "scenes", self.record.run.scenes_in_split)
 
     def by_horizon(self, head: str, column: str, rates: Mapping[str, AnyRate]) -> dict[str, Value]:
@@ -126,7 +126,7 @@ class Frame:
         return [*((EXACT,) if EXACT in self.protocols else ()), *((NATIVE,) if self.has_native else ())]
 
     def once(self, make: Callable[..., Made], *of: str) -> Made:
-        """What a function makes of the frame and some words, which is asked for once."""
+        """Result of a function of the frame and some words, which is asked for once."""
         key = make, *of
         if key not in self._made:
             self._made[key] = make(self, *of)
@@ -169,7 +169,7 @@ def shown_protocols(frame: Frame, asked: Sequence[str] | None) -> Sequence[str]:
 
 
 def row_notes(rows: Sequence[Row[Any]], told: Iterable[str] = ()) -> list[str]:
-    """What has to be said of the runs behind rows, ``told`` and who was judged by an earlier version among it."""
+    """Notes on the runs behind rows, ``told`` and who was judged by an earlier version among it."""
     stale = [note for row in rows for note in stale_notes(row.record, (row.judge,))]
     return run_notes([row.record for row in rows], [*told, *stale])
 

@@ -30,11 +30,11 @@ class Column:
 
     @property
     def key(self) -> str:
-        """How a table calls the column where it is not called by its head."""
+        """Key of the column in a table, where it is not called by its head."""
         return f"95 % of {self.name}" if self.interval else self.name
 
     def shown(self, row: Values) -> str | Shown:
-        """What a row shows here."""
+        """Text or number that a row shows here."""
         value = row.get(self.name)
         if value is None:
             return UNDEFINED

@@ -27,7 +27,7 @@ Item = str | Table | NamedFigure
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """What stands under one heading.
+    """Contents under one heading.
 
     Attributes:
         data_name: The data set that it is of; empty for published numbers.

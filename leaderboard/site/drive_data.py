@@ -77,7 +77,7 @@ def drive_files(drives: Sequence[DriveRecord], sheets: Sheets) -> dict[str, byte
 
 
 def drive_index(drives: Sequence[DriveRecord], sheets: Sheets) -> list[dict[str, Any]]:
-    """What pages say of drives.
+    """Entries of drives for pages.
 
     Returns:
         For each ``key`` (null without a sheet), ``scene`` (the scene's key), ``planner``, ``privileged``,
@@ -295,7 +295,7 @@ def driven_poses(seconds: Floats, ticks: Floats, states: Floats) -> Floats:
 
 
 def considered_data(sheet: Sheet, frames: Sequence[ConsideredFrame]) -> list[dict[str, Any]]:
-    """What an adversary considered: planning frames, in force until the next; the drive is of the sheet's scene.
+    """Planning frames of an adversary, in force until the next; the drive is of the sheet's scene.
 
     Each has ``t`` (seconds from the first frame), ``did`` (`benchmark.records.considered`), ``paths`` (x, y in turn of
     each candidate, decimetres as steps, worst first), ``shares`` (of each, hundredths: 0 for the best score, 100 for

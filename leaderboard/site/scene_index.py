@@ -32,7 +32,7 @@ _DIGITS: Final = 3
 
 @dataclass(slots=True)
 class _Seen:
-    """What run records say of one scene, by planner where it is of one.
+    """Facts of run records about one scene, by planner where they are of one.
 
     Attributes:
         adversarial: Whether its split has adversaries, so that contacts with others are counted by themselves.
@@ -187,7 +187,7 @@ def _add_samples(found: _Seen, record: RunRecord, places: NDArray[np.int64], tou
 
 
 def label_words(label: Mapping[str, Any]) -> str:
-    """What labels (docs/manoeuvres.md) say of one adversary; what a stranger's labels lack is left out.
+    """Words for the labels (docs/manoeuvres.md) of one adversary; what a stranger's labels lack is left out.
 
     For example ``cut-in-left; on: straight; closest 0.40 m, left, at 9.2 s; also blocking``.
     """
@@ -246,7 +246,7 @@ def _require_same_content(records: Sequence[RunRecord], sheets: Sheets) -> None:
 
 
 def judgement_entry(judgement: JudgementSummary | None) -> dict[str, Any] | None:
-    """What was said of a scene.
+    """Judgement of a scene.
 
     Returns:
         ``survives`` (names of drivers), ``unsolvable``, ``margin``, ``gap``, ``ttc``, ``tet``, ``pet``, ``btn`` of the
@@ -270,7 +270,7 @@ def judgement_entry(judgement: JudgementSummary | None) -> dict[str, Any] | None
 
 
 def severity_entries(record: RunRecord) -> dict[str, dict[str, Any]]:
-    """How severe a planner's plans are, by scene; only of scenes with something to say.
+    """Severity of a planner's plans, by scene; only of scenes with something to say.
 
     Returns:
         ``contacts`` (samples whose first contact is with an adversary, with anybody on a split without them),

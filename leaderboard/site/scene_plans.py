@@ -38,11 +38,18 @@ def planner_samples(
     """One planner's part of a scene's script.
 
     Args:
+        rows: Its rows of the scene by sample token.
+        tokens: The scene's samples in order.
         poses: (S, 3) rear axle at these samples, local.
+        protocols: Names in the order of the verdicts.
+        agents: Number of each agent by instance identifier.
 
     Returns:
         ``name``, ``privileged``, ``miniature``, ``native`` and ``samples``: null where the record has no row, else
         `sample_entry`.
+
+    Raises:
+        InputError: If a plan has lists of the wrong lengths.
     """
     known = knows_adversaries(record) if attributes(record) else None
     found = [
@@ -61,10 +68,12 @@ def planner_samples(
 def sample_entry(
     row: SampleRow, axle: Floats, protocols: Sequence[str], agents: Mapping[str, int], *, known: bool | None = None
 ) -> dict[str, Any]:
-    """What a planner did at one sample.
+    """Entry of a planner's sample.
 
     Args:
         axle: (3,) pose of the rear axle at the sample, local.
+        protocols: Names in the order of the verdicts.
+        agents: Number of each agent by instance identifier.
         known: On a split with adversaries, whether the record says who they are.
 
     Returns:
@@ -77,6 +86,9 @@ def sample_entry(
         0 where it is with somebody else, null where that is not said), ``cause``, ``reason``, ``hit`` and ``l2``
         (metres at the six steps; null past the recording). Every plan has ``path`` and ``yaw``, ``verdicts`` and
         ``contact``; what there is none of beyond them is left out.
+
+    Raises:
+        InputError: If the plan has lists of the wrong lengths.
     """
     placed = placed_plan(_most_likely_first(row), axle)
     if placed is None:

@@ -42,7 +42,7 @@ REDRAWN_NOTE = (
 
 
 def split_table(frame: Frame, protocol: str) -> Table | None:
-    """What a planner loses from one split to another: a row for each planner and pair of splits.
+    """Losses of planners from one split to another: a row for each planner and pair of splits.
 
     ``native`` stands for each planner's own protocol. ``None`` if no planner ran on two splits.
     """
@@ -119,7 +119,7 @@ def _difference(head: str) -> Columns:
 def _compared(
     frame: Frame, pairs: Sequence[Pair], protocol: str, compare: Callable[[Scored, Scored], Found]
 ) -> tuple[list[tuple[Pair, Found]], tuple[str, ...]]:
-    """What can be compared, and one sentence for each reason why a pair is left out."""
+    """Pairs that can be compared, and one sentence for each reason why a pair is left out."""
     found, refused = [], []
     for pair in pairs:
         try:

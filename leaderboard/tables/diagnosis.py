@@ -100,7 +100,7 @@ def diagnosis_tables(frame: Frame) -> list[Table]:
 
 
 def _values(run: Row[_Samples]) -> dict[str, Any]:
-    """What is counted, and the share of each cause among the colliding samples."""
+    """Counts, and the share of each cause among the colliding samples."""
     rows, colliding = run.found.rows, run.found.colliding
     shares = _rates(run, colliding, [[_cause(said) == cause for cause in CAUSES] for _, said in colliding])
     return {

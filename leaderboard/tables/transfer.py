@@ -149,7 +149,7 @@ def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
 
 
 def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
-    """How far two planners fail the same scenes beyond what their failure rates give.
+    """Agreement of every two planners: failures on the same scenes beyond what their failure rates give.
 
     Args:
         data_name: Name of the data set, for the title.
@@ -235,7 +235,7 @@ def name_of_lift(data_name: str, matrix: TransferMatrix) -> tuple[str, str]:
 
 
 def _kind(matrix: TransferMatrix) -> str:
-    """What files of a matrix are named after."""
+    """Part of the names of a matrix's files: which contacts count."""
     return "adversary" if matrix.adversary_only else matrix.protocol
 
 
@@ -274,7 +274,7 @@ def _who(matrix: TransferMatrix) -> str:
 
 
 def _origin(matrix: TransferMatrix, *planners: int) -> Origin:
-    """Where numbers of some of the planners come from, by their places in the matrix."""
+    """Origin of numbers of some of the planners, by their places in the matrix."""
     judged = " and ".join(dict.fromkeys(matrix.judges[place] for place in planners))
     records = (named_record(matrix.records[place], matrix.planners[place], matrix.split) for place in planners)
     return Origin(judged, "; ".join(records))

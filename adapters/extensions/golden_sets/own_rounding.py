@@ -22,7 +22,7 @@ NOTABLE: Final = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """How a network is run while it is compared. Images are changed by `image_noise`."""
+    """One way of running a network while it is compared; images are changed by `image_noise`."""
 
     comparison: Comparison = field(default_factory=Comparison)
     image_noise: float = 0.0

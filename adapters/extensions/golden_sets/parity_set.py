@@ -31,11 +31,11 @@ Length = Annotated[int, Field(gt=0, le=4096)]
 
 
 class NetworkNumbers(Protocol):
-    """What golden sets of networks have in common."""
+    """Common parts of golden sets of networks."""
 
     @property
     def recipe(self) -> WeightsRecipe:
-        """How weights are made."""
+        """Recipe of the weights."""
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
@@ -91,7 +91,7 @@ def _set_folders(golden: Path) -> list[Path]:
 
 
 class ImageRecipe(BaseModel):
-    """How the synthetic images of a set are made.
+    """Recipe of the synthetic images of a set.
 
     The hashes are of the float32 images of each frame; rows from `valid_rows` on are padding.
     """
@@ -104,7 +104,7 @@ class ImageRecipe(BaseModel):
 
 
 class StoredTensor(BaseModel):
-    """How a quantity is stored: shape of the tensor, and stride of its flat numbers where only a part of them is."""
+    """Stored form of a quantity: shape of the tensor, and stride of its flat numbers where only a part of them is."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
@@ -159,7 +159,7 @@ class ParitySet:
         return recorded_images(images.astype(np.float32), image.sha256[frame] if image.sha256 else None, frame)
 
     def stored(self, quantity: str, frame: int) -> StoredTensor:
-        """How a quantity is stored."""
+        """Stored form of a quantity."""
         layout = self.recipe.tensors[quantity]
         return layout if isinstance(layout, StoredTensor) else layout[f"frame{frame}"]
 

@@ -67,7 +67,7 @@ class Statistic(BaseModel):
 
 
 class ModuleStatistic(Statistic):
-    """What one call of a module of the official code gave."""
+    """Statistics of one call of a module of the official code."""
 
     module: str
 
@@ -147,12 +147,12 @@ class SparseSet:
 
 
 def _by_frame(folder: GoldenFolder, name: str, adapter: TypeAdapter[dict[str, T]]) -> dict[str, T]:
-    """What a file says about each frame; nothing where there is no file."""
+    """Contents of a file for each frame; nothing where there is no file."""
     return adapter.validate_python(folder.facts(name)) if folder.has(name) else {}
 
 
 def _recipe(folder: GoldenFolder, salt: str, shapes: dict[str, tuple[int, ...]]) -> WeightsRecipe:
-    """How weights are made: as the set says, or as the set beside it that has the name of the salt."""
+    """Recipe of the weights: of the set, or of the set beside it that has the name of the salt."""
     home = folder if folder.has("kept_buffers.npz") else GoldenFolder(folder.path.parent / salt)
     recipe, kept = WeightsRecipe.model_validate(home.facts("manifest.json")), home.arrays("kept_buffers.npz")
     values = {name: kept.floats(name, *shapes[name]).astype(np.float32) for name in sorted(kept.names)}

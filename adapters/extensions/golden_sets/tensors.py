@@ -18,7 +18,7 @@ OUTLIER_TOLERANCE: Final = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """What is allowed.
+    """Error that is allowed.
 
     Attributes:
         of_spread: Whether it is a share of the standard deviation of the golden tensor, or in the tensor's unit.
@@ -73,13 +73,13 @@ class Quantity:
         return self.values.dtype.kind in "iub"
 
     def title(self, name: str) -> str:
-        """What its errors are called."""
+        """Name of its errors."""
         return name if self.equal else self.tolerance.title(name)
 
 
 @dataclass(frozen=True, slots=True)
 class Whole:
-    """How a whole tensor, of which a part may be stored, differs from what the set says about it.
+    """Differences of a whole tensor, of which a part may be stored, from the statistics of the set.
 
     Attributes:
         most: Errors of numbers that all values have a part in.

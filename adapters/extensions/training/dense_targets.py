@@ -65,7 +65,7 @@ def dense_loss(bev: Tensor, frame: TrainingFrame, grid: BEVGrid, weight: float) 
 
 
 def offset_loss(found: Tensor, frame: TrainingFrame, grid: BEVGrid) -> Tensor:
-    """How far off the view places lines, finer than its cells: L1 in units of `OFFSET_UNIT_M`, per known number.
+    """L1 of the offsets at which the view places lines, finer than its cells: `OFFSET_UNIT_M`, per known number.
 
     `found` are (cells, `OFFSETS`) channels of a bird's-eye view.
     """

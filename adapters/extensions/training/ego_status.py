@@ -39,7 +39,7 @@ HELD_OUT_SOURCES = (
 
 @dataclass(frozen=True, slots=True)
 class TrainingSettings:
-    """How to train.
+    """Settings of a training.
 
     Attributes:
         batch: Samples a step.

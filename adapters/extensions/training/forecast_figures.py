@@ -33,7 +33,7 @@ class ForecastFigures:
         precision: Share of the forecasts of that area that are of an annotated object, whatever it is.
         least_error_m: Mean distance over 3 s of the best mode, over matched vehicles annotated to the end.
         likeliest_error_m: Of the most likely mode.
-        standing_error_m: Of the forecast that everybody stays where it is.
+        standing_error_m: Of the forecast that all stay where they are.
     """
 
     vehicles: int

@@ -124,7 +124,7 @@ def build_frames(data_root: Path, split: str, folder: Path, *, workers: int = 1)
 
 
 def frames_key(data: DataSet, split: str) -> str:
-    """What the frames of a split depend on, as 64 hexadecimal digits."""
+    """Key, 64 hexadecimal digits, of all that the frames of a split depend on."""
     return content_key("training frames", data.fingerprint(), split, FORMAT)
 
 

@@ -119,7 +119,7 @@ def mean_front_losses(said: Tensor, frames: Sequence[TrainingFrame]) -> dict[str
 
 
 def front_losses(front: Tensor, frame: TrainingFrame) -> dict[str, Tensor]:
-    """What the first numbers that the plan takes from the front camera have to say.
+    """Losses of the first numbers that the plan takes from the front camera.
 
     Args:
         front: (numbers,) where lines are to the left and right (`lane_loss`), then how far to the right one who drives

@@ -33,7 +33,7 @@ _UNIT_CORNERS: Final = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 
 
 @dataclass(frozen=True, slots=True)
 class ImageTargets:
-    """What is in C images.
+    """Targets of C images.
 
     Attributes:
         heat: (C, classes, h, w) 1 at centres of boxes, falling around them.
@@ -141,7 +141,7 @@ def _box_maps(
 
 
 def _ground_maps(frame: TrainingFrame, seen: _SeenBoxes, rows: int, columns: int) -> tuple[NDArray[np.float32], Bools]:
-    """What the ground is where rays through the cells meet it; asked for where no box is in the way."""
+    """Kinds of ground where rays through the cells meet it; asked for where no box is in the way."""
     matrices = frame.lidar2img.numpy()
     inverse = np.linalg.inv(matrices[:, :3, :3])
     eyes = -np.einsum("cij,cj->ci", inverse, matrices[:, :3, 3])

@@ -122,7 +122,7 @@ class FollowedAsRecorded:
 
 
 def _clear(frame: TrainingFrame) -> Tensor:
-    """(6,) bool, the steps of the ego's future before it is where somebody else is."""
+    """Steps, (6,) bool, of the ego's future before it is where another is."""
     steps = len(frame.ego_future)
     distance = (frame.futures[:, :steps, :2] - frame.ego_future).norm(dim=-1)
     met = ((distance < IN_THE_WAY_M) & frame.futures_valid[:, :steps]).any(0)

@@ -38,7 +38,7 @@ def agent_constraint(plan: Tensor, frame: TrainingFrame) -> Tensor:
 
 
 def boundary_constraint(plan: Tensor, frame: TrainingFrame) -> Tensor:
-    """How much too near the plan comes to the boundary; arguments and result as in `agent_constraint`."""
+    """Distance by which a plan comes too near to the boundary; arguments and result as in `agent_constraint`."""
     boundaries = frame.lines[frame.line_labels == BOUNDARY]
     if not len(boundaries):
         return plan.sum() * 0

@@ -28,7 +28,7 @@ _BLANK_GREY: Final = 128
 
 
 class Images(StrEnum):
-    """What a planner is shown.
+    """Images that a planner is shown.
 
     ``own``: what its cameras saw. ``blank``: grey. ``shuffled``: what the same cameras saw in another scene at a sample
     of the same number, with its own calibration and ego motion.
@@ -69,7 +69,7 @@ class JudgedPlans:
     visible: Sequence[frozenset[str]]
 
     def outcomes(self) -> Outcomes:
-        """What the protocol ``exact`` says of them."""
+        """Outcomes of the plans under the protocol ``exact``."""
         pairs = zip(self.truths, self.plans, strict=True)
         waypoints = [plan.waypoints_in_lidar(truth.lidar_ahead_m) for truth, plan in pairs]
         return protocol("exact").evaluate(self.truths, np.array(waypoints))

@@ -62,7 +62,7 @@ _ENCODER_RECIPE: Final = Recipe(
 
 @dataclass(frozen=True, slots=True)
 class PlannerTraining:
-    """What a training depends on.
+    """Settings of the training of a planner.
 
     Attributes:
         model: A miniature, or `ENCODER_NAME`.

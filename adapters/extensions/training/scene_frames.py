@@ -106,7 +106,7 @@ def _seconds(scene: Scene, keyframe: int) -> tuple[Floats, Floats]:
 
 
 def _of_ego(observation: Observation, truth: SampleTruth, shows: Bools) -> Arrays:
-    """What is known of the ego; ``shows`` (6,) says which steps of its future a planner may learn from."""
+    """Arrays of the ego; ``shows`` (6,) says which steps of its future a planner may learn from."""
     return {
         "timestamp_s": np.array(observation.timestamp_us * 1e-6),
         "global_T_lidar": lidar_pose(observation),
@@ -118,7 +118,7 @@ def _of_ego(observation: Observation, truth: SampleTruth, shows: Bools) -> Array
 
 
 def _of_driven(driven: DrivenEgo, keyframe: int, pose: Floats) -> Arrays:
-    """What is to learn where a planner drove: not where it went, but where it should have gone."""
+    """Arrays of the ego where a planner drove: not where it went, but where it should have gone."""
     local = to_local(driven.wanted[keyframe], pose)
     known = driven.known[keyframe]
     future = np.where(known[:, None], np.column_stack([-local[:, 1], local[:, 0]]), 0.0)

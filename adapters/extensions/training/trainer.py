@@ -32,7 +32,7 @@ Check = Callable[[dict[str, Tensor]], dict[str, float]]
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """How long and how fast a network learns.
+    """Recipe of a training: how long and how fast a network learns.
 
     Attributes:
         steps: Gradient steps.

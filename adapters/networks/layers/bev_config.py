@@ -16,6 +16,8 @@ class BEVConfig:
         perception_range_m: x, y, z of one corner, then of the other, in the lidar frame.
         decoder_layers: Layers of the agent decoder, and of others like it.
         pyramid_levels: Outputs of the feature pyramid; those past the stages are strided convolutions.
+        max_boxes: Boxes (and tracks) that are reported.
+        max_lines: Map elements that are reported.
         backbone_blocks: Residual blocks in the stages of the image network, of which there are four or as many as are
             read; (3, 4, 6, 3) is ResNet-50, (3, 4, 23, 3) is ResNet-101.
         backbone_width: Channels after its first convolution; 64 in both.

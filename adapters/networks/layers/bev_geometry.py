@@ -29,7 +29,7 @@ class BEVGrid:
 
     @property
     def cells(self) -> int:
-        """How many."""
+        """Number of cells."""
         return self.rows * self.columns
 
     def centres(self) -> Tensor:
@@ -57,6 +57,8 @@ class CameraHits:
     """Which cells which cameras see: P pairs, camera after camera.
 
     Attributes:
+        camera: (P,) int32.
+        cell: (P,) int64.
         image_points: (P, heights, 2) x, y of the cell's pillar in the image, 0 to 1 over it; also what lies outside.
         cell_order: (P,) int64, the pairs cell after cell, those of a cell in the order of cameras.
         cell_starts: (cells,) int64, where each cell begins in `cell_order`.

@@ -9,7 +9,7 @@ from adapters.networks.layers.sampling import Shapes, deformable_sampling
 
 
 def ring_of_offsets(heads: int, levels: int, points: int) -> Tensor:
-    """Where an untrained network looks: each head in its own direction, its points one to `points` cells away.
+    """Offsets of an untrained network: each head in its own direction, its points one to `points` cells away.
 
     (heads * levels * points * 2,) x, y in cells; directions are spread evenly over the circle.
     """

@@ -37,7 +37,7 @@ class DeformableDecoderLayer(nn.Module):
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """What the K layers of a decoder leave.
+    """Results of the K layers of a decoder.
 
     Attributes:
         states: (K, Q, C) tokens after each layer.

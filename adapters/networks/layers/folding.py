@@ -12,7 +12,7 @@ Module = TypeVar("Module", bound=nn.Module)
 
 
 def folded(network: Module) -> Module:
-    """Fold the normalisation of residual networks into the convolutions before it, in place.
+    """Fold the normalisation of residual networks, in evaluation mode, into the convolutions before it, in place.
 
     It multiplies and shifts each channel by stored numbers, which the weights of a convolution can do at once. Results
     differ in the last bits; names of parameters change, so that weights are loaded before. Deformable convolutions keep

@@ -53,7 +53,7 @@ class FrontReader(nn.Module):
 
     @staticmethod
     def left(numbers: Tensor, before: Tensor | None) -> Tensor:
-        """What is left for the next key frames: a mean that forgets, since each image errs by itself."""
+        """Numbers left for the next key frames: a mean that forgets, since each image errs by itself."""
         return numbers if before is None else before + KEPT_OF_NOW * (numbers - before)
 
     def only_tell(self) -> None:

@@ -12,7 +12,7 @@ from benchmark.geometry import Floats
 
 @dataclass(frozen=True, slots=True)
 class Reporting:
-    """What counts as a forecast, and which way a short plan leads.
+    """Rules of reporting: which boxes count as forecasts, and which way a short plan leads.
 
     Attributes:
         least_score: Boxes of a lower score do not: networks always report a hundred or more.

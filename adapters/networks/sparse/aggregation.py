@@ -15,11 +15,12 @@ NEAREST_DEPTH_M = 1e-5
 
 @dataclass(frozen=True, slots=True)
 class CameraFeatures:
-    """What the cameras saw in a key frame, or in B of them side by side.
+    """Features of the cameras in a key frame, or in B of them side by side.
 
     Attributes:
         values: (cameras or B * cameras, S, C) features of all levels, each flattened row by row, level after level: S
             cells.
+        shapes: Rows and columns of the levels, fine to coarse.
         projections: (cameras, 4, 4) or (B, cameras, 4, 4) float32, lidar frame in metres to pixels of the input images.
     """
 
@@ -62,6 +63,7 @@ def deformable_aggregation(
 
     Args:
         values: (cameras, S, C) as in `CameraFeatures`.
+        shapes: Rows and columns of the L levels.
         locations: (N, cameras, P, 2) x, y where 0 to 1 spans the image, both ends excluded.
         weights: (N, cameras, L, P, G) for G groups of neighbouring channels.
         first_camera: (N,) which of `values` is a query's first camera, where they are of several key frames.
@@ -118,7 +120,7 @@ def _neighbours(shapes: Sequence[tuple[int, int]], x: Tensor, y: Tensor) -> tupl
 
 
 class CameraSampling(nn.Module):
-    """How much of which camera, level and point a query takes; the base of modules that sample images.
+    """Weights of cameras, levels and points in a query; the base of modules that sample images.
 
     Subclasses make the three modules, because the order of their names is that of the published checkpoints.
 

@@ -33,9 +33,10 @@ CHUNK: Final = 4096
 
 @dataclass(frozen=True, slots=True)
 class Sightings:
-    """What a data set holds of the things that queries are for; lidar frame, metres.
+    """Sightings in a data set of the things that queries are for; lidar frame, metres.
 
     Attributes:
+        box_centres: (N, 3) of boxes.
         line_centres: (N, 2) means of the points of map elements.
         futures: For each class of agents, (N, agent steps, 2) cumulative positions in the agent's frame, x forward.
         plans: For each command, (N, steps, 2) cumulative positions of the ego.

@@ -20,7 +20,7 @@ def image_length_fits(pixels: int) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class SparseConfig:
-    """What fixes the names and the shapes of a network's parameters, and how it remembers.
+    """Sizes that fix names and shapes of a network's parameters, and how it remembers.
 
     The two planners have the same sizes; which one it is, the class of the network says.
 
@@ -112,7 +112,7 @@ class SparseConfig:
 
     @property
     def image_format(self) -> ImageFormat:
-        """How images of 1600 x 900 become those of a network: scaled to its width, cut off at the top.
+        """Format of a network's images: 1600 x 900 scaled to its width, cut off at the top.
 
         It is `adapters.camera_inputs.SPARSE_DRIVE_IMAGE` for the published sizes. The miniatures see the whole images
         instead, brought to their size.

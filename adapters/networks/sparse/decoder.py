@@ -29,7 +29,13 @@ DECAY: Final = 0.6
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """What a stage of the decoder says about N instances."""
+    """Predictions of a stage of the decoder for N instances.
+
+    Attributes:
+        anchors: (N, D) refined places.
+        logits: (N, classes).
+        qualities: (N, 2) logits, of boxes only.
+    """
 
     anchors: Tensor
     logits: Tensor
@@ -44,6 +50,7 @@ class Decoded:
         stages: One after the other. Where the past is used, the instances behind the first stage are others: those
             that were remembered, and then the most certain ones of the first stage.
         features: (N, C).
+        embeddings: (N, C) of the places.
     """
 
     stages: tuple[Stage, ...]
@@ -71,6 +78,7 @@ class Remembered:
     """The K most certain instances of a frame, the most certain one first.
 
     Attributes:
+        features: (K, C).
         anchors: (K, D) in the lidar frame of their time.
         confidence: (K,) 0 to 1.
         rows: (K,) which instances of their frame they are.
@@ -101,7 +109,7 @@ class HandleScale(nn.Module):
 
 
 class InstanceBank(nn.Module):
-    """Where instances start, and what their features are then."""
+    """Bank of instances: their first places and features."""
 
     def __init__(self, instances: int, numbers: int, channels: int, handled: bool) -> None:
         super().__init__()

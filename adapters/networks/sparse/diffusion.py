@@ -87,7 +87,7 @@ class TimeEmbedding(nn.Module):
 
 @dataclass(frozen=True, slots=True)
 class PlanContext:
-    """What plans look at; with a leading B where there are several key frames.
+    """Context that plans look at; with a leading B where there are several key frames.
 
     Attributes:
         ego: (..., 1, C) embedding of the box of the ego.

@@ -27,7 +27,12 @@ class KeyframePose:
 
 @dataclass(frozen=True, slots=True)
 class RigidMotion:
-    """From remembered frames to present ones, of one clip or of several side by side."""
+    """From remembered frames to present ones, of one clip or of several side by side.
+
+    Attributes:
+        now_T_then: (..., 4, 4) float32, lidar frame of the remembered frame to that of the present one.
+        seconds: In between; a tensor where there are several.
+    """
 
     now_T_then: Tensor
     seconds: Tensor | float
@@ -65,7 +70,7 @@ class KeyframeMotion(RigidMotion):
 
     @classmethod
     def between(cls, then: KeyframePose, now: KeyframePose, device: torch.device) -> "KeyframeMotion":
-        """What lies between two poses; the matrix is put on the device."""
+        """Motion between two poses; the matrix is put on the device."""
         # World coordinates are large, so the product is in double precision.
         matrix = torch.linalg.inv(now.global_T_lidar) @ then.global_T_lidar
         return cls(matrix.float().to(device), float(np.float32(now.timestamp_s - then.timestamp_s)))

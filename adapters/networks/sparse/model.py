@@ -141,7 +141,7 @@ class SparseNetwork(nn.Module):
         self.memory = None
 
     def forward(self, inputs: SparseInputs, noise: Tensor | None = None) -> SparseOutputs:
-        """What is reported for one key frame; frames come in the order of time."""
+        """Outputs for one key frame; frames come in the order of time."""
         return select(self.config, self.predict(inputs, noise), inputs.command)
 
     def predict(self, inputs: SparseInputs, noise: Tensor | None = None) -> SparsePredictions:

@@ -74,7 +74,7 @@ class Interaction:
 
 @dataclass(frozen=True, slots=True)
 class PlannerPredictions:
-    """What a planner says; M modes, T agent steps, S planned steps; lidar frame, metres from step to step.
+    """Predictions of a planner; M modes, T agent steps, S planned steps; lidar frame, metres from step to step.
 
     Attributes:
         motion_logits: (N, M) of agents.
@@ -82,6 +82,7 @@ class PlannerPredictions:
         plan_logits: (commands, M).
         plan_offsets: (commands, M, S, 2).
         status: (10,) of the ego.
+        denoising: What the diffusion planner did; empty for the other one.
         front: (1, numbers) what the plan took from the front camera's finest map; ``None`` if it does not look there.
     """
 
@@ -262,7 +263,7 @@ class Planner(nn.Module):
     def remember(
         self, scene: Scene, queue: Queue, ego_feature: Tensor, status: Tensor, front: Tensor | None
     ) -> QueueMemory:
-        """What to leave for the next frame; `ego_feature` (1, C) takes the place of the newest one in the queue."""
+        """Memory for the next frame; `ego_feature` (1, C) takes the place of the newest one in the queue."""
         return QueueMemory(
             queue.features,
             queue.boxes,

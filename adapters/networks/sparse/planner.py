@@ -35,7 +35,7 @@ class SparsePlanner(NativePlanner[SparseNetwork]):
         return _plan(self._network(self.inputs(observation)), int(observation.command), self._reporting)
 
     def inputs(self, observation: Observation) -> SparseInputs:
-        """What the network is given for a sample; errors as in `plan`."""
+        """Inputs of the network for a sample; errors as in `plan`."""
         images = camera_images(observation, self._format, self._normalisation)
         return SparseInputs(
             images=torch.from_numpy(images).to(self._device),

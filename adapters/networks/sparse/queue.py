@@ -28,14 +28,16 @@ VELOCITY_Y = 9
 
 @dataclass(frozen=True, slots=True)
 class QueueMemory:
-    """What a frame leaves for the next one; L frames, the oldest first, in the lidar frame of the newest.
+    """Memory of the queue for the next frame; L frames, the oldest first, in the lidar frame of the newest.
 
     Attributes:
         features: (L, N, C) of agents.
+        boxes: (L, N, 11).
         periods: (N,) int64, how many of the newest frames an agent has been seen in.
         ids: (N,) int64 numbers of the agents.
         confidence: (N,) 0 to 1, in the newest frame.
         ego_features: (L, 1, C); the newest is that after the planner has looked around.
+        ego_boxes: (L, 1, 11).
         status: (10,) of the ego, as predicted.
         front: (1, numbers) what plans leave of the numbers that they took from the front camera, if they look there.
     """
@@ -60,6 +62,9 @@ class Queue:
         features: (L, N, C).
         boxes: (L, N, 11) in the present lidar frame.
         periods: (N,) int64.
+        ego_features: (L, 1, C).
+        ego_boxes: (L, 1, 11).
+        ego_period: How many of the frames count.
     """
 
     features: Tensor

@@ -29,7 +29,7 @@ class SparsePredictions:
 
 @dataclass(frozen=True, slots=True)
 class SparseOutputs:
-    """What is reported for one key frame; lidar frame, x right, y forward, metres and radians.
+    """Outputs for one key frame; lidar frame, x right, y forward, metres and radians.
 
     Attributes:
         plan: (6, 2) positions of the lidar origin 0.5 s to 3 s ahead: of the given command, and of its modes the most
@@ -67,7 +67,9 @@ class SelectedBoxes:
     """The K boxes that are reported.
 
     Attributes:
+        rows: (K,) which instances they are.
         scores: (K,) of the class and of the centre, falling.
+        labels: (K,).
         class_scores: (K,) of the class alone, falling: in an order of its own.
     """
 
@@ -96,7 +98,7 @@ class SelectedPlan:
 
 
 def select(config: SparseConfig, predictions: SparsePredictions, command: int) -> SparseOutputs:
-    """What is reported for a key frame; `command` (0 right, 1 left, 2 straight) says whose plan counts."""
+    """Outputs for a key frame; `command` (0 right, 1 left, 2 straight) says whose plan counts."""
     found, lines = select_boxes(config, predictions.agents), select_lines(config, predictions.lines)
     chosen = select_plan(config, predictions, command)
     x, y, z, along, across, height, heading, *velocity = decode_boxes(predictions.agents.anchors)[found.rows].unbind(-1)
@@ -138,7 +140,7 @@ def select_lines(config: SparseConfig, lines: Decoded) -> SelectedLines:
 
 
 def select_plan(config: SparseConfig, predictions: SparsePredictions, command: int) -> SelectedPlan:
-    """The most likely plan for the command that hits nobody; if all of them hit somebody, the most likely one."""
+    """The most likely plan for the command that hits no agent; if all of them hit one, the most likely one."""
     planner, agents = predictions.planner, predictions.agents
     modes = planner.plan_offsets.cumsum(-2)
     likely = planner.motion_logits.argmax(-1)

@@ -19,7 +19,7 @@ PAST_STEPS = 8
 
 @dataclass(frozen=True, slots=True)
 class Detections:
-    """What the K layers of the decoder predict for Q queries.
+    """Predictions of the K layers of the decoder for Q queries.
 
     Attributes:
         states: (K, Q, C).

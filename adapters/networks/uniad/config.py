@@ -21,6 +21,7 @@ class UniADConfig(BEVConfig):
 
     Attributes:
         occupancy_feedforward_channels: Hidden width of the feed-forward blocks in the decoder of the occupancy head.
+        queries: Agent queries beside the one of the ego.
         map_levels: Feature maps for which the map head's attention has parameters; it is given one map
             (`adapters.networks.uniad.map_attention`).
         thing_mask_layers: Blocks that make the masks of map elements.

@@ -32,7 +32,7 @@ class SelfAttention(nn.Module):
 
 
 class MaskLogits(nn.Module):
-    """How much each query is in each cell: a mixture of attention logits over the heads."""
+    """Share of each query in each cell: a mixture of attention logits over the heads."""
 
     def __init__(self, channels: int, heads: int) -> None:
         super().__init__()

@@ -37,7 +37,7 @@ VEHICLE_CLASSES = (0, 1, 2, 3, 4, 6, 7)
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """What a frame leaves for the next one of its scene."""
+    """Memory of a frame for the next one of its scene."""
 
     scene_token: str
     bev: Tensor
@@ -111,7 +111,7 @@ class UniAD(nn.Module):
         self._next_id = torch.zeros((), dtype=torch.int64)
 
     def forward(self, inputs: UniADInputs) -> UniADOutputs:
-        """What is reported for one key frame; frames of a scene come in the order of time.
+        """Outputs for one key frame; frames of a scene come in the order of time.
 
         An `InputError` says that there are no motion anchors, or that casadi is asked for and absent.
         """
@@ -212,7 +212,7 @@ class UniAD(nn.Module):
         )
 
     def ego_motion(self, inputs: UniADInputs) -> EgoMotion:
-        """How the ego moved since the last frame, whichever scene that was of if the network was trained so."""
+        """Motion of the ego since the last frame, whichever scene that was of if the network was trained so."""
         config = self.config
         follows = self._memory is not None and self._memory.scene_token == inputs.scene_token
         known = follows or config.motion_across_scenes

@@ -174,6 +174,9 @@ class Boxes:
     Attributes:
         boxes: (N, 9) centre x, y, z, width, length, height, yaw, velocity x, y; see `headings`.
         scores: (N,) 0 to 1, falling.
+        labels: (N,).
+        track_ids: (N,).
+        states: (N, C).
     """
 
     boxes: Tensor
@@ -216,10 +219,11 @@ def strongest_boxes(instances: Instances, config: UniADConfig) -> Boxes:
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """What a key frame reports and what it hands on, as indices.
+    """Indices of the instances that a key frame reports and hands on.
 
     Attributes:
         reported: (N,) instances whose boxes are reported: tracks that are awake and near, falling scores.
+        vehicles: (V,) which of these are vehicles.
         surviving: (T,) instances that are tracks in the next key frame, in their order.
     """
 
@@ -250,5 +254,5 @@ def _near(box_codes: Tensor, config: UniADConfig) -> Tensor:
 
 
 def _trues(mask: Tensor, count: int) -> Tensor:
-    """Where a mask is true, if it is known how often."""
+    """Places where a mask is true, if it is known how often."""
     return (~mask).to(torch.uint8).argsort(stable=True)[:count]

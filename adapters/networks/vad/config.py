@@ -14,6 +14,7 @@ class VADConfig(BEVConfig):
 
     Attributes:
         points_per_line: Points of a map element.
+        steps: Planned and forecast steps of 0.5 s.
         backbone_outputs: Stages (0 to 3) that feed the feature pyramid.
         lane_distance: Largest distance, as a share of the perception range, at which a map element is seen by an agent.
         lane_score: Least score of a map element that an agent sees.
@@ -46,7 +47,7 @@ class VADConfig(BEVConfig):
 
     @property
     def image_format(self) -> ImageFormat:
-        """What images the network reads."""
+        """Format of the images that the network reads."""
         return ImageFormat.scaled(self.image_scale) if self.image_size is None else ImageFormat(*self.image_size)
 
     @classmethod

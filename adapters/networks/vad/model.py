@@ -68,7 +68,7 @@ class VAD(nn.Module):
         self._memory = None
 
     def forward(self, inputs: VADInputs) -> VADOutputs:
-        """What is reported for one key frame; frames of a scene come in the order of time."""
+        """Outputs for one key frame; frames of a scene come in the order of time."""
         return select(self.config, self.predict(inputs), inputs.command)
 
     def predict(self, inputs: VADInputs) -> VADPredictions:
@@ -110,7 +110,7 @@ class VAD(nn.Module):
         return seen_ahead(self.front_eyes, finest, images, self.config.cameras)
 
     def ego_motion(self, inputs: VADInputs) -> EgoMotion:
-        """How the ego moved since the frame that is remembered: zero if it is of another scene, or there is none."""
+        """Motion of the ego since the frame that is remembered: zero if it is of another scene, or there is none."""
         memory = self._memory if self._memory and self._memory.scene_token == inputs.scene_token else None
         previous = memory.can_bus if memory else None
         return EgoMotion.between(previous, inputs.can_bus, self.config.grid, self.config.rotation_centre)

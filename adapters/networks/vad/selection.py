@@ -20,7 +20,7 @@ HIGHEST_M = 10.0
 
 @dataclass(frozen=True, slots=True)
 class VADOutputs:
-    """What is reported for one key frame; lidar frame, x right, y forward, metres and radians.
+    """Outputs for one key frame; lidar frame, x right, y forward, metres and radians.
 
     Attributes:
         plan: (6, 2) positions of the lidar origin 0.5 s to 3 s ahead, for the given command.
@@ -56,6 +56,7 @@ class SelectedBoxes:
         boxes: (N, 9) centre x, y, z of the bottom, width, length, height, yaw, velocity x, y. The heading is
             -yaw - pi/2: this is the yaw of mmdet3d before version 1.0.
         scores: (N,) 0 to 1, falling.
+        agents: (N,) which query each is from.
     """
 
     boxes: Tensor
@@ -78,7 +79,7 @@ class SelectedLines:
 
 
 def select(config: VADConfig, predictions: VADPredictions, command: int) -> VADOutputs:
-    """What is reported for a key frame; `command` (0 right, 1 left, 2 straight) says whose plan counts."""
+    """Outputs for a key frame; `command` (0 right, 1 left, 2 straight) says whose plan counts."""
     plans = predictions.plan_offsets.cumsum(1)
     found, lines = select_boxes(config, predictions), select_lines(config, predictions)
     yaw = found.boxes[:, 6:7]

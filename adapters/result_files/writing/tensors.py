@@ -58,7 +58,7 @@ class _Storage:
 
 class _StoragePickler(pickle.Pickler):
     def persistent_id(self, obj: Any) -> Any:
-        """What stands for the storage."""
+        """Tuple that stands for the storage."""
         if not isinstance(obj, _Storage):
             return None
         import torch

@@ -244,7 +244,7 @@ def write_drive_films(
 
 
 def _sensor(record: "DriveRecord") -> "Sensor | None":
-    """What drew for the planner; ``None`` where nothing did, or another version of it than there is now."""
+    """Sensor that drew for the planner; ``None`` where none did, or another version of it than there is now."""
     from generation.render.sensor import SCHEMATIC, SchematicSensor
 
     measured = record.facts.measured

@@ -30,7 +30,7 @@ _LATE_S: Final = 1e-6
 
 
 class FilmLayout(StrEnum):
-    """What a frame shows beside the planners' samples."""
+    """Parts of a frame beside the planners' samples."""
 
     BOTH = "both"
     CAMERAS = "cameras"
@@ -39,7 +39,7 @@ class FilmLayout(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class FilmSettings:
-    """How a film is made.
+    """Settings of a film.
 
     Attributes:
         layout: What a frame shows.
@@ -157,7 +157,7 @@ class Film:
         self._cameras = CameraPictures(stored, *CAMERAS_PX[self.layout]) if self.layout in CAMERAS_PX else None
 
     def __len__(self) -> int:
-        """How many frames it has."""
+        """Number of frames."""
         return len(self.frames)
 
     def __iter__(self) -> Iterator[Picture]:

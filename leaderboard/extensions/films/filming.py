@@ -25,7 +25,7 @@ Watch = Callable[[Iterable[Picture], int, str], Iterable[Picture]]
 
 
 class FilmFormat(StrEnum):
-    """What is written."""
+    """Format of a film."""
 
     WEBM = "webm"
     PNG = "png"
@@ -59,7 +59,7 @@ def sheet_folders(root: Path, data: str, split: str, scenes: Sequence[str] | Non
 
 
 def _others(root: Path) -> str:
-    """What there are sheets of instead."""
+    """Sheets that there are instead, in words."""
     found = sorted(f"{path.parent.name} of {path.parent.parent.name}" for path in root.glob(f"*/*/{SPLIT_FILE}"))
     return f"there are those of split {', '.join(found)}; name one with --data and --split, or " if found else ""
 

@@ -62,7 +62,7 @@ class PlannerTrack:
         return replace(self.plans[last], age_s=float(self.seconds[frame] - self.seconds[last]))
 
     def so_far(self, frame: int) -> Tally:
-        """What the samples up to a frame came to."""
+        """Tally of the samples up to a frame."""
         counted = [plan.verdict for each, plan in self.plans.items() if each <= frame and plan.verdict.counted]
         return Tally(len(counted), Counter(verdict.whom for verdict in counted if verdict.collides))
 

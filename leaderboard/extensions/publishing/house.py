@@ -98,7 +98,7 @@ class House:
                     yield kind, match.group()[:_LONGEST_SHOWN]
 
     def _anywhere(self, shortest: int) -> Iterator[tuple[Kind, re.Pattern[str]]]:
-        """What is looked for in pictures too: it hardly comes about by chance."""
+        """Patterns looked for in pictures too: they hardly come about by chance."""
         folders = "|".join(map(re.escape, self.folders))
         # Not the path of an address, nor a part of a longer or a relative path.
         yield "path", re.compile(rf"{_NOT_WITHIN}/(?:{folders})(?:/[\w.@+=,~%-]+)+")

@@ -98,7 +98,7 @@ def _rows(record: QualityRecord) -> Iterator[Values]:
 
 
 def _what_was_seen(records: Sequence[QualityRecord]) -> list[str]:
-    """What makes rows differ beside the split: size and format of frames, parts of splits, few scenes."""
+    """Notes on differences of rows beside the split: size and format of frames, parts of splits, few scenes."""
     notes = []
     seen = {record.facts.split: _frames(record) for record in records}
     if len(set(seen.values())) > 1:

@@ -31,16 +31,18 @@ class LearnedQueue:
     periods: Tensor
 
     def allowed(self) -> Tensor:
-        """(B, N + 1, 1, L) which frames everybody may look at."""
+        """Frames that each agent may look at, (B, N + 1, 1, L)."""
         age = torch.arange(len(self.features), 0, -1, device=self.periods.device)
         return (age <= self.periods[..., None])[:, :, None]
 
 
 @dataclass(frozen=True, slots=True)
 class QueueLeft:
-    """What key frames leave for the next ones; nothing is learned through it.
+    """Memory that key frames leave for the next ones; nothing is learned through it.
 
     Attributes:
+        queue: With the ego as it was after it had looked around.
+        kept: Which agents the next frames know again.
         confidence: (B, N) 0 to 1, of the agents.
         status: (B, 10) of the ego, as predicted.
         front: (B, numbers) of what plans took from the front cameras, if they look there.
@@ -55,7 +57,7 @@ class QueueLeft:
 
 @dataclass(frozen=True, slots=True)
 class Interacted:
-    """Tokens of B key frames after everybody has looked at everybody.
+    """Tokens of B key frames after agents and the ego have looked at each other.
 
     Attributes:
         tokens: (B, N + 1, C) features and embeddings added; the ego is in the last row.

@@ -146,7 +146,7 @@ class SparseObjective:
         return found
 
     def _perceived(self, frames: Sequence[TrainingFrame], batch: int, device: torch.device) -> Iterator[Perceived]:
-        """What is seen in one key frame of each clip after the other; arguments as of `seen`."""
+        """Perception of one key frame of each clip after the other; arguments as of `seen`."""
         network = self._sparse
         images = miniature_images(torch.stack([frame.images for frame in frames]).flatten(0, 1).to(device))
         maps = network.img_neck(network.img_backbone(images))

@@ -35,7 +35,7 @@ class Targets:
         plans_valid: (F, S) bool.
         commands: (F,) int64.
         status: (F, 10) of the ego; the steering angle is 0.
-        around: Everybody, at the S steps of a plan.
+        around: All that is annotated, at the S steps of a plan.
     """
 
     boxes: Tensor

@@ -147,7 +147,7 @@ class UniADObjective:
         return max(frames - self.learned_frames, 0)
 
     def _views(self, inputs: Sequence[UniADInputs], aware: bool) -> Iterator[View]:
-        """What is seen in the frames of a clip, one after the other; the images of those with gradients together."""
+        """Views of the frames of a clip, one after the other; the images of those with gradients together."""
         network, config = self.network, self.network.config
         learned = self._first_learned(len(inputs))
         previous: Tensor | None = None
@@ -187,14 +187,14 @@ class UniADObjective:
         return memory, losses
 
     def _handed_on(self, instances: Instances, matches: Matches) -> Instances:
-        """Queries of the next frame: fresh ones, tracks of most of the agents, and tracks of nobody."""
+        """Queries of the next frame: fresh ones, tracks of most of the agents, and tracks of none."""
         network = self.network
         kept = matches.queries[torch.rand(len(matches.queries)) >= LOST]
         kept = torch.cat([kept, self._false_tracks(instances, matches)])
         return network.fresh_queries().then(network.query_interact(network.memory_bank(instances).kept(kept)))
 
     def _false_tracks(self, instances: Instances, matches: Matches) -> Tensor:
-        """Fresh queries and tracks that stand for nobody and would be tracks all the same, which are to be given up."""
+        """Fresh queries and tracks that stand for no agent and would be tracks all the same: to be given up."""
         scores = instances.scores.detach().index_fill(0, matches.queries, 0.0)
         scores[self.network.config.queries] = 0.0
         count = min(int((scores >= FALSE_FROM).sum()), MOST_FALSE)

@@ -88,7 +88,7 @@ class PlannerObjective:
 
 @contextmanager
 def _nothing_occupied(network: UniAD) -> Iterator[None]:
-    """Where nobody is a vehicle no occupancy is computed: it is nearly half of a frame's cost, and no plan reads it."""
+    """Leave out occupancy, which is nearly half of a frame's cost and which no plan reads: no track is a vehicle."""
     vehicles = network.vehicle_classes
     network.vehicle_classes = torch.zeros_like(vehicles)
     try:
@@ -100,5 +100,5 @@ def _nothing_occupied(network: UniAD) -> Iterator[None]:
 def _sights(
     bev: Tensor, _: Tensor, mode_queries: Tensor, state: Tensor, __: int, finest_front: Tensor, can_bus: Tensor
 ) -> PlannerSights:
-    """What `adapters.networks.uniad.planning.PlanningHead` is given; copies, so that nothing else is kept."""
+    """Inputs of `adapters.networks.uniad.planning.PlanningHead`; copies, so that nothing else is kept."""
     return PlannerSights(bev.half(), mode_queries.half(), state.half(), finest_front.half(), can_bus)

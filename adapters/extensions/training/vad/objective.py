@@ -81,7 +81,7 @@ WEIGHTS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Disguise:
-    """What hides from a clip that the plan could be read off the ego's own motion.
+    """Disguise of a clip, so that the plan cannot be read off the ego's own motion.
 
     Attributes:
         turn_rad: The world is turned by so much; no image shows where north is.
