@@ -22,7 +22,7 @@ class KeptWeights:
         return {"model": self.weights.name, "path": str(self.path)}
 
     def sentence(self) -> str:
-        """The same in words."""
+        """Sentence about the folder and its contents."""
         return f"{self.path}: {self.weights.name}, for {self.weights.used_by}"
 
 

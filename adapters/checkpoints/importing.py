@@ -54,7 +54,7 @@ class ImportedWeights:
         return {"path": str(self.path), "tensors": self.tensors, "parameters": self.parameters, **facts}
 
     def sentence(self) -> str:
-        """The same in words."""
+        """Sentence about the weights."""
         known = self.provenance
         return (
             f"{self.path}: {known.model}, {counted(self.tensors, 'tensor')}, {self.parameters / 1e6:.1f} M numbers, "
@@ -178,7 +178,7 @@ def _only(model: str, known: Mapping[Path, Provenance]) -> Path:
 
 
 def _normalisation(path: Path, configuration: str, model: Model, asked: str | None) -> tuple[str, str]:
-    """Which pixel values the weights want, and who says so."""
+    """Normalisation of the pixels that the weights want, and who says so."""
     if asked is not None:
         return normalisation_of(asked).name, "user"
     found = _NORM.search(configuration)

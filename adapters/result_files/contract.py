@@ -88,7 +88,7 @@ class ResultFormat:
 
     @property
     def planners(self) -> frozenset[str]:
-        """Whose repositories write it, in lower case."""
+        """Planners whose repositories write it, in lower case."""
         names = re.sub(r"\(.*?\)", "", self.repositories).split(",")
         return frozenset(name.strip().lower() for name in names)
 

@@ -75,7 +75,7 @@ def import_results(
 
 
 def _read(opened: Recognised, samples: RecordedSamples, scenes: Collection[str] | None) -> FilePlans:
-    """Of a file without tokens: in the order of info files that it does not contradict, the better shown one of two."""
+    """Plans of a file; without tokens in the order of info files that it does not contradict, the better shown one."""
     if not opened.format.by_place:
         return opened.format.read(opened.path, opened.content, samples)
     found: list[FilePlans] = []
@@ -94,7 +94,7 @@ def _read(opened: Recognised, samples: RecordedSamples, scenes: Collection[str] 
 
 
 def _of_part(opened: Recognised, samples: RecordedSamples, scenes: Collection[str] | None) -> FilePlans:
-    """Of the whole split, or of the chosen scenes where only their number fits."""
+    """Plans of a file of the whole split, or of the chosen scenes where only their number fits."""
     content = opened.content
     if scenes is not None:
         entries = content["bbox_results"] if isinstance(content, dict) else content

@@ -177,7 +177,7 @@ def _described(imported: ImportedPlans, hashes: dict[str, str], samples: int) ->
 
 
 def _sha256(path: Path) -> str:
-    """Of a file; of a folder over name, zero byte and digest of each file in the order of names."""
+    """Hash of a file; of a folder over name, zero byte and digest of each file in the order of names."""
     if not path.is_dir():
         return file_sha256(path)
     digest = hashlib.sha256()

@@ -102,7 +102,7 @@ class RecordedSamples:
         return abs(abs(x) - COMMAND_LATERAL_M) <= UNDECIDED_M and command in (side, Command.STRAIGHT)
 
     def in_orders(self) -> tuple["RecordedSamples", ...]:
-        """The same in every order of info files that are sorted by time, the likelier one first.
+        """Samples in every order of info files that are sorted by time, the likelier one first.
 
         Where scenes overlap in time, as all variants of one recording do, a converter mixes them, and the info files
         that are exported here keep them apart (`benchmark.datasets.exported_order`). No planner with memory
@@ -116,7 +116,7 @@ class RecordedSamples:
         return (apart, self) if variants else (self, apart)
 
     def of_scenes(self, scenes: Collection[str]) -> "RecordedSamples":
-        """The same with the orders of info files that hold only some scenes."""
+        """Samples with the orders of info files that hold only some scenes."""
         chosen = np.isin(np.array(self.scenes), list(scenes))
         return replace(self, by_time=self.by_time[chosen[self.by_time]], by_table=self.by_table[chosen[self.by_table]])
 

@@ -82,7 +82,7 @@ def attack_figures(frame: Frame) -> tuple[NamedFigure, ...]:
 
 
 def nothing_drawn(data_name: str, records: Sequence[RunRecord]) -> str | None:
-    """Why there is no figure of a data set that has adversaries, in a sentence; ``None`` where there is one."""
+    """Reason why there is no figure of a data set that has adversaries, in a sentence; ``None`` where there is one."""
     own = [each for each in records if each.run.data.name == data_name and has_adversaries(each)]
     if not own or any(setting.data_name == data_name for setting in generator_settings(own)):
         return None
@@ -199,7 +199,7 @@ def _draw_setting(
 
 
 def _words(settings: Sequence[Setting]) -> list[str]:
-    """Which number is which setting, and what the axes are."""
+    """Sentences on which number is which setting, and on the axes."""
     found = []
     for number, setting in enumerate(settings, 1):
         name = drawable(split_of(setting.split, setting.data_name))

@@ -30,7 +30,7 @@ FEW_NOTE = f"Fewer than {FEW_SCENES} recorded scenes: the intervals are too narr
 
 
 def split_place(split: str) -> tuple[int, str]:
-    """To sort splits by: the paper's three first, the others by name."""
+    """Place by which splits are sorted: the paper's three first, the others by name."""
     return SPLIT_ORDER.index(split) if split in SPLIT_ORDER else len(SPLIT_ORDER), split
 
 

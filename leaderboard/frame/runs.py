@@ -43,12 +43,12 @@ class Row(Generic[Found]):
 
     @property
     def with_caveats(self) -> Shown:
-        """The same, marked where its numbers lacked something."""
+        """Name of the planner, marked where its numbers lacked something."""
         return with_caveat_mark(self.planner, self.record.run)
 
     @property
     def name(self) -> Shown:
-        """The same with all marks: reproduced by others, and judged by an earlier version of the protocol."""
+        """Name of the planner with all marks: reproduced by others, judged by an earlier version of the protocol."""
         return row_name(self.record, self.judge)
 
     @property
@@ -122,7 +122,7 @@ class Frame:
 
     @cached_property
     def judges(self) -> list[str]:
-        """Whose verdicts come first: ``exact``, and each planner's own protocol where one has it."""
+        """Judges whose verdicts come first: ``exact``, and each planner's own protocol where one has it."""
         return [*((EXACT,) if EXACT in self.protocols else ()), *((NATIVE,) if self.has_native else ())]
 
     def once(self, make: Callable[..., Made], *of: str) -> Made:
@@ -175,5 +175,5 @@ def row_notes(rows: Sequence[Row[Any]], told: Iterable[str] = ()) -> list[str]:
 
 
 def whose(protocol: str) -> str:
-    """Whose verdicts, as labels over columns say it."""
+    """Judges whose verdicts are shown, as labels over columns name them."""
     return "own protocol" if protocol == NATIVE else protocol

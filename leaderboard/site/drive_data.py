@@ -51,7 +51,7 @@ class _Shown:
 
     @property
     def key(self) -> str:
-        """In addresses and file names."""
+        """Key in addresses and file names."""
         return content_key("drive", self.record.content_id, self.row.scene, self.row.family, self.row.run)[:16]
 
     @property

@@ -102,7 +102,7 @@ def _figure(figure: PlacedFigure, written: frozenset[str]) -> dict[str, Any]:
 
 
 def _key_tables(frames: Sequence[Frame], origins: "_Origins", written: frozenset[str]) -> list[dict[str, Any]]:
-    """Of each data set the table of the first page."""
+    """Table of the first page of each data set."""
     found = [(frame.data_name, key_table(frame)) for frame in frames]
     placed = [PlacedTable(table, name, "", "") for name, table in found if table is not None]
     return [_table(each, f"key-{number}", origins, written) for number, each in enumerate(placed)]
@@ -149,7 +149,7 @@ class _Origins:
 
     @property
     def found(self) -> list[list[int]]:
-        """For each origin the places of its facts among the words."""
+        """Places of the facts of each origin among the words."""
         return [list(origin) for origin in self._origins]
 
     @property

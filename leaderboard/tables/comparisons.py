@@ -81,7 +81,7 @@ def split_table(frame: Frame, protocol: str) -> Table | None:
 
 
 def planner_table(frame: Frame, protocol: str, split: str) -> Table | None:
-    """Which planner is better on a split: a row for each pair.
+    """Comparison of planners on a split: a row for each pair.
 
     ``None`` if fewer than two ran on the whole split, and under ``native``, by which no two planners compare.
     """

@@ -77,7 +77,7 @@ def _samples(record: RunRecord) -> _Samples | None:
 
 
 def diagnosis_tables(frame: Frame) -> list[Table]:
-    """Why the plans of each planner collide under ``exact``; empty where no run was judged by it.
+    """Reasons why the plans of each planner collide under ``exact``; empty where no run was judged by it.
 
     Shares of the causes by planner and split; the cases behind them; the same by manoeuvre, where the data set says
     which. Runs from before there were diagnoses get a note in place of rows.

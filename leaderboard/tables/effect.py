@@ -158,7 +158,7 @@ def _who(found: Sequence[AdversaryEffect], split: str) -> str:
 
 
 def unsaid_whom(record: RunRecord) -> str:
-    """Why a record on a split with adversaries does not say whom contacts are with, in a sentence."""
+    """Reason why a record on a split with adversaries does not say whom contacts are with, in a sentence."""
     facts = [record.run.scene_facts.get(scene) for scene in record.run.scenes]
     why = "older records do not say whom contacts are with; challenger-bench rescore brings that to them"
     if any(fact is None or fact.adversaries is None for fact in facts):

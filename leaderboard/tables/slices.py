@@ -180,7 +180,7 @@ def _driving_table(frame: Frame, kind: SliceKind) -> Table:
 
 
 def _causes_table(frame: Frame, kind: SliceKind) -> Table:
-    """Why plans collide."""
+    """Reasons why plans collide."""
     rows, notes = _rows(frame.runs, EXACT, kind, lambda record: causes_by(record, kind))
     columns = [
         *texts("planner", "split", kind),

@@ -99,7 +99,7 @@ def frame_matrices(frame: Frame, protocol: str, split: str) -> tuple[list[Transf
 
 
 def transfer_tables(frame: Frame, protocol: str, split: str) -> list[Table]:
-    """Of each of `frame_matrices` a table of shares and one of lift and φ."""
+    """Tables of each of `frame_matrices`: one of shares and one of lift and φ."""
     matrices, refused = frame.once(frame_matrices, protocol, split)
     tables = [make(frame.data_name, each) for each in matrices for make in (transfer_table, lift_table)]
     return [replace(table, notes=(*table.notes, *refused)) for table in tables]

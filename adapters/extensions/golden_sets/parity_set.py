@@ -142,7 +142,7 @@ class ParitySet:
         return cls(folder.path, recipe, read_shapes(folder.nearby("keys.json")), folder.arrays("inputs.npz"), outputs)
 
     def camera_images(self, frame: int, cameras: int) -> Tensor:
-        """As `images`, for a network that has so many cameras."""
+        """Images as of `images`, for a network that has so many cameras."""
         images = self.images(frame)
         if images.shape[:2] != (cameras, 3):
             raise ValueError(f"its images are of shape {tuple(images.shape)}, the network has {cameras} cameras")

@@ -117,7 +117,7 @@ def _rows_of(kept: Rows, ids: Rows, own: Rows, order: Rows) -> Rows | None:
 
 
 def _order(ours: torch.Tensor, golden: Floats | None) -> Rows:
-    """For each golden row, ours: the same, or where that differs, the nearest of those that differ."""
+    """Order of ours for the golden rows: the same row, or where that differs, the nearest of those that differ."""
     order = np.arange(len(ours))
     if golden is None:
         return order
@@ -132,7 +132,7 @@ def _order(ours: torch.Tensor, golden: Floats | None) -> Rows:
 
 
 def _nearest(decoded: Decoded, golden: Floats) -> Rows | None:
-    """Which instances golden places are of; nothing if that is not clear."""
+    """Instances that golden places are of; nothing if that is not clear."""
     own = decoded.anchors.detach().cpu().numpy().astype(np.float64)
     apart = np.abs(golden[:, None] - own).max(-1)
     rows = apart.argmin(1)

@@ -175,7 +175,7 @@ def _looked_up(raster: Bools, points: Floats, low_x_m: float, low_y_m: float, ce
 
 
 def _line_rasters(frame: TrainingFrame) -> list[Bools]:
-    """Which cells the dividers, the crossings and the boundaries pass through; rows along y, columns along x."""
+    """Cells that the dividers, the crossings and the boundaries pass through; rows along y, columns along x."""
     size = (round(2 * _AHEAD_M / _LINE_CELL_M), round(2 * _ASIDE_M / _LINE_CELL_M))
     places = np.rint((frame.lines.double().cpu().numpy() + [_ASIDE_M, _AHEAD_M]) / _LINE_CELL_M - 0.5).astype(np.int32)
     rasters = []

@@ -100,12 +100,12 @@ class Difference:
 
     @classmethod
     def of(cls, rate: Rate) -> Self:
-        """From a mean with its interval, rounded."""
+        """Difference from a mean with its interval, rounded."""
         ends = (None if each is None else round(each, 4) for each in (rate.low, rate.high))
         return cls(round(rate.value or 0.0, 4), *ends)
 
     def said(self, digits: int) -> str:
-        """For readers."""
+        """Text for readers."""
         shown = ["-" if each is None else f"{each:+.{digits}f}" for each in (self.value, self.low, self.high)]
         return f"{shown[0]} [{shown[1]}, {shown[2]}]"
 
@@ -122,7 +122,7 @@ class Loss:
 
     @classmethod
     def between(cls, own: JudgedPlans, other: JudgedPlans) -> Self:
-        """From the plans of the same samples with its own images and with others."""
+        """Loss between the plans of the same samples with its own images and with others."""
         pairs = [
             np.stack([outcomes.l2[:, -1], 100.0 * outcomes.collision.any(-1)], axis=-1)
             for outcomes in (own.outcomes(), other.outcomes())
@@ -132,7 +132,7 @@ class Loss:
         return cls(*(Difference.of(rate) for rate in ratios_over_scenes(lost, np.ones_like(lost), scenes, seed=0)))
 
     def said(self) -> str:
-        """For readers."""
+        """Text for readers."""
         return f"L2 at 3 s {self.l2_3s_m.said(2)} m, collisions {self.collisions_pt.said(1)} points"
 
     @classmethod

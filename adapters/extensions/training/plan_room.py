@@ -67,7 +67,7 @@ class Around:
         return cls(*(pad_sequence(each, batch_first=True) for each in (boxes, there)))
 
     def on(self, device: torch.device) -> "Around":
-        """The same on a device."""
+        """Bodies on a device."""
         return Around(self.boxes.to(device), self.there.to(device))
 
 
@@ -99,7 +99,7 @@ def missing_room(plans: Tensor, around: Around) -> Tensor:
 
 
 def room_loss(plan: Tensor, frame: TrainingFrame) -> Tensor:
-    """The same of one plan, (T, 2), as a scalar."""
+    """Room that one plan, (T, 2), lacks, as a scalar."""
     return missing_room(plan[None, None], Around.of([frame], len(plan)))[0, 0]
 
 

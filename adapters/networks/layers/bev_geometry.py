@@ -54,7 +54,7 @@ class BEVGrid:
 
 @dataclass(frozen=True, slots=True)
 class CameraHits:
-    """Which cells which cameras see: P pairs, camera after camera.
+    """Pairs, P of them, of cells and the cameras that see them, camera after camera.
 
     Attributes:
         camera: (P,) int32.

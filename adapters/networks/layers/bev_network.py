@@ -57,7 +57,7 @@ def bev_decoder(config: BEVConfig) -> DeformableDecoder:
 
 
 def can_bus_network(channels: int) -> nn.Sequential:
-    """From the CAN bus vector to what is added to every cell."""
+    """Layers from the CAN bus vector to the channels that are added to every cell."""
     return nn.Sequential(
         OrderedDict(
             [

@@ -55,6 +55,6 @@ class EgoMotion:
         )
 
     def to(self, device: torch.device) -> "EgoMotion":
-        """The same on a device, in single precision, with one transfer."""
+        """Motion on a device, in single precision, with one transfer."""
         packed = torch.cat([self.can_bus.float(), self.shift, self.previous_cells.flatten()]).to(device)
         return EgoMotion(packed[:CAN_BUS], packed[CAN_BUS : CAN_BUS + 2], packed[CAN_BUS + 2 :].view(2, 3))

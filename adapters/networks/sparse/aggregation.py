@@ -159,5 +159,5 @@ class CameraSampling(nn.Module):
 
 
 def camera_encoder(channels: int) -> nn.Sequential:
-    """From the twelve numbers of a camera's projection to channels."""
+    """Layers from the twelve numbers of a camera's projection to channels."""
     return encoder(12, channels, 2)

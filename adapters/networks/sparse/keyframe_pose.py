@@ -27,7 +27,7 @@ class KeyframePose:
 
 @dataclass(frozen=True, slots=True)
 class RigidMotion:
-    """From remembered frames to present ones, of one clip or of several side by side.
+    """Motion from remembered frames to present ones, of one clip or of several side by side.
 
     Attributes:
         now_T_then: (..., 4, 4) float32, lidar frame of the remembered frame to that of the present one.

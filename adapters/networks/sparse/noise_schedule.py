@@ -20,7 +20,7 @@ FORWARD_SPAN_M: Final = 8.1
 
 
 def signal_shares() -> list[float]:
-    """For every step, the share of the variance that is signal (Ho et al., 2020, with betas linear in their roots)."""
+    """Share of the variance that is signal, for every step (Ho et al., 2020, with betas linear in their roots)."""
     betas = torch.linspace(math.sqrt(1e-4), math.sqrt(2e-2), STEPS, dtype=torch.float32) ** 2
     shares: list[float] = (1 - betas).cumprod(0).tolist()
     return shares

@@ -25,7 +25,7 @@ class SparsePlanner(NativePlanner[SparseNetwork]):
 
     @property
     def seed(self) -> int:
-        """Of the noise that DiffusionDrive plans from; SparseDrive has none."""
+        """Seed of the noise that DiffusionDrive plans from; SparseDrive has none."""
         return self._network.seed
 
     def _own_settings(self) -> dict[str, Any]:

@@ -22,7 +22,7 @@ BOX: Final = 7
 
 
 def colliding(plans: Tensor, boxes: Tensor, scores: Tensor, forecasts: Tensor) -> Tensor:
-    """Which plans collide, (M,) booleans.
+    """Collisions of plans, (M,) booleans.
 
     `plans` are (M, S, 2) positions and `forecasts` of agents (N, S, 2), metres, lidar frame; `boxes` are (N, 11) and
     `scores` (N,) 0 to 1.

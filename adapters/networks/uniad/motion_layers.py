@@ -13,7 +13,7 @@ def embedding_layer(channels: int) -> nn.Sequential:
 
 
 def fusion_layer(inputs: int, channels: int) -> nn.Sequential:
-    """From `inputs` numbers to `channels`, over twice as many."""
+    """Layers from `inputs` numbers to `channels`, over twice as many."""
     return nn.Sequential(nn.Linear(inputs, 2 * channels), nn.ReLU(), nn.Linear(2 * channels, channels))
 
 

@@ -38,7 +38,7 @@ class UniADPlanner(NativePlanner[UniAD]):
 
     @property
     def config(self) -> UniADConfig:
-        """Of the network."""
+        """Configuration of the network."""
         return self._network.config
 
     def reset(self, scene: SceneInfo) -> None:

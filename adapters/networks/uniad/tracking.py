@@ -97,7 +97,7 @@ class Pose:
 
     @classmethod
     def of(cls, rotation: Tensor, translation: Tensor, time_s: float, device: torch.device) -> "Pose":
-        """From tensors on the processor, with one transfer to the device and no wait for it."""
+        """Pose from tensors on the processor, with one transfer to the device and no wait for it."""
         single = rotation.detach().to("cpu", torch.float32)
         rows = [single, torch.linalg.inv(single), translation.detach().to("cpu", torch.float32)[None]]
         packed = torch.cat(rows).to(device)

@@ -169,7 +169,7 @@ def planners_shown(names: Sequence[str], records: Sequence[Path], everywhere: Pa
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """Which drives are filmed; see `write_drive_films`."""
+    """Drives that are filmed; see `write_drive_films`."""
 
     data: str
     split: str

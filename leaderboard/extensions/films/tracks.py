@@ -27,7 +27,7 @@ class Tally:
     touches: Mapping[Whom, int]
 
     def words(self, *, adversaries: bool) -> str:
-        """For example ``3 of 14 hit it, 2 another``, a dash where the record does not say whom.
+        """Words, for example ``3 of 14 hit it, 2 another``; a dash where the record does not say whom.
 
         ``adversaries``: whether there are some in the scene, beside whose contacts stand those with others.
         """

@@ -20,10 +20,10 @@ class Found:
     says: str
 
     def sentence(self) -> str:
-        """For a terminal."""
+        """Sentence for a terminal."""
         where = f"{self.file}:{self.line}: " if self.line else f"{self.file}: " if self.file else ""
         return f"{self.kind}: {where}{self.says}"
 
     def as_json(self) -> dict[str, str | int]:
-        """For machines."""
+        """JSON for machines."""
         return asdict(self)

@@ -90,7 +90,7 @@ class House:
                 yield 1 + bisect_left(ends, match.start()), kind, match.group()[:_LONGEST_SHOWN]
 
     def in_binary(self, content: bytes) -> Iterator[tuple[Kind, str]]:
-        """The same, less lines, of a picture or another file without lines, where random bytes make short words."""
+        """Findings, without lines, in a picture or another file without lines, where random bytes make short words."""
         text = "\n".join(run.decode("ascii") for run in _READABLE.findall(content))
         for kind, pattern in self._anywhere(_SHORTEST_IN_BINARY):
             for match in pattern.finditer(text):

@@ -53,7 +53,7 @@ SPEED: Final = 0.3
 
 
 def matches_of_boxes(stage: Stage, targets: Targets) -> Matches:
-    """Which predictions of a stage stand for which boxes; arguments as in `stage_of_boxes`."""
+    """Pairs of predictions of a stage and boxes; arguments as in `stage_of_boxes`."""
     boxes, logits = stage.anchors.flatten(0, 1), stage.logits.flatten(0, 1)
     weights = boxes.new_tensor(BOX_WEIGHTS)
     distance = torch.cdist(boxes.detach() * weights, targets.boxes * weights, p=1)

@@ -36,7 +36,7 @@ SMALLEST_DEVIATION_M, LARGEST_CORRELATION = 0.1, 0.9
 
 
 def matched_agents(detections: Detections, agents: Agents, carried: Tensor, queries: int) -> Matches:
-    """Which query stands for which agent: a track for its own, and fresh queries for all others.
+    """Pairs of queries and agents: a track for its own, and fresh queries for all others.
 
     Tracks whose agent has gone have no pair. `carried` are (T,) instances of the tracks, `queries` counts the fresh
     ones without the ego.

@@ -94,7 +94,7 @@ class Disguise:
 
     @classmethod
     def drawn(cls) -> "Disguise":
-        """From the random numbers of the process, which the trainer seeds for each step."""
+        """Disguise from the random numbers of the process, which the trainer seeds for each step."""
         turn, speed, past = torch.rand(3).tolist()
         return cls(2 * math.pi * turn, speed >= WITHOUT_SPEED, past >= WITHOUT_PAST)
 
@@ -196,7 +196,7 @@ def looked(
 
 
 def matched_agents(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> Matched:
-    """Which queries stand for which annotated agents after each layer."""
+    """Pairs of queries and annotated agents after each layer."""
     low, high = (torch.tensor(network.config.perception_range_m[each : each + 2]) for each in (0, 3))
     inside = ((frame.boxes[:, :2] > low) & (frame.boxes[:, :2] < high)).all(-1)
     boxes, labels = frame.boxes[inside], frame.labels[inside]
