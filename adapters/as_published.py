@@ -24,18 +24,10 @@ CROSS_SCENES: Final = frozenset({MEMORY, CAN_ONCE})
 
 
 def options_of(name: str, known: Collection[str], asked: Sequence[str]) -> tuple[str, ...]:
-    """What a model does as published.
+    """Options that a model has of those asked for (of `OPTIONS`, or `ALL`), in the order of `OPTIONS`.
 
-    Args:
-        name: The model, for messages.
-        known: What it may do (`adapters.models.Network.as_published`).
-        asked: Of `OPTIONS`, or `ALL`.
-
-    Returns:
-        What it will do, in the order of `OPTIONS`.
-
-    Raises:
-        InputError: If it does nothing of the kind.
+    `known` are those of `adapters.models.Network.as_published`; a model that does nothing of the kind is an
+    `InputError`.
     """
     for option in asked:
         if option not in (*OPTIONS, ALL):

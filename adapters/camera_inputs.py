@@ -26,13 +26,9 @@ Pixels = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class Normalisation:
-    """How pixel values of 0 to 255 become network inputs: ``(value - mean) / std`` for each channel.
+    """Normalisation from pixel values of 0 to 255 to network inputs: ``(value - mean) / std`` for each channel.
 
-    Attributes:
-        name: Recorded with weights and runs.
-        mean: In the order of the network's channels.
-        std: In the same order.
-        rgb: Whether the channels are red, green, blue; else blue, green, red.
+    `mean` and `std` are in the order of the network's channels: red, green, blue if `rgb`, else blue, green, red.
     """
 
     name: str
@@ -49,17 +45,7 @@ NORMALISATIONS: Final = {variant.name: variant for variant in (BGR_MEAN, RGB_MEA
 
 
 def normalisation_of(name: str) -> Normalisation:
-    """A normalisation by name.
-
-    Args:
-        name: For example ``bgr-mean``.
-
-    Returns:
-        The normalisation.
-
-    Raises:
-        InputError: If there is none of that name.
-    """
+    """Normalisation of a name, for example ``bgr-mean``."""
     if name not in NORMALISATIONS:
         raise InputError(f"there is no normalisation {name!r}; known are {', '.join(NORMALISATIONS)}")
     return NORMALISATIONS[name]
@@ -87,11 +73,7 @@ class ImageFormat:
     def scaled(cls, scale: float) -> Self:
         """Images of 1600 x 900 made smaller by a factor, as VAD (0.4, 0.8) and UniAD (1.0) read them.
 
-        Args:
-            scale: Network image against 1600 x 900.
-
-        Returns:
-            The format; sides are cut to whole pixels.
+        Sides are cut to whole pixels.
         """
         width, height = NUSCENES_IMAGE
         return cls(int(width * scale), int(height * scale))
@@ -110,18 +92,10 @@ MINIATURE_IMAGE: Final = ImageFormat(224, 128)
 
 
 def camera_images(observation: Observation, image_format: ImageFormat, normalisation: Normalisation) -> Pixels:
-    """The six images of a sample as a network reads them.
+    """Images of the six cameras at a sample as a network reads them.
 
-    Args:
-        observation: The sample.
-        image_format: Size, cropping, padding.
-        normalisation: Of the weights.
-
-    Returns:
-        (6, 3, H, W) in the order of `CAMERA_NAMES`; the padding is 0.
-
-    Raises:
-        InputError: If a camera or an image is missing, broken, or not of the size that the data set's tables say.
+    (6, 3, H, W) in the order of `CAMERA_NAMES`; the padding is 0. One that is missing, broken, or not of the size that
+    the data set's tables say is an `InputError`.
     """
     images = np.zeros((len(CAMERA_NAMES), 3, *image_format.padded), np.float32)
     rows = image_format.height - image_format.crop_top
@@ -137,15 +111,8 @@ def lidar_to_image(observation: Observation, image_format: ImageFormat) -> Float
     A camera is exposed up to 50 ms before or after the lidar's time stamp; the ego's motion in between is part of
     the matrix: ``image affine @ K @ camera_T_ego @ ego_T_global(exposure) @ global_T_ego(sample) @ ego_T_lidar``.
 
-    Args:
-        observation: The sample.
-        image_format: Size and cropping.
-
     Returns:
         (6, 4, 4): (x, y, z, 1) in metres to (u d, v d, d, 1), u and v in pixels of the network's image, d the depth.
-
-    Raises:
-        InputError: If a camera is missing.
     """
     global_T_lidar = lidar_pose(observation)
     matrices = []
@@ -159,29 +126,14 @@ def lidar_to_image(observation: Observation, image_format: ImageFormat) -> Float
 
 
 def image_affine(camera: Camera, image_format: ImageFormat) -> Floats:
-    """Pixels of the recorded image to pixels of the network's image.
-
-    Args:
-        camera: The recorded size.
-        image_format: The size that the network expects.
-
-    Returns:
-        (4, 4) scale and shift of homogeneous image coordinates (u d, v d, d, 1).
-    """
+    """Matrix, (4, 4) on (u d, v d, d, 1), from pixels of the recorded image to pixels of the network's image."""
     affine = np.diag([image_format.width / camera.width, image_format.height / camera.height, 1.0, 1.0])
     affine[1, 2] = -image_format.crop_top
     return affine
 
 
 def lidar_pose(observation: Observation) -> Floats:
-    """Pose of LIDAR_TOP at the sample.
-
-    Args:
-        observation: The sample.
-
-    Returns:
-        (4, 4) lidar frame (x right, y forward) to global frame.
-    """
+    """Pose of LIDAR_TOP at the sample: (4, 4) lidar frame (x right, y forward) to global frame."""
     global_T_ego = transform_matrix(observation.ego.rotation, observation.ego.position)
     return global_T_ego @ transform_matrix(observation.lidar.rotation, observation.lidar.translation)
 
@@ -190,7 +142,6 @@ def can_bus_vector(ego: EgoState, *, repeat_w: bool = True, after: bool = False)
     """The 18 numbers that VAD and UniAD call ``can_bus``, as their data-set code gives them.
 
     Args:
-        ego: Ego motion at the sample.
         repeat_w: Put the scalar part of the rotation into all four places of the quaternion. The published code does so
             by a mistake, and the published weights have never seen anything else.
         after: Take the message after the sample instead of the last one before it, as the published code does by a

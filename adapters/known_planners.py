@@ -28,14 +28,10 @@ class KnownPlanner:
     """One planner.
 
     Attributes:
-        name: What ``--model`` takes.
         sees: What it looks at.
-        weights: Whether it has the weights that it needs.
         gpu: What a GPU is to it.
         extra: What has to be installed for it: an extra of this package, or nothing.
         here: Whether everything that it needs is here.
-        miniature: Whether it shows the pipeline and ranks nothing.
-        also: Other names of it.
         comes_from: The published weights' name, or the package of an installed planner.
     """
 
@@ -75,14 +71,10 @@ def known_planners(
 
 
 def own_planner_like(planner: PlannerFacts) -> PlannerFacts | None:
-    """The planner of this program that one is.
+    """The planner of this program that one is, by what a record says of it.
 
-    Args:
-        planner: What a record says of its planner.
-
-    Returns:
-        What is true of the one that has its code, whatever it is called; else of the one that it is called like; else
-        ``None``. Networks are looked at only if they are named and their weights come with this package.
+    The one that has its code, whatever it is called; else the one that it is called like; else ``None``. Networks are
+    looked at only if they are named and their weights come with this package.
     """
     model = MODELS.get(planner.name)
     called = None
@@ -95,15 +87,7 @@ def own_planner_like(planner: PlannerFacts) -> PlannerFacts | None:
 
 
 def planners_text(planners: tuple[KnownPlanner, ...], width: int | None = None) -> str:
-    """The planners as a table, and how to get what is missing.
-
-    Args:
-        planners: From `known_planners`.
-        width: Columns of the terminal, if it is not to be asked.
-
-    Returns:
-        Lines.
-    """
+    """The planners as a table, and how to get what is missing."""
     missing = dict.fromkeys(each.comes_from for each in planners if each.weights == "missing")
     lines = [planners_table(planners).plain(width=width)]
     if missing:

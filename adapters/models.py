@@ -27,7 +27,6 @@ class Network:
     """A network and what is known of its official code; variants of a family replace a few of these.
 
     Attributes:
-        build: Its class, which is given a configuration.
         config: Makes the configuration.
         example: Makes inputs of one key frame of a configuration, the same every time, on the processor.
         published_normalisation: What the official weights were trained with (`adapters.camera_inputs.NORMALISATIONS`).
@@ -61,7 +60,7 @@ class Network:
 
 @dataclass(frozen=True, slots=True)
 class Miniature:
-    """What a small network whose weights come with this package stands for, and how it is trained.
+    """Miniature: the full models for which a small network with packaged weights stands, and its training.
 
     Attributes:
         stands_for: Full models in whose place it runs on the embedded data set where their weights are absent.
@@ -81,7 +80,6 @@ class Model:
     """One planner.
 
     Attributes:
-        name: Shown in tables.
         planner: Its class; that of a network is given the network and where its weights come from.
         network: What plans, if it is a network that is written here natively.
         weights: Published weights that it has (`benchmark.weights.catalogue`); variants share those of another.
@@ -126,19 +124,12 @@ class Model:
 
     @property
     def small(self) -> Miniature:
-        """What it is as a miniature."""
+        """Its entry as a miniature."""
         assert self.miniature is not None, f"{self.name} is no miniature"
         return self.miniature
 
     def configuration(self, shapes: Mapping[str, Sequence[int]] | None = None) -> Any:
-        """Sizes of its network.
-
-        Args:
-            shapes: Of the tensors that the network is for, by name.
-
-        Returns:
-            What the network is built from.
-        """
+        """Configuration of its network; `shapes` are those of the tensors that it is for, by name."""
         make = resolve(self.net.config)
         return make(shapes or {}) if self.net.fitted else make()
 
@@ -150,16 +141,10 @@ class Model:
         device: str = "cpu",
         as_published: Sequence[str] = (),
     ) -> Any:
-        """Its network as it is evaluated, with random weights.
+        """Its network, a `torch.nn.Module` as it is evaluated, with random weights.
 
-        Args:
-            shapes: Of the tensors that the network is for, by name, where it depends on them.
-            seed: Of the run.
-            device: Where it is made; ``meta`` needs no memory.
-            as_published: What it does as in its published runs, of those that the entry knows.
-
-        Returns:
-            A `torch.nn.Module`.
+        `shapes` are those of the tensors that it is for, by name, where it depends on them; the device ``meta`` needs
+        no memory; `as_published` is of what the entry knows.
         """
         # Read before the device is set: constants of modules need memory whatever the network is built on.
         make, config = resolve(self.net.build), self.configuration(shapes)
@@ -171,14 +156,7 @@ class Model:
 
 
 def resolve(reference: str) -> Any:
-    """What a text of the table names.
-
-    Args:
-        reference: ``module:attribute``, where attributes may have dots.
-
-    Returns:
-        The attribute, its module imported.
-    """
+    """Attribute that a text of the table names, ``module:attribute`` where attributes may have dots; it is imported."""
     module, _, attribute = reference.partition(":")
     return attrgetter(attribute)(import_module(module))
 
@@ -215,7 +193,7 @@ def miniature(name: str) -> Model:
 
 
 def published_as(planner: str) -> str | None:
-    """What the paper calls a planner of this name, whoever runs it; ``None`` if it did not run it."""
+    """Name of a planner in the paper, for any run of it; ``None`` if the paper did not run it."""
     model = MODELS.get(planner.lower())
     return None if model is None else model.published_as
 
@@ -389,6 +367,6 @@ MODELS: Final = {
 
 
 def verified_models() -> dict[str, str]:
-    """What compares each model with its official code, family by family."""
+    """References to the comparison of each model with its official code, family by family."""
     known = {name: model.net.verify for name, model in published_models().items() if model.net.verify is not None}
     return dict(sorted(known.items(), key=lambda item: item[1], reverse=True))

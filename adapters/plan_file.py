@@ -56,11 +56,9 @@ _SHOWN = 3
 
 @dataclass(frozen=True, slots=True)
 class RecordedFuture:
-    """What was recorded of the ego after a sample.
+    """Recorded future of the ego after a sample: (6, 2) of the lidar, x right, y forward, metres; NaN past the end.
 
-    Attributes:
-        lidar_ahead_m: Lidar origin ahead of the rear axle.
-        positions: (6, 2) of the lidar, x right, y forward, metres; NaN past the end.
+    `lidar_ahead_m` is the lidar origin ahead of the rear axle.
     """
 
     lidar_ahead_m: float
@@ -79,15 +77,7 @@ SplitSamples = Mapping[str, Mapping[tuple[Hashable, ...], RecordedFuture]]
 
 @dataclass(frozen=True, slots=True)
 class PlanFile:
-    """A read plan file.
-
-    Attributes:
-        path: Where it came from.
-        by_token: Whether rows are named by token, else by scene and timestamp.
-        keys: R row names, ``(token,)`` or ``(scene, timestamp)``.
-        frames: R frames.
-        waypoints: (R, N, 2) metres, 6 to 16 steps.
-    """
+    """A read plan file of R rows: ``(token,)`` or ``(scene, timestamp)`` keys, and (R, N, 2) metres, 6 to 16 steps."""
 
     path: Path
     by_token: bool
@@ -105,14 +95,8 @@ class PlanFile:
     ) -> None:
         """Check that there is one row for every sample, and none for anything else.
 
-        Args:
-            samples: Samples of the split (`samples_of`).
-            split: The split, for messages.
-            scenes: Scenes that will be evaluated; rows of the split's other scenes may stay.
-            allow_partial: Whether a sample may have no row, and has failed then; one at least needs one.
-
-        Raises:
-            InputError: If rows are missing or do not belong to the split.
+        `scenes` are those that will be evaluated; rows of the split's other scenes may stay. With `allow_partial` a
+        sample may have no row, and has failed then; one at least needs one.
         """
         present = set(self.keys)
         missing = [key for scene in scenes for key in sorted(samples[scene].keys() - present, key=str)]
@@ -136,16 +120,9 @@ class PlanFile:
         }
 
     def by_samples(self, tokens: Mapping[str, str]) -> "PlanFile":
-        """The same with names of samples.
+        """The same file with names of samples; `tokens` are by what rows may have in their place.
 
-        Args:
-            tokens: Sample tokens by what rows may have in their place.
-
-        Returns:
-            The file.
-
-        Raises:
-            InputError: If two rows are of one sample.
+        Two rows of one sample are an `InputError`.
         """
         keys = tuple((tokens.get(str(key[0]), key[0]),) for key in self.keys)
         _require_once(self.path, keys)
@@ -169,12 +146,7 @@ class PlanFile:
 
 
 class PlanFilePlanner:
-    """Gives the plans of a file.
-
-    Args:
-        plans: The file.
-        name: Shown in tables; the file's name by default.
-    """
+    """Planner that gives the plans of a file, after which it is named unless a name is given."""
 
     def __init__(self, plans: PlanFile, name: str | None = None) -> None:
         self.name = name or plans.path.stem
@@ -185,17 +157,7 @@ class PlanFilePlanner:
         """Nothing is remembered."""
 
     def plan(self, observation: Observation) -> Plan:
-        """Look the sample up.
-
-        Args:
-            observation: The sample.
-
-        Returns:
-            Its plan.
-
-        Raises:
-            InputError: If the file has no row for it.
-        """
+        """The plan of the sample; an `InputError` if the file has no row for it."""
         row = self._row_of.get(self._plans._key(observation))
         if row is None:
             raise InputError(f"{self._plans.path} has no row for sample {observation.sample_token}")
@@ -207,8 +169,6 @@ class PlanFileFactory:
     """Builds the planner of a plan file in any process.
 
     Attributes:
-        path: The file.
-        facts: Its identity: name and hash of the file.
         tokens: Sample tokens by the tokens of keyframe rows, where the file has those.
         frame: Frame of all plans, if it is not that of the file.
         caveats: What the record has to say of plans that were taken as they stand.
@@ -229,7 +189,7 @@ class PlanFileFactory:
 
     @property
     def sentences(self) -> list[str]:
-        """What there is to report of the file."""
+        """Sentences about the file."""
         rows = "sample_token holds tokens of sample_data rows; each stands for the sample of its keyframe"
         told = [f"{self.path}: {rows}"] if self.tokens else []
         return [*told, f"{self.path}: {checks_said(self.measured)}"]
@@ -312,7 +272,7 @@ def _foreign(
     samples: "SplitSamples",
     records: Sequence[Path],
 ) -> InputError | None:
-    """What to say of a file of which no row belongs to the split; ``None`` if some do."""
+    """Error of a file of which no row belongs to the split; ``None`` if some do."""
     present = set(plans.keys)
     if not present.isdisjoint(set().union(*samples.values())):
         return None
@@ -332,17 +292,9 @@ def _foreign(
 
 
 def read_plan_file(path: Path, frame: FrameName | None = None) -> PlanFile:
-    """Read and check a plan file.
+    """Rows of a ``.csv``, ``.parquet`` or ``.json`` plan file, checked, in the order of the file.
 
-    Args:
-        path: ``.csv``, ``.parquet`` or ``.json``.
-        frame: Frame of all plans, whatever the file says.
-
-    Returns:
-        Its rows, in the order of the file.
-
-    Raises:
-        InputError: If the file, a column or a row is not as documented above; names the first few offenders.
+    `frame` is that of all plans, whatever the file says. An `InputError` names the first few offenders.
     """
     table = _read_table(path)
     columns = [str(column) for column in table.columns]

@@ -116,7 +116,7 @@ class NativePlanner(ABC, Generic[Network]):
         return replace(plan, waypoints=steered(plan.waypoints, least_m), modes=modes)
 
     def _own_settings(self) -> dict[str, Any]:
-        """What of the network identifies a run, beside what all of them have."""
+        """Settings of the network that identify a run, beside those that all of them have."""
         return {}
 
     @abstractmethod
@@ -136,20 +136,13 @@ def forecasts_of(
     shares: torch.Tensor,
     reporting: Reporting,
 ) -> Forecasts:
-    """What a network expects of the others.
+    """Forecasts of the boxes that count, in their order.
 
-    What is no box (a number that is not finite, a side that is not above zero, a place 10 km away) is left out like a
-    box with a low score: it means nothing, and would make the whole plan unusable.
+    A box that is none (a number that is not finite, a side that is not above zero, a place 10 km away) is left out
+    like a box with a low score: it means nothing, and would make the whole plan unusable.
 
-    Args:
-        boxes: (N, 7 or more) centre x, y, z, width, length, height, yaw.
-        scores: (N,) 0 to 1.
-        trajectories: (N, modes, steps, 2) centres, at least as many steps as a plan has.
-        shares: (N, modes) probabilities.
-        reporting: Which boxes count.
-
-    Returns:
-        Those that count, in their order.
+    `boxes` are (N, 7 or more) centre x, y, z, width, length, height, yaw; `scores` (N,) 0 to 1; `trajectories` (N,
+    modes, steps, 2) centres, at least as many steps as a plan has; `shares` (N, modes) probabilities.
     """
     kept = (scores >= reporting.least_score).nonzero()[:, 0]
     kept = kept[said_once(boxes[kept][:, :2], boxes[kept][:, 4], scores[kept], reporting.apart)]

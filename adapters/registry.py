@@ -40,13 +40,6 @@ class NamedPlanner:
     """Builds a planner by name in any process (`benchmark.runs.plan_rows.PlannerFactory`).
 
     Attributes:
-        name: What `planner` takes.
-        checkpoint: Weights file, if not the planner's own.
-        seed: Passed to planners that take one.
-        facts: Identity of what is built.
-        device: Passed to planners that take one; of several each process takes one.
-        precision: Passed to planners that take one.
-        as_published: Passed to planners that take it.
         over_http: Passed to planners behind HTTP: ``image_format``, ``deadline_s``, ``frame``.
         supervision: Limits of a process of its own; ``None`` of planners that run in this one.
         identity: Who it says that it is, if it runs in a process of its own.
@@ -102,21 +95,8 @@ def planner_factory(
     A planner of another package is built in a process of its own each time.
 
     Args:
-        name: What `planner` takes, as all that follows.
-        checkpoint: Weights file, if not the planner's own.
         data: The data set, for planners of this process; what needs the data set itself cannot be rebuilt elsewhere.
-        seed: Of whatever is drawn.
         device: cpu, cuda, cuda:1; several with commas between them (`benchmark.machine.several_devices`).
-        precision: float32, bfloat16.
-        as_published: What networks do as in their published runs (`adapters.as_published`).
-        over_http: How planners behind HTTP are asked.
-        supervision: Limits of planners of other packages.
-
-    Returns:
-        The factory with the planner's identity.
-
-    Raises:
-        InputError: As `planner` does.
     """
     published = tuple(as_published)
     identity, limits = None, None
@@ -158,18 +138,7 @@ def is_foreign(name: str) -> bool:
 
 
 def planner_with_facts(name: str, **given: Any) -> tuple[Planner, PlannerFacts]:
-    """Build a planner in this process, and say who it is.
-
-    Args:
-        name: As `planner` takes it.
-        given: Likewise.
-
-    Returns:
-        The planner and its identity.
-
-    Raises:
-        InputError: If it cannot be built, or its identity is none.
-    """
+    """Build a planner in this process, and say who it is."""
     built = planner(name, **given)
     return built, facts_of(built, made_by=made_by(name))
 
@@ -256,7 +225,7 @@ def require_known(name: str) -> None:
 
 
 def made_by(name: str) -> str:
-    """What makes a planner that there is, as ``package.module:name``."""
+    """Class or function that made a planner, as ``package.module:name``."""
     installed = installed_planners()
     if is_address(name):
         return _MAKER_OVER_HTTP

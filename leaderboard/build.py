@@ -41,24 +41,19 @@ def leaderboard_tables(records: Sequence[RunRecord]) -> list[DataSetTables]:
 def leaderboard_files(results: Results) -> Files:
     """The leaderboard's files without the site.
 
-    Returns:
-        ``README.md`` with the tables under ``exact`` and the planners' own protocols first; per table, LaTeX, CSV and
-        JSON, and per other protocol a page, below ``tables/<data set>/``; heat maps and the other figures (PNG and SVG)
-        below ``figures/<data set>/``; the published numbers apart from ours below ``published/``.
+    ``README.md`` with the tables under ``exact`` and the planners' own protocols first; per table, LaTeX, CSV and
+    JSON, and per other protocol a page, below ``tables/<data set>/``; heat maps and the other figures (PNG and SVG)
+    below ``figures/<data set>/``; the published numbers apart from ours below ``published/``.
     """
     return _made(results).files
 
 
 @dataclass(slots=True)
 class _Made:
-    """The leaderboard's files, and what the site shows of them.
+    """The leaderboard's files, and the tables and figures that the site shows of them.
 
-    Attributes:
-        files: Files without the site.
-        tables: Tables in the order in which they are read.
-        figures: Figures, with their place below the leaderboard's folder.
-        of_site: What draws the files that only the site has.
-        page: Lines of ``README.md``.
+    Tables are in the order in which they are read; `of_site` draws the files that only the site has; `page` are the
+    lines of ``README.md``.
     """
 
     files: Files = field(default_factory=dict)
@@ -95,7 +90,7 @@ class _Made:
 
 
 def _lines(folder: str, item: Item) -> list[str]:
-    """What the page shows of an item of a section."""
+    """Lines of the page for an item of a section."""
     if isinstance(item, NamedFigure):
         return [f"![{escape_markdown(item.title)}]({quote(_picture(folder, item.name))})", ""]
     return [item if isinstance(item, str) else item.markdown()]
@@ -143,11 +138,7 @@ def write_leaderboard(results: Results, folder: Path, *, site: bool = True) -> l
 
 
 def stale_files(results: Results, folder: Path, *, site: bool = True) -> list[str]:
-    """Files of a leaderboard in a folder that differ from what `write_leaderboard` would write there.
-
-    Returns:
-        One sentence for each file that is missing, differs or is left over; empty if the leaderboard is current.
-    """
+    """One sentence for each file that is missing, left over or not as `write_leaderboard` would write it there."""
     found, files = [], _all_files(results, site=site)
     for name, content in files.items():
         path = folder / name
@@ -176,7 +167,7 @@ def _all_files(results: Results, *, site: bool) -> dict[str, bytes | Path]:
 def _require_own(folder: Path) -> None:
     """Refuse to write into, and later clear, a folder that is not a site of ours.
 
-    Empty folders and unfinished files are nobody's: who is killed before a first site has its first file leaves some.
+    Empty folders and unfinished files count as ours: a run killed before a first site has its first file leaves some.
     """
     if not (folder / INDEX_PATH).is_file() and any(
         not path.is_dir() and not is_left_over(path) for path in folder.rglob("*")

@@ -36,20 +36,9 @@ def write_results(
     made_from: Mapping[str, Any],
     folder: Path,
 ) -> list[Path]:
-    """Write the page and its numbers.
+    """Write the page and its numbers, from records of all planners on ``val``, ``val-r`` and ``adv``.
 
-    Args:
-        data_name: Name of the data set.
-        records: Of all planners on ``val``, ``val-r`` and ``adv``.
-        ablations: Ablation studies on this data set.
-        made_from: Everything that the numbers depend on, as JSON: versions and hashes.
-        folder: Where to.
-
-    Returns:
-        The files.
-
-    Raises:
-        InputError: If they cannot be written.
+    `made_from` is everything that the numbers depend on, as JSON: versions and hashes.
     """
     tables = [*_results_tables(data_name, records), *ablation_tables(ablations).get(data_name, ())]
     page = "\n".join([_HEAD, *(table.markdown() for table in tables)]).encode()
@@ -82,14 +71,9 @@ def _results_tables(data_name: str, records: Sequence[RunRecord]) -> list[Table]
 
 
 def stale_results(folder: Path, made_from: Mapping[str, Any]) -> list[str]:
-    """Why results are not what would be measured now; nothing is measured for that.
+    """One sentence for each reason why results are not what would be measured now; nothing is measured for that.
 
-    Args:
-        folder: Where they lie.
-        made_from: What they would be made from now.
-
-    Returns:
-        One sentence for each reason; empty if they are current.
+    `made_from` is what they would be made from now.
     """
     numbers = read_kept_json(folder / NUMBERS)
     if not isinstance(numbers, dict) or not isinstance(numbers.get("made_from"), dict):

@@ -12,18 +12,11 @@ from benchmark.report.words import split_of
 def one_run_each(records: Sequence[RunRecord]) -> list[RunRecord]:
     """The record that stands for each version of a planner on each split of each data set.
 
-    Versions are told apart by `benchmark.records.planner_versions`. A run of the whole split goes
-    before runs of some of its scenes; of those the one with most scenes is taken.
+    Versions are told apart by `benchmark.records.planner_versions`. A run of the whole split goes before runs of some
+    of its scenes; of those the one with most scenes is taken. The order does not depend on the input's.
 
-    Args:
-        records: Any records.
-
-    Returns:
-        At most one record for each data set, split and planner, in an order that does not depend on the input's.
-
-    Raises:
-        InputError: If two records cover the same split with the same planner, or runs on one split of one data set
-            saw different content, or adversarial scenes were recorded under the name of another split.
+    An `InputError` says that two records cover the same split with the same planner, that runs on one split of one
+    data set saw different content, or that adversarial scenes were recorded under the name of another split.
     """
     chosen: dict[tuple[str, str, str], RunRecord] = {}
     for record in sorted(labelled(records), key=_preference):

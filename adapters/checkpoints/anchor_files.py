@@ -23,13 +23,8 @@ _NAMES: Final = {BOXES, LINES, FORECASTS, PLANS}
 class AnchorFile:
     """Anchors that were written.
 
-    Attributes:
-        path: The safetensors file.
-        sha256: Of it.
-        model: Which model they are for.
-        data: Name and fingerprint of the data set.
-        split: Of the data set.
-        sightings: How many boxes, map elements, futures and plans the anchors are the centres of.
+    `sightings` says how many boxes, map elements, futures and plans the anchors are the centres of; `data` name and
+    fingerprint of the data set.
     """
 
     path: Path
@@ -78,17 +73,7 @@ def write_anchors(model: str, data: DataSet, split: str | None, path: Path) -> A
 
 
 def read_anchors(path: Path) -> dict[str, Tensor]:
-    """Anchors from a file of `write_anchors`.
-
-    Args:
-        path: A .safetensors file.
-
-    Returns:
-        Tensors under the names of the network.
-
-    Raises:
-        InputError: If the file is absent, broken, or holds something else.
-    """
+    """Anchors from a file of `write_anchors`."""
     anchors, facts = read_tensors(path, entry=_ENTRY, what="anchors from ", instead="make them again")
     if not facts or set(anchors) != _NAMES:
         raise InputError(f"{path} holds no anchors; make them with: challenger-bench weights anchors --out {path.name}")

@@ -12,12 +12,7 @@ from benchmark.weights.folders import fetch_folder, import_folder, weights_at
 
 @dataclass(frozen=True, slots=True)
 class KeptWeights:
-    """A folder of published weights in the cache.
-
-    Attributes:
-        weights: What it holds.
-        path: The folder.
-    """
+    """A folder of published weights in the cache."""
 
     weights: PublishedWeights
     path: Path
@@ -27,7 +22,7 @@ class KeptWeights:
         return {"model": self.weights.name, "path": str(self.path)}
 
     def sentence(self) -> str:
-        """The same in words."""
+        """Sentence about the folder and its contents."""
         return f"{self.path}: {self.weights.name}, for {self.weights.used_by}"
 
 

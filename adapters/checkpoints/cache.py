@@ -15,18 +15,14 @@ _AGAIN: Final = "import or fetch them again"
 
 
 class Provenance(BaseModel):
-    """Where weights come from; kept in the header of their file.
+    """Origin of weights, kept in the header of their file.
 
     Attributes:
-        model: Which model they are for.
-        source: Name of the file they were imported from.
-        source_sha256: Its hash.
         normalisation: Which pixel values they want (`adapters.camera_inputs.NORMALISATIONS`).
         normalisation_from: Who says so: ``configuration`` of the file itself, ``publication`` or ``user``.
         licence: Of the weights, as far as is known.
         number_types: Number types in the source; the file here has the model's.
         anchors_sha256: Of the anchors that they were given, if they came without.
-        tool: Version of this program that imported them.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -43,82 +39,34 @@ class Provenance(BaseModel):
 
 
 def weights_folder() -> Path:
-    """Where imported weights are kept."""
+    """Folder of imported weights."""
     return weights_root()
 
 
 def weights_path(folder: Path, provenance: Provenance) -> Path:
-    """File of imported weights.
-
-    Args:
-        folder: Of all weights.
-        provenance: Of these.
-
-    Returns:
-        ``MODEL-NORMALISATION-HASH.safetensors``, the hash of anchors after that of the source.
-    """
+    """File of imported weights, ``MODEL-NORMALISATION-HASH.safetensors``: source, then anchors."""
     hashes = (provenance.source_sha256, provenance.anchors_sha256)
     parts = [provenance.model, provenance.normalisation, *(found[:16] for found in hashes if found is not None)]
     return folder / f"{'-'.join(parts)}.safetensors"
 
 
 def write_weights(path: Path, tensors: Mapping[str, Tensor], provenance: Provenance) -> None:
-    """Write weights, whole or not at all.
-
-    Args:
-        path: A .safetensors file.
-        tensors: By name.
-        provenance: Of these; one metadata entry, because the order of several is not fixed.
-
-    Raises:
-        InputError: If it cannot be written.
-    """
+    """Write weights, whole or not at all. One metadata entry, because the order of several is not fixed."""
     write_tensors(path, tensors, provenance.model_dump(mode="json"))
 
 
 def read_provenance(path: Path) -> Provenance:
-    """What a weights file says of itself; the tensors are not read.
-
-    Args:
-        path: A .safetensors file.
-
-    Returns:
-        Its provenance.
-
-    Raises:
-        InputError: If it is absent, broken, or does not say which model it is for.
-    """
+    """Provenance that a weights file says of itself; the tensors are not read."""
     return _provenance(path, read_header(path, instead=_AGAIN)[1])
 
 
 def read_shapes(path: Path) -> dict[str, tuple[int, ...]]:
-    """Shapes of the tensors in a weights file; the tensors are not read.
-
-    Args:
-        path: A .safetensors file.
-
-    Returns:
-        By name.
-
-    Raises:
-        InputError: If it is absent or broken.
-    """
+    """Shapes of the tensors in a weights file; the tensors are not read."""
     return read_header(path, instead=_AGAIN)[0]
 
 
 def load_weights(network: nn.Module, path: Path) -> Provenance:
-    """Put weights into a network; all names and shapes must agree.
-
-    Args:
-        network: The network.
-        path: A .safetensors file.
-
-    Returns:
-        The provenance of the weights.
-
-    Raises:
-        InputError: If the file is broken or does not fit.
-    """
+    """Put weights into a network; all names and shapes must agree."""
     tensors, facts = read_tensors(path, instead=_AGAIN)
     provenance = _provenance(path, facts)
     try:
@@ -130,14 +78,9 @@ def load_weights(network: nn.Module, path: Path) -> Provenance:
 
 
 def cached_weights(folder: Path, model: str | None = None) -> dict[Path, Provenance]:
-    """Imported weights.
+    """Provenance of imported weights by file, in order of names; of one model only where `model` is given.
 
-    Args:
-        folder: Of all weights.
-        model: Of one model only.
-
-    Returns:
-        Provenance by file, in order of names; a damaged file counts as absent, importing makes it again.
+    A damaged file counts as absent; importing makes it again.
     """
     found = {}
     for path in sorted(folder.glob("*.safetensors")):

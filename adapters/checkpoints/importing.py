@@ -41,14 +41,7 @@ _NORM: Final = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class ImportedWeights:
-    """Weights in the cache.
-
-    Attributes:
-        path: The safetensors file.
-        provenance: What it says of itself.
-        tensors: How many.
-        parameters: How many numbers.
-    """
+    """Weights in the cache; `tensors` and `parameters` say how many of each."""
 
     path: Path
     provenance: Provenance
@@ -61,7 +54,7 @@ class ImportedWeights:
         return {"path": str(self.path), "tensors": self.tensors, "parameters": self.parameters, **facts}
 
     def sentence(self) -> str:
-        """The same in words."""
+        """Sentence about the weights."""
         known = self.provenance
         return (
             f"{self.path}: {known.model}, {counted(self.tensors, 'tensor')}, {self.parameters / 1e6:.1f} M numbers, "
@@ -80,9 +73,7 @@ def import_checkpoint(
     """Check an official checkpoint and keep its weights as safetensors.
 
     Args:
-        path: A ``.pth`` file.
         model: The model that it must be for, or ``None`` to find out.
-        cache: Folder of weights; the user's by default.
         normalisation: Name of the pixel normalisation that the weights want, or ``None``: what the training
             configuration in the file says, else what the published files want.
         anchors: Anchors for weights that come without them: of ``weights anchors``, or UniAD's published pickle. Where
@@ -122,18 +113,7 @@ def import_checkpoint(
 def fetch_checkpoint(weights: PublishedWeights, cache: Path, *, normalisation: str | None = None) -> ImportedWeights:
     """Fetch an official checkpoint and what it needs, check and import them; the fetched files themselves are not kept.
 
-    The same command goes on where a download broke off.
-
-    Args:
-        weights: Which one (`benchmark.weights.catalogue.checkpoint_of`).
-        cache: Folder of weights.
-        normalisation: Of the pixels, or ``None``: as the file or its publication says.
-
-    Returns:
-        The imported weights.
-
-    Raises:
-        InputError: If it cannot be fetched, is not the official file, or is refused by the import.
+    The same command goes on where a download broke off. `weights` is of `benchmark.weights.catalogue.checkpoint_of`.
     """
     folder = cache / f".fetching-{weights.name}"
     with only_writer(folder):
@@ -147,17 +127,9 @@ def fetch_checkpoint(weights: PublishedWeights, cache: Path, *, normalisation: s
 def resolve_checkpoint(model: str, checkpoint: Path | None, cache: Path | None = None) -> Path:
     """The weights file for a model, from what ``--checkpoint`` says or from what has been imported.
 
-    Args:
-        model: The model.
-        checkpoint: A ``.pth`` file (imported on the way, once), a ``.safetensors`` file of ours, or ``None``.
-        cache: Folder of weights; the user's by default.
-
-    Returns:
-        A .safetensors file whose metadata names the model.
-
-    Raises:
-        InputError: If there are no weights (it says what to get and where), several to choose from, or they are for
-            another model.
+    `checkpoint` is a ``.pth`` file (imported on the way, once), a ``.safetensors`` file of ours, or ``None``. An
+    `InputError` says that there are no weights (what to get and where), several to choose from, or that they are for
+    another model.
     """
     folder = cache or weights_folder()
     if checkpoint is None:
@@ -206,7 +178,7 @@ def _only(model: str, known: Mapping[Path, Provenance]) -> Path:
 
 
 def _normalisation(path: Path, configuration: str, model: Model, asked: str | None) -> tuple[str, str]:
-    """Which pixel values the weights want, and who says so."""
+    """Normalisation of the pixels that the weights want, and who says so."""
     if asked is not None:
         return normalisation_of(asked).name, "user"
     found = _NORM.search(configuration)

@@ -13,12 +13,7 @@ from benchmark.weights.folders import kept_folder
 
 @dataclass(frozen=True, slots=True)
 class KnownWeights:
-    """Published weights.
-
-    Attributes:
-        weights: As they are published.
-        imported: What is in the cache: what has been imported for a model, from its file or another, or the folder.
-    """
+    """Published weights. `imported` is what has been imported for a model, from its file or another, or the folder."""
 
     weights: PublishedWeights
     imported: dict[Path, Provenance | None]

@@ -25,21 +25,9 @@ def planner_of(
 ) -> NativePlanner[Any]:
     """A network under test.
 
-    Args:
-        model: Its entry in the table.
-        checkpoint: Its weights (`resolve_checkpoint`); without, those of this package for a miniature, and what has
-            been imported for the others.
-        seed: Of the noise, where there is some.
-        device: ``cpu``, ``cuda``, ``cuda:1``; ``auto`` is the first GPU where there is one.
-        precision: ``bfloat16`` computes the matrix products in half the bytes.
-        as_published: What is done as in the published runs (`adapters.as_published`).
-
-    Returns:
-        The planner.
-
-    Raises:
-        InputError: If the weights are absent, broken or of another model, a package is absent, or the model has
-            nothing of the kind to do as published.
+    Without a `checkpoint` (`resolve_checkpoint`) a miniature has the weights of this package, and the others what has
+    been imported. `seed` is of the noise, where there is some; ``bfloat16`` computes the matrix products in half the
+    bytes; `as_published` as in `adapters.as_published`.
     """
     options = options_of(model.name, model.net.as_published, as_published)
     if model.requires is not None:

@@ -20,10 +20,7 @@ class TensorMatch:
     """Tensors against those that a model needs; all in the order of the model or of the file.
 
     Attributes:
-        model: The model.
         agreeing: How many have the right name and shape.
-        missing: Names that the model needs and the file has not.
-        extra: Names that the file has and the model does not need.
         misshapen: Name, shape in the file, shape in the model.
         mistyped: Names of whole numbers where the model has fractions, or the other way round.
     """
@@ -37,15 +34,7 @@ class TensorMatch:
 
     @classmethod
     def of(cls, tensors: Mapping[str, Tensor], model: Model) -> Self:
-        """Compare names, shapes and kinds of numbers.
-
-        Args:
-            tensors: Under the model's names (`renamed`).
-            model: The model.
-
-        Returns:
-            The differences.
-        """
+        """Differences in names, shapes and kinds of numbers; `tensors` are under the model's names (`renamed`)."""
         expected = expected_tensors(model, {name: tuple(tensor.shape) for name, tensor in tensors.items()})
         shared = [name for name in expected if name in tensors]
         misshapen = [name for name in shared if tensors[name].shape != expected[name].shape]
@@ -83,28 +72,15 @@ class TensorMatch:
 
 
 def expected_tensors(model: Model, shapes: Mapping[str, Sequence[int]]) -> dict[str, Tensor]:
-    """Names, shapes and types of all tensors of a model, without their memory.
+    """Names, shapes and types of all tensors of a model, in the network's order and without their memory.
 
-    Args:
-        model: The model.
-        shapes: Of the tensors that the network is for, by name.
-
-    Returns:
-        By name, in the network's order.
+    `shapes` are those of the tensors that the network is for, by name.
     """
     return dict(model.build(shapes, device="meta").state_dict())
 
 
 def renamed(tensors: Mapping[str, Tensor], model: Model) -> dict[str, Tensor]:
-    """Tensors under the names that a model has now, without those that it is known not to need.
-
-    Args:
-        tensors: As in the file.
-        model: The model.
-
-    Returns:
-        By the model's names.
-    """
+    """Tensors under the names that a model has now, without those that it is known not to need."""
     found = {}
     for name, tensor in tensors.items():
         for pattern, replacement in model.net.renamed:
@@ -115,18 +91,9 @@ def renamed(tensors: Mapping[str, Tensor], model: Model) -> dict[str, Tensor]:
 
 
 def matched(path: Path, tensors: Mapping[str, Tensor], wanted: str | None) -> tuple[Model, dict[str, Tensor]]:
-    """The model that tensors are the weights of.
+    """The model that tensors are the weights of, and the tensors under its names, in its order and its number types.
 
-    Args:
-        path: Named in messages.
-        tensors: As in the file.
-        wanted: The model that they should be for, or ``None`` to find out.
-
-    Returns:
-        The model, and the tensors under its names, in its order and its number types.
-
-    Raises:
-        InputError: If they fit no model, or not the wanted one; or hold NaN or infinity.
+    Tensors with NaN or infinity are refused, as are those that fit no model or not the `wanted` one.
     """
     compared = [TensorMatch.of(renamed(tensors, model), model) for model in published_models().values()]
     fitting = [found for found in compared if found.fits and wanted in (None, found.model.name)]

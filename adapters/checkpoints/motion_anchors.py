@@ -23,14 +23,7 @@ _NETWORK: Final = MOTION_ANCHORS.partition(".")[0] + "."
 def read_motion_anchors(path: Path) -> Tensor:
     """Read the anchors without trusting the file: arrays and plain containers, no code.
 
-    Args:
-        path: The pickle.
-
-    Returns:
-        (4 groups of kinds of agents, 6 modes, 12 steps, 2) float32 metres in the frames of agents.
-
-    Raises:
-        InputError: If the file is absent or broken, would run code, or holds something else.
+    (4 groups of kinds of agents, 6 modes, 12 steps, 2) float32 metres in the frames of agents.
     """
     held = read_pickle(path)
     groups = held.get(_LIST) if isinstance(held, dict) else None
@@ -50,15 +43,7 @@ def read_motion_anchors(path: Path) -> Tensor:
 
 
 def anchors_beside(path: Path, tensors: Mapping[str, Tensor]) -> Path | None:
-    """The anchors that lie beside a checkpoint of UniAD which has none, under their published name.
-
-    Args:
-        path: The checkpoint.
-        tensors: What it holds.
-
-    Returns:
-        Their file, if there is one and it is needed.
-    """
+    """File of the anchors that lie beside a checkpoint of UniAD which has none, under their published name."""
     if MOTION_ANCHORS in tensors or not _is_uniad(tensors):
         return None
     return published_beside(path)
@@ -71,19 +56,7 @@ def published_beside(path: Path) -> Path | None:
 
 
 def with_motion_anchors(path: Path, tensors: Mapping[str, Tensor], anchors: Path) -> dict[str, Tensor]:
-    """Tensors of UniAD and its anchors.
-
-    Args:
-        path: The checkpoint, for messages.
-        tensors: What it holds.
-        anchors: The pickle.
-
-    Returns:
-        All of them by name.
-
-    Raises:
-        InputError: If the tensors are those of another model, have other anchors, or the pickle is refused.
-    """
+    """Tensors of UniAD and its anchors; those of another model, or with other anchors, are refused."""
     if not _is_uniad(tensors):
         raise InputError(
             f"{anchors} is no .safetensors file, so would be anchors of UniAD, and {path} is no checkpoint of UniAD; "

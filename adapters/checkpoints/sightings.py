@@ -25,19 +25,10 @@ MAP_AHEAD_M: Final = 30.0
 
 
 def sightings_of(data: DataSet, split: str | None, config: SparseConfig) -> Sightings:
-    """Gather a split.
+    """Sightings of all key frames of a split, in the order of scenes and time.
 
-    Args:
-        data: Any data set.
-        split: Of the data set; ``None`` is all of it.
-        config: Of the network: how long futures are, how many points a map element has.
-
-    Returns:
-        Sightings of all key frames, in the order of scenes and time. Futures and plans that the recording cuts off are
-        left out.
-
-    Raises:
-        InputError: If there is no such split, or the network plans other steps than a data set has.
+    Futures and plans that the recording cuts off are left out. A network that plans other steps than a data set has is
+    an `InputError`.
     """
     if config.steps != PLAN_STEPS:
         raise InputError(f"a data set has plans of {PLAN_STEPS} steps, and the network needs {config.steps}")
@@ -65,14 +56,9 @@ def sightings_of(data: DataSet, split: str | None, config: SparseConfig) -> Sigh
 
 
 def box_centres(scene: Scene, classes: Sequence[int]) -> Floats:
-    """Centres of annotated boxes at all key frames.
+    """Centres of annotated boxes at all key frames, (N, 3) metres, lidar frame of the key frame.
 
-    Args:
-        scene: The scene.
-        classes: Of each agent, negative where it is not detected.
-
-    Returns:
-        (N, 3) metres, lidar frame of the key frame.
+    `classes` are those of each agent, negative where it is not detected.
     """
     known, detected = scene.annotations, np.asarray(classes, np.int64) >= 0
     ego_T_lidar = transform_matrix(scene.lidar.rotation, scene.lidar.translation)
@@ -85,30 +71,15 @@ def box_centres(scene: Scene, classes: Sequence[int]) -> Floats:
 
 
 def line_centres(road_map: RoadMap, pose: Floats, points_per_line: int) -> Floats:
-    """Means of the evenly spaced points of map elements around a pose.
-
-    Args:
-        road_map: Crossings, dividers and the border of the drivable area are its elements.
-        pose: (3,) planar lidar pose, global.
-        points_per_line: Points of an element.
-
-    Returns:
-        (L, 2) metres, lidar frame: x right, y forward.
-    """
+    """Means, (L, 2), of the points that `map_lines` gives."""
     return np.asarray(map_lines(road_map, pose, points_per_line)[0].mean(1))
 
 
 def map_lines(road_map: RoadMap, pose: Floats, points_per_line: int) -> tuple[Floats, NDArray[np.int64]]:
-    """Map elements around a pose as evenly spaced points.
+    """Map elements around a planar lidar pose as evenly spaced points: crossings, dividers and the border of the road.
 
-    Args:
-        road_map: Crossings, dividers and the border of the drivable area are its elements.
-        pose: (3,) planar lidar pose, global.
-        points_per_line: Points of an element.
-
-    Returns:
-        (L, points_per_line, 2) metres, lidar frame: x right, y forward; (L,) their classes: 0 divider, 1 pedestrian
-        crossing, 2 boundary of the road.
+    (L, points_per_line, 2) metres, lidar frame: x right, y forward; (L,) their classes: 0 divider, 1 pedestrian
+    crossing, 2 boundary of the road. `pose` is (3,), global.
     """
     corners = np.array([[1, -1], [1, 1], [-1, 1], [-1, -1]]) * [MAP_AHEAD_M, MAP_ASIDE_M]
     window = shapely.Polygon(to_global(corners, pose))
@@ -132,15 +103,9 @@ def map_lines(road_map: RoadMap, pose: Floats, points_per_line: int) -> tuple[Fl
 
 
 def agent_futures(scene: Scene, agent: int, steps: int) -> Floats:
-    """Recorded futures of an agent from each of its key frames.
+    """Recorded futures of an agent from each of its key frames that `steps` others follow without a gap.
 
-    Args:
-        scene: The scene.
-        agent: Its row.
-        steps: Key frames that must follow without a gap.
-
-    Returns:
-        (N, steps, 2) metres in the agent's frame at the start, x forward.
+    (N, steps, 2) metres in the agent's frame at the start, x forward.
     """
     known = scene.annotations
     yaw = yaw_of_quaternion(known.rotation[agent])

@@ -9,16 +9,7 @@ from benchmark.weights.catalogue import CHECKPOINTS, PublishedWeights
 
 
 def stand_in(name: str, checkpoint: Path | None, data_name: str) -> str:
-    """The model that really runs: a miniature where it may stand in for a full one.
-
-    Args:
-        name: The model that was asked for.
-        checkpoint: Its weights, if any were named.
-        data_name: Name of the data set.
-
-    Returns:
-        The name of a miniature on embedded data if the full model has no weights; else ``name``.
-    """
+    """Name of the model that really runs: a miniature on embedded data if the full model has no weights."""
     if checkpoint is not None or data_name not in EMBEDDED_NAMES:
         return name
     small = miniature_of(name)
@@ -44,15 +35,7 @@ def has_weights(name: str) -> bool:
 
 
 def require_weights(name: str, checkpoint: Path | None) -> None:
-    """Refuse a network that has no weights, before anything is made ready for it.
-
-    Args:
-        name: The model that will run.
-        checkpoint: Its weights, if any were named.
-
-    Raises:
-        InputError: If there are none; it says what to get and where.
-    """
+    """Refuse a network that has no weights, before anything is made ready for it; say what to get and where."""
     model = MODELS.get(name)
     if checkpoint is not None and not checkpoint.exists():
         raise InputError(f"there is no checkpoint {checkpoint}")
@@ -63,7 +46,7 @@ def require_weights(name: str, checkpoint: Path | None) -> None:
 
 
 def no_weights(model: str) -> InputError:
-    """What to say where a full model has no weights."""
+    """Error that says that a full model has no weights."""
     small = miniature_of(model)
     instead = "" if small is None else f"; or try its small sibling, which comes with this package: --model {small}"
     return InputError(f"there are no weights for {model}; {what_to_get(model)}{instead}")
@@ -75,7 +58,7 @@ def official_weights(model: str) -> PublishedWeights | None:
 
 
 def what_to_get(model: str) -> str:
-    """Where the weights of a model are had."""
+    """Sentence that says where the weights of a model are had."""
     official = official_weights(model)
     if official is None:
         return "give a file with --checkpoint"

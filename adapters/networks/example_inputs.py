@@ -15,14 +15,7 @@ _BELOW_LIDAR_M: Final = 0.3
 
 
 def example_images(image_format: ImageFormat) -> Pixels:
-    """Noise in the place of normalised images, zero in the padding; the same every time.
-
-    Args:
-        image_format: Of the network.
-
-    Returns:
-        (6, 3, H, W).
-    """
+    """Noise, (6, 3, H, W), in the place of normalised images, zero in the padding; the same every time."""
     generator = np.random.default_rng(content_seed("example images"))
     images = np.zeros((len(CAMERA_NAMES), 3, *image_format.padded), np.float32)
     rows = image_format.height - image_format.crop_top
@@ -32,13 +25,9 @@ def example_images(image_format: ImageFormat) -> Pixels:
 
 
 def example_projections(image_format: ImageFormat) -> Floats:
-    """Projections of a rig like that of nuScenes, all lenses below the lidar.
+    """Projections, (6, 4, 4), of a rig like that of nuScenes, all lenses below the lidar.
 
-    Args:
-        image_format: Of the network.
-
-    Returns:
-        (6, 4, 4) lidar frame to pixels of the network's images, as `adapters.camera_inputs.lidar_to_image` has them.
+    Lidar frame to pixels of the network's images, as `adapters.camera_inputs.lidar_to_image` has them.
     """
     width, height = NUSCENES_IMAGE
     matrices = []

@@ -15,14 +15,7 @@ class ConstantVelocity:
         """Nothing is remembered."""
 
     def plan(self, observation: Observation) -> Plan:
-        """Plan straight ahead.
-
-        Args:
-            observation: Only the ego's velocity is looked at.
-
-        Returns:
-            Waypoints of the rear axle, ego frame.
-        """
+        """Waypoints of the rear axle straight ahead, ego frame; only the ego's velocity is looked at."""
         seconds = PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
         # The velocity's sideways part is measurement noise and slip; a car moves along its heading.
         ahead = seconds * float(observation.ego.velocity[0])

@@ -28,11 +28,7 @@ class ConstantVelocityOnPath:
         self._forget()
 
     def reveal(self, scene: Scene) -> None:
-        """Take the path of the rear axle.
-
-        Args:
-            scene: The scene; only where its ego drives is looked at.
-        """
+        """Take the path of the rear axle; only where the scene's ego drives is looked at."""
         pose = scene.ego.pose
         self._path = pose[:, :2]
         self._driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self._path, axis=0).T))])
@@ -44,16 +40,9 @@ class ConstantVelocityOnPath:
         self._route = route
 
     def plan(self, observation: Observation) -> Plan:
-        """Plan along the path.
+        """Waypoints of the rear axle along the path, ego frame.
 
-        Args:
-            observation: Its index says where on the path the car is, its velocity how fast.
-
-        Returns:
-            Waypoints of the rear axle, ego frame.
-
-        Raises:
-            RuntimeError: If no scene was revealed.
+        The observation's index says where on the path the car is, its velocity how fast.
         """
         if self._route is None and not len(self._path):
             raise RuntimeError(f"{self.name} plans only after reveal(scene)")

@@ -29,7 +29,7 @@ _WEIGHTS = "ego_status.safetensors"
 
 @dataclass(frozen=True, slots=True)
 class EgoMotion:
-    """How the ego moves and moved, for B samples, in the ego frame of each.
+    """Motion of the ego now and before, for B samples, in the ego frame of each.
 
     Attributes:
         past: (B, 4, 3) x, y, yaw at 2.0, 1.5, 1.0, 0.5 s ago.
@@ -81,14 +81,7 @@ class EgoStatusNetwork(torch.nn.Module):
         )
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
-        """Correction of the constant-velocity plan.
-
-        Args:
-            features: (B, 24) from `EgoMotion.features`.
-
-        Returns:
-            (B, 6, 2) metres.
-        """
+        """Correction of the constant-velocity plan, (B, 6, 2) metres, from (B, 24) of `EgoMotion.features`."""
         correction: torch.Tensor = self.layers(features)
         return correction.reshape(-1, PLAN_STEPS, 2)
 
@@ -98,9 +91,6 @@ class EgoStatus:
 
     Args:
         checkpoint: Weights made by ``challenger-bench train ego-status``; the packaged ones by default.
-
-    Raises:
-        InputError: If the weights cannot be read or do not fit.
     """
 
     name = "ego-status"
@@ -131,14 +121,7 @@ class EgoStatus:
         """Nothing is remembered: the observation holds the past."""
 
     def plan(self, observation: Observation) -> Plan:
-        """Plan from ego motion and command.
-
-        Args:
-            observation: Images are not looked at.
-
-        Returns:
-            Waypoints of the rear axle, ego frame.
-        """
+        """Waypoints of the rear axle from ego motion and command, ego frame; images are not looked at."""
         motion = motion_of(observation)
         with torch.inference_mode():
             correction = self._network(motion.features())[0].double().numpy()
@@ -146,14 +129,7 @@ class EgoStatus:
 
 
 def motion_of(observation: Observation) -> EgoMotion:
-    """The ego's motion at one sample.
-
-    Args:
-        observation: The sample.
-
-    Returns:
-        A batch of one.
-    """
+    """Motion of the ego at one sample, a batch of one."""
     known = min(PAST_STEPS, len(observation.past_poses) - 1)
     past, valid = np.zeros((1, PAST_STEPS, 3)), np.zeros((1, PAST_STEPS), dtype=np.bool_)
     if known:

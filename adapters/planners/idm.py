@@ -52,17 +52,7 @@ class IntelligentDriver:
         self._scene = scene
 
     def plan(self, observation: Observation) -> Plan:
-        """Plan along the lane.
-
-        Args:
-            observation: Ego motion, command and time.
-
-        Returns:
-            Waypoints of the rear axle, ego frame, and where it expects the others.
-
-        Raises:
-            RuntimeError: If no scene was revealed.
-        """
+        """Waypoints of the rear axle along the lane, ego frame, and where it expects the others."""
         if self._scene is None:
             raise RuntimeError("idm plans only after reveal(scene)")
         pose, speed = observation.ego.pose, max(float(observation.ego.velocity[0]), 0.0)
@@ -86,16 +76,9 @@ class IntelligentDriver:
 
 
 def drive(path: Path, speed: float, obstacles: Obstacles, driver: DriverSettings) -> Floats:
-    """Intelligent-driver motion along a path.
+    """Distances travelled, (6,) metres at the plan's steps, in intelligent-driver motion along a path.
 
-    Args:
-        path: The path.
-        speed: Now, m/s.
-        obstacles: Others along it.
-        driver: Speeds, accelerations and distances that the driver keeps to.
-
-    Returns:
-        (6,) distance travelled at the plan's steps, metres.
+    `speed` is that of now, m/s.
     """
     wanted = max(speed, driver.speed_limit)
     allowed = np.minimum(np.sqrt(driver.lateral_acceleration / np.maximum(path.curvature, 1e-4)), wanted)

@@ -31,11 +31,7 @@ class LogReplay:
         self._route = route
 
     def reveal(self, scene: Scene) -> None:
-        """Take the recorded motion of the lidar, extended by one plan's length.
-
-        Args:
-            scene: The scene.
-        """
+        """Take the recorded motion of the lidar, extended by one plan's length."""
         seconds = scene.seconds
         pose = scene.ego.pose
         heading = np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])
@@ -49,13 +45,9 @@ class LogReplay:
         self._lidar_path = np.concatenate([keyframes, _at(beyond, seconds, lidar, velocity)])
 
     def plan(self, observation: Observation) -> Plan:
-        """Give the recorded future.
+        """The recorded future: waypoints of the lidar origin, lidar frame; in closed loop of the rear axle, ego frame.
 
-        Args:
-            observation: Its index says where in the recording we are.
-
-        Returns:
-            Waypoints of the lidar origin, lidar frame; in closed loop of the rear axle, ego frame.
+        The observation's index says where in the recording we are.
         """
         if self._route is not None:
             seconds = self._route.seconds_of(observation.timestamp_us) + PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)

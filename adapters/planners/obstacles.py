@@ -29,14 +29,10 @@ class Obstacles:
 
 @dataclass(frozen=True, slots=True)
 class _Expectation:
-    """Where others are expected beside a path at K instants.
+    """Places beside a path where A others are expected at K instants.
 
-    Attributes:
-        crossing: (A,) whether it crosses the path.
-        ahead: (A,) whether it can be met at all.
-        heading: (A,) heading of the path beside it now.
-        along: (A, K) arc length.
-        left: (A, K) metres to the left of the path.
+    `crossing` and `ahead` (whether it can be met at all) are (A,), as is the heading of the path beside it now;
+    `along`, arc length, and `left`, metres to the left of the path, are (A, K).
     """
 
     crossing: Bools
@@ -49,21 +45,14 @@ class _Expectation:
 def obstacles_along(
     path: Path, boxes: Floats, velocity: Floats, seconds: Floats, *, side_margin_m: float, foresight_s: float
 ) -> Obstacles:
-    """Which others will be in the corridor.
+    """Others that will be in the corridor.
 
-    What goes along the path keeps its velocity relative to it, sideways only for a while, so that the cars of the
-    next lane stay there in a bend. What comes towards the car keeps to its side. What crosses goes straight on.
+    What goes along the path keeps its velocity relative to it, sideways only for a while (`foresight_s`), so that the
+    cars of the next lane stay there in a bend. What comes towards the car keeps to its side. What crosses goes
+    straight on.
 
-    Args:
-        path: The ego's path.
-        boxes: (A, 5) present boxes, global.
-        velocity: (A, 2) m/s, global.
-        seconds: (K,) instants from now.
-        side_margin_m: Room beside the car that counts as its corridor.
-        foresight_s: For how long what goes along the path is expected to keep moving sideways.
-
-    Returns:
-        The obstacles at each instant.
+    `boxes` are (A, 5) present ones and `velocity` (A, 2) m/s, global; `seconds` (K,) instants from now;
+    `side_margin_m` is room beside the car that counts as its corridor.
     """
     expected = _expectation(path, boxes, velocity, seconds, foresight_s)
     # A box is turned to the path as now, unless it goes straight on where the path does not.
@@ -80,17 +69,9 @@ def obstacles_along(
 
 
 def expected_centres(path: Path, boxes: Floats, velocity: Floats, seconds: Floats, *, foresight_s: float) -> Floats:
-    """Where others are expected, by the rules of `obstacles_along`, in the plane instead of along the path.
+    """Centres where others are expected, (A, K, 2) global metres, by the rules and arguments of `obstacles_along`.
 
-    Args:
-        path: The ego's path; beyond its ends it goes straight on.
-        boxes: (A, 5) present boxes, global.
-        velocity: (A, 2) m/s, global.
-        seconds: (K,) instants from now.
-        foresight_s: For how long what goes along the path is expected to keep moving sideways.
-
-    Returns:
-        (A, K, 2) centres, global, metres.
+    In the plane instead of along the path; beyond its ends the path goes straight on.
     """
     now_and_then = np.concatenate([[0.0], seconds])
     expected = _expectation(path, boxes, velocity, now_and_then, foresight_s)

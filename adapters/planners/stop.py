@@ -19,12 +19,5 @@ class Stop:
         """Nothing is remembered."""
 
     def plan(self, observation: Observation) -> Plan:
-        """Plan to stay.
-
-        Args:
-            observation: Not looked at.
-
-        Returns:
-            Waypoints of the rear axle, ego frame: zeros.
-        """
+        """Waypoints of the rear axle, ego frame: zeros."""
         return Plan(np.zeros((PLAN_STEPS, 2)), PlanFrame.EGO)

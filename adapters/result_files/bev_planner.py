@@ -16,19 +16,10 @@ _ADVICE: Final = "plans of another split or moved by some places cannot be judge
 
 
 def read_out(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
-    """Plans of ``--out``.
+    """Plans of ``--out``; padding at the end of a run on several GPUs is left out.
 
-    Args:
-        path: The file, for messages.
-        content: Of the pickle.
-        samples: What there is.
-
-    Returns:
-        The plans; padding at the end of a run on several GPUs is left out.
-
-    Raises:
-        RefusedFile: If an entry is broken, one sample has two plans, or poses or recorded displacements are those of
-            other samples.
+    Refused if an entry is broken, one sample has two plans, or poses or recorded displacements are those of other
+    samples.
     """
     plans: dict[int, Floats] = {}
     duplicates = 0
@@ -56,16 +47,8 @@ def read_out(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
 def read_json(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
     """Plans of ``results_nusc_planning.json``: global ways that begin at the ego pose.
 
-    Args:
-        path: The file, for messages.
-        content: Of the JSON file.
-        samples: What there is.
-
-    Returns:
-        The plans, as displacements in the axes of the ego pose.
-
-    Raises:
-        RefusedFile: If an entry is broken or a way begins elsewhere than at its sample's ego pose.
+    They become displacements in the axes of the ego pose; one that begins elsewhere than at its sample's ego pose is
+    refused.
     """
     if not isinstance(content["trajs"], dict):
         refuse(path, "shape", "its trajs are no object", "make the file again with the official script")

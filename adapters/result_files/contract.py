@@ -88,7 +88,7 @@ class ResultFormat:
 
     @property
     def planners(self) -> frozenset[str]:
-        """Whose repositories write it, in lower case."""
+        """Planners whose repositories write it, in lower case."""
         names = re.sub(r"\(.*?\)", "", self.repositories).split(",")
         return frozenset(name.strip().lower() for name in names)
 
@@ -99,19 +99,7 @@ def refuse(path: Path, category: Category, what: str, advice: str) -> NoReturn:
 
 
 def rows_of(path: Path, tokens: list[Any], samples: RecordedSamples) -> Rows:
-    """Samples by token.
-
-    Args:
-        path: The file, for messages.
-        tokens: N keys of a file, foreign ones.
-        samples: What there is.
-
-    Returns:
-        (N,) rows.
-
-    Raises:
-        RefusedFile: If one is no sample of the data, or there are none.
-    """
+    """Rows of (N,) samples by foreign tokens; one that is no sample of the data, or none at all, is refused."""
     if not tokens:
         refuse(path, "empty", "it has no entries", "run the planner again")
     known = samples.row_of
@@ -139,19 +127,9 @@ def refuse_twice(path: Path, rows: Rows, samples: RecordedSamples) -> None:
 
 
 def numbers_of(path: Path, value: Any, where: str, *shapes: tuple[int | None, ...]) -> Floats:
-    """Foreign numbers of one of some shapes, finite.
+    """Foreign numbers of one of some shapes (``None`` for any length), finite, in double precision.
 
-    Args:
-        path: The file, for messages.
-        value: An array or nested lists.
-        where: What they are, for messages.
-        shapes: What they may be, ``None`` for any length.
-
-    Returns:
-        Double precision.
-
-    Raises:
-        RefusedFile: If they are anything else.
+    `where` says what they are, for messages.
     """
     wanted = " or ".join(" x ".join("any" if each is None else str(each) for each in shape) for shape in shapes)
     try:

@@ -15,15 +15,7 @@ _ASIDE_M = 1e-6
 
 
 def lidar_waypoints(found: FilePlans, samples: RecordedSamples) -> Floats:
-    """Future positions of the lidar in its own frame, as most files hold them.
-
-    Args:
-        found: Plans of a file.
-        samples: Samples that they belong to.
-
-    Returns:
-        (N, K, 2) x right, y forward, metres.
-    """
+    """Future positions of the lidar in its own frame, as most files hold them: (N, K, 2) x right, y forward, metres."""
     mount = samples.lidar_in_ego[found.rows]
     if found.frame is FileFrame.LIDAR:
         return found.waypoints
@@ -39,12 +31,7 @@ def lidar_waypoints(found: FilePlans, samples: RecordedSamples) -> Floats:
 def ego_waypoints(found: FilePlans, samples: RecordedSamples) -> Floats:
     """Positions of the rear axle over the first 3 s: the lidar's, less its place in the car, turned with the car.
 
-    Args:
-        found: Plans of a file.
-        samples: Samples that they belong to.
-
-    Returns:
-        (N, 6, 2) x forward, y left, metres.
+    (N, 6, 2) x forward, y left, metres.
     """
     if found.frame is FileFrame.EGO:
         return found.waypoints[:, :PLAN_STEPS]
@@ -56,15 +43,7 @@ def ego_waypoints(found: FilePlans, samples: RecordedSamples) -> Floats:
 
 
 def plans_of(found: FilePlans, samples: RecordedSamples) -> list[Plan]:
-    """Plans as protocols take them: waypoints of the lidar stay such, turned from its own axes to the car's.
-
-    Args:
-        found: Plans of a file.
-        samples: Samples that they belong to.
-
-    Returns:
-        N plans.
-    """
+    """Plans as protocols take them: waypoints of the lidar stay such, turned from its own axes to the car's."""
     mount = samples.lidar_in_ego[found.rows]
     if found.frame is FileFrame.EGO or np.abs(mount[:, 1]).max(initial=0.0) > _ASIDE_M:
         return [Plan(waypoints, PlanFrame.EGO) for waypoints in ego_waypoints(found, samples)]
@@ -73,15 +52,9 @@ def plans_of(found: FilePlans, samples: RecordedSamples) -> list[Plan]:
 
 
 def file_waypoints(plan: Plan, frame: FileFrame, mount: Floats) -> Floats:
-    """The way back: a plan in the frame of a file.
+    """A plan in the frame of a file, (K, 2) metres: the way back.
 
-    Args:
-        plan: The plan.
-        frame: Frame of the file.
-        mount: (3,) x, y of the lidar in the ego frame, and yaw of its axes.
-
-    Returns:
-        (K, 2) metres.
+    `mount` is (3,) x, y of the lidar in the ego frame, and yaw of its axes.
     """
     at, yaw = mount[:2], float(mount[2])
     if frame is FileFrame.EGO and plan.frame is PlanFrame.EGO:

@@ -25,14 +25,9 @@ SHOWN: Final[tuple[SampleOrder, ...]] = ("assumed", "consistent", "proven", "tok
 
 @dataclass(frozen=True, slots=True)
 class ImportedPlans:
-    """Plans of one or several result files.
+    """Plans of one or several result files: `found` in the frame of the files, `plans` by token as protocols take them.
 
-    Attributes:
-        paths: The files.
-        format: Their format.
-        found: Plans in the frame of the files.
-        plans: The same as protocols take them, by sample token.
-        plausibility: What tests of unit, frame, origin and time measured.
+    `plausibility` is what tests of unit, frame, origin and time measured.
     """
 
     paths: tuple[Path, ...]
@@ -50,21 +45,12 @@ def import_results(
     frame: FrameName | None = None,
     as_is: bool = False,
 ) -> ImportedPlans:
-    """Find the plans of result files.
+    """Plans of the result files of one run.
 
-    Args:
-        opened: Files of one run, or folders.
-        samples: Samples of the split.
-        scenes: Only these scenes are evaluated: a file without tokens may be of them alone.
-        frame: Frame of the waypoints, if it is not that of the format.
-        as_is: Take plans as they stand, whatever would fit better.
-
-    Returns:
-        The plans.
-
-    Raises:
-        RefusedFile: If a file is damaged or hostile, its plans belong to other samples, or cannot be what they must be.
-        InputError: If files have different formats.
+    Where only some `scenes` are evaluated, a file without tokens may be of them alone. `frame` is that of the
+    waypoints, if it is not that of the format; `as_is` takes plans as they stand, whatever would fit better. Files of
+    different formats are an `InputError`; a damaged or hostile file, or plans of other samples or such as cannot be, a
+    `RefusedFile`.
     """
     first = opened[0]
     for other in opened[1:]:
@@ -89,7 +75,7 @@ def import_results(
 
 
 def _read(opened: Recognised, samples: RecordedSamples, scenes: Collection[str] | None) -> FilePlans:
-    """Of a file without tokens: in the order of info files that it does not contradict, the better shown one of two."""
+    """Plans of a file; without tokens in the order of info files that it does not contradict, the better shown one."""
     if not opened.format.by_place:
         return opened.format.read(opened.path, opened.content, samples)
     found: list[FilePlans] = []
@@ -108,7 +94,7 @@ def _read(opened: Recognised, samples: RecordedSamples, scenes: Collection[str] 
 
 
 def _of_part(opened: Recognised, samples: RecordedSamples, scenes: Collection[str] | None) -> FilePlans:
-    """Of the whole split, or of the chosen scenes where only their number fits."""
+    """Plans of a file of the whole split, or of the chosen scenes where only their number fits."""
     content = opened.content
     if scenes is not None:
         entries = content["bbox_results"] if isinstance(content, dict) else content

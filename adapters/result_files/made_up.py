@@ -31,8 +31,7 @@ _TURNS_RAD: Final = {"left": 0.06, "right": -0.07, "straight": 0.0, "stands": 0.
 def made_up_samples(lidar_yaw: float = -np.pi / 2) -> RecordedSamples:
     """Four scenes of 24 samples: turning left and right, going straight, standing; two of them at the same time.
 
-    Args:
-        lidar_yaw: Of the lidar's axes in the ego frame.
+    `lidar_yaw` is that of the lidar's axes in the ego frame.
     """
     poses, scenes, times = [], [], []
     for number, (name, turn) in enumerate(_TURNS_RAD.items()):

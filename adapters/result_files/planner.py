@@ -30,12 +30,9 @@ _MAKER = "adapters.result_files.importing:import_results"
 
 
 class ResultFilePlanner:
-    """Gives the plans of result files.
+    """Planner that gives the plans of result files, by sample token.
 
-    Args:
-        name: Shown in tables.
-        plans: By sample token.
-        skipped: Why the plan of a sample cannot be read, by token.
+    `skipped` says why the plan of a sample cannot be read.
     """
 
     def __init__(self, name: str, plans: Mapping[str, Plan], skipped: Mapping[str, str]) -> None:
@@ -46,17 +43,7 @@ class ResultFilePlanner:
         """Nothing is remembered."""
 
     def plan(self, observation: Observation) -> Plan:
-        """Look the sample up.
-
-        Args:
-            observation: The sample.
-
-        Returns:
-            Its plan.
-
-        Raises:
-            InputError: If the files have none, which is recorded as a failure of this sample.
-        """
+        """The plan of the sample; that the files have none is recorded as a failure of this sample."""
         plan = self._plans.get(observation.sample_token)
         if plan is None:
             why = self._skipped.get(observation.sample_token)
@@ -71,8 +58,6 @@ class ResultFileFactory:
     Attributes:
         facts: Its identity: name and hash of the files.
         plans_from: What the files say, for the record.
-        plans: By sample token.
-        skipped: Why the plan of a sample cannot be read, by token.
         caveats: What the record has to say of plans that were taken as they stand.
     """
 
@@ -88,7 +73,7 @@ class ResultFileFactory:
 
     @property
     def sentences(self) -> list[str]:
-        """What there is to know of the import, for whoever waits."""
+        """Sentences about the import, for the terminal."""
         found = self.plans_from
         said = [
             f"{', '.join(found.files)}: {found.format}, {found.plans} plans for {counted(found.samples, 'sample')}; "
@@ -192,7 +177,7 @@ def _described(imported: ImportedPlans, hashes: dict[str, str], samples: int) ->
 
 
 def _sha256(path: Path) -> str:
-    """Of a file; of a folder over name, zero byte and digest of each file in the order of names."""
+    """Hash of a file; of a folder over name, zero byte and digest of each file in the order of names."""
     if not path.is_dir():
         return file_sha256(path)
     digest = hashlib.sha256()

@@ -19,20 +19,11 @@ _TOO_FAR = "such plans are not judged: check which script wrote the file"
 def require_plausible(
     path: Path, plans: Floats, rows: Rows, samples: RecordedSamples, *, as_is: bool = False
 ) -> Plausibility:
-    """Refuse plans that fit far better in another unit, frame or origin.
+    """Refuse plans that fit far better in another unit, frame or origin; give what was measured.
 
-    Args:
-        path: The file, for messages.
-        plans: (N, K, 2) positions of the lidar, x right, y forward, as the format says.
-        rows: (N,) their samples.
-        samples: What was recorded.
-        as_is: Take plans as they stand, whatever would fit better; not what no plan can be.
-
-    Returns:
-        What was measured.
-
-    Raises:
-        RefusedFile: With the category of the first test that fails, and what would fit.
+    `plans` are (N, K, 2) positions of the lidar, x right, y forward, as the format says, `rows` (N,) their samples.
+    `as_is` takes plans as they stand, whatever would fit better; not what no plan can be. The refusal has the category
+    of the first test that fails, and what would fit.
     """
     complete = samples.complete[rows]
     found = plausibility_of(ComparedPlans(plans[complete, :PLAN_STEPS], samples.future[rows][complete]))

@@ -50,13 +50,7 @@ _WHAT: Final = "a result file is what the repository's own evaluation writes (do
 
 @dataclass(frozen=True, slots=True)
 class Recognised:
-    """A file whose format is known.
-
-    Attributes:
-        path: File or folder.
-        format: Its format.
-        content: What it holds.
-    """
+    """A file whose format is known."""
 
     path: Path
     format: ResultFormat
@@ -64,14 +58,7 @@ class Recognised:
 
 
 def require_format(name: str) -> None:
-    """Refuse what ``--format`` does not take.
-
-    Args:
-        name: A format, or ``auto``.
-
-    Raises:
-        InputError: If there is no such format, or one that carries no plans.
-    """
+    """Refuse a format that ``--format`` does not take: there is none of that name, or it carries no plans."""
     if name == NO_PLANS:
         raise InputError(f"{NO_PLANS} holds metrics of LAW and no plan; choose another format")
     if name != AUTO and name not in FORMATS:
@@ -79,14 +66,10 @@ def require_format(name: str) -> None:
 
 
 def no_format(name: str, known: Collection[str]) -> InputError:
-    """The refusal of a name that no format has.
+    """Refusal of a name that no format has.
 
-    Args:
-        name: What was given: a planner's name, perhaps, for many know a file by who wrote it.
-        known: Names of formats, and what else is taken.
-
-    Returns:
-        The error, which suggests formats of that name's planners, else names that are nearly the same.
+    The name may be a planner's, for many know a file by who wrote it: the error suggests formats of that name's
+    planners, else names that are nearly the same.
     """
     of_planner = [each.name for each in FORMATS.values() if name.lower() in each.planners]
     suggested = f"did you mean {' or '.join(of_planner)}? " if of_planner else did_you_mean(name, known)

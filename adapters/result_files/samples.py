@@ -25,25 +25,13 @@ and single precision."""
 
 @dataclass(frozen=True, slots=True)
 class OtherSplits:
-    """The other splits of the data set, for files that belong to one of them.
-
-    Attributes:
-        data: The data set.
-        split: The split that was asked for.
-    """
+    """The other splits of the data set, for files that belong to one of them."""
 
     data: "DataSet"
     split: str
 
     def first(self, fits: Callable[[Set[str]], bool]) -> str | None:
-        """The first other split that a file fits.
-
-        Args:
-            fits: Whether it may be of a split with these sample tokens.
-
-        Returns:
-            Its name, or ``None``.
-        """
+        """Name of the first other split that a file fits, by its sample tokens."""
         for split, scenes in scenes_by_split(self.data)[0].items():
             tokens = {sample for scene in scenes for sample in self.data.keyframe_rows(scene).values()}
             if split != self.split and fits(tokens):
@@ -114,11 +102,11 @@ class RecordedSamples:
         return abs(abs(x) - COMMAND_LATERAL_M) <= UNDECIDED_M and command in (side, Command.STRAIGHT)
 
     def in_orders(self) -> tuple["RecordedSamples", ...]:
-        """The same in every order of info files that are sorted by time, the likelier one first.
+        """Samples in every order of info files that are sorted by time, the likelier one first.
 
         Where scenes overlap in time, as all variants of one recording do, a converter mixes them, and the info files
-        that are exported here keep them apart (`benchmark.datasets.exported_order`). Nobody can run a planner with
-        memory on variants that are mixed; recordings of two cars at the same time have official info files.
+        that are exported here keep them apart (`benchmark.datasets.exported_order`). No planner with memory
+        runs on variants that are mixed; recordings of two cars at the same time have official info files.
         """
         exported = exported_order(self.scenes, self.timestamps_us)
         if np.array_equal(exported, self.by_time):
@@ -128,7 +116,7 @@ class RecordedSamples:
         return (apart, self) if variants else (self, apart)
 
     def of_scenes(self, scenes: Collection[str]) -> "RecordedSamples":
-        """The same with the orders of info files that hold only some scenes."""
+        """Samples with the orders of info files that hold only some scenes."""
         chosen = np.isin(np.array(self.scenes), list(scenes))
         return replace(self, by_time=self.by_time[chosen[self.by_time]], by_table=self.by_table[chosen[self.by_table]])
 

@@ -26,19 +26,10 @@ SAME_M: Final = 1e-4
 
 
 def read(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
-    """Plans of the SparseDrive family.
+    """Plans of the SparseDrive family, those that were chosen.
 
-    Args:
-        path: The file, for messages.
-        content: Of the pickle.
-        samples: What there is.
-
-    Returns:
-        The plans that were chosen; their order is consistent where the chosen mode is that of our command and more than
-        one command occurs, else it is assumed.
-
-    Raises:
-        RefusedFile: If there is not one entry for each sample, one is broken, or chose by another command.
+    Their order is consistent where the chosen mode is that of our command and more than one command occurs, else it is
+    assumed. A file without one entry for each sample, or that chose by another command, is refused.
     """
     entries, rows = entries_of(content), samples.by_time
     require_count(path, len(entries), len(rows), samples)

@@ -26,16 +26,8 @@ NO_PLAN: Final = "no trajectory"
 def read_omnidrive(path: Path, content: Mapping[str, Any], samples: RecordedSamples) -> FilePlans:
     """Plans of a folder of OmniDrive's answers, in the order of their time.
 
-    Args:
-        path: The folder, for messages.
-        content: JSON of each file by its name, which is the token.
-        samples: What there is.
-
-    Returns:
-        The plans; samples without a plan of six waypoints are skipped, as by its own evaluation.
-
-    Raises:
-        RefusedFile: If a sample is unknown or a file is no answer.
+    `content` is the JSON of each file by its name, which is the token. Samples without a plan of six waypoints are
+    skipped, as by its own evaluation.
     """
     rows = rows_of(path, list(content), samples)
     plans: dict[int, Floats] = {}
@@ -54,16 +46,7 @@ def read_omnidrive(path: Path, content: Mapping[str, Any], samples: RecordedSamp
 def read_conversation(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
     """Plans of OpenDriveVLA's ``plan_conv.json``; short ones are completed as its own reader completes them.
 
-    Args:
-        path: The file, for messages.
-        content: Its lines.
-        samples: What there is.
-
-    Returns:
-        The plans; an answer without any pair is skipped, and of different answers to one question the last one counts.
-
-    Raises:
-        RefusedFile: If a sample is unknown or a line is no answer.
+    An answer without any pair is skipped, and of different answers to one question the last one counts.
     """
     answers: dict[str, str] = {}
     duplicates = 0
@@ -89,19 +72,7 @@ def read_conversation(path: Path, content: Any, samples: RecordedSamples) -> Fil
 
 
 def read_modes(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
-    """Plans of OpenDriveVLA's dictionaries: the first mode.
-
-    Args:
-        path: The file, for messages.
-        content: Of the JSON file.
-        samples: What there is.
-
-    Returns:
-        The plans.
-
-    Raises:
-        RefusedFile: If a sample is unknown, or a first mode is not 6 x 2 numbers.
-    """
+    """Plans of OpenDriveVLA's dictionaries: the first mode."""
     rows = rows_of(path, [name.removesuffix(SUFFIX) for name in content], samples)
     plans = {}
     for row, (name, modes) in zip(rows.tolist(), content.items()):
@@ -111,19 +82,7 @@ def read_modes(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
 
 
 def read_gptdriver(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
-    """Plans of GPT-Driver's texts: the last line of each.
-
-    Args:
-        path: The file, for messages.
-        content: Of the pickle.
-        samples: What there is.
-
-    Returns:
-        The plans; a last line that is no list of six pairs is skipped.
-
-    Raises:
-        RefusedFile: If a sample is unknown or an answer is no text.
-    """
+    """Plans of GPT-Driver's texts: the last line of each. A last line that is no list of six pairs is skipped."""
     rows = rows_of(path, list(content), samples)
     plans: dict[int, Floats] = {}
     skipped = {}

@@ -11,38 +11,14 @@ from benchmark.constants import PLAN_STEPS
 
 
 def read_positions(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
-    """Plans of ``pred_trajs_dict.pkl`` and its like.
-
-    Args:
-        path: The file, for messages.
-        content: Of the pickle.
-        samples: What there is.
-
-    Returns:
-        The plans.
-
-    Raises:
-        RefusedFile: If a sample is unknown, or a plan is not 6 x 2 numbers.
-    """
+    """Plans of ``pred_trajs_dict.pkl`` and its like."""
     rows = rows_of(path, list(content), samples)
     plans = [numbers_of(path, plan, f"the plan of sample {token}", (PLAN_STEPS, 2)) for token, plan in content.items()]
     return FilePlans(FileFrame.LIDAR, rows, np.array(plans), "tokens", "each sample by its token")
 
 
 def read_with_heading(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
-    """Plans of AD-MLP's ``output_data.pkl``, whose third column is a heading that nobody needs.
-
-    Args:
-        path: The file, for messages.
-        content: Of the pickle.
-        samples: What there is.
-
-    Returns:
-        The plans.
-
-    Raises:
-        RefusedFile: If a sample is unknown, or a plan is not 1 x 6 x 3 numbers.
-    """
+    """Plans of AD-MLP's ``output_data.pkl``, whose third column is a heading that is not needed: 1 x 6 x 3 numbers."""
     rows = rows_of(path, list(content), samples)
     plans = [
         numbers_of(path, plan, f"the plan of sample {token}", (1, PLAN_STEPS, 3))[0, :, :2]

@@ -9,14 +9,9 @@ _NOTHING_RAD = 1e-12
 
 
 def turned(points: Floats, angle_rad: ArrayLike) -> Floats:
-    """Points turned counter-clockwise about the origin.
+    """Points, (..., 2), turned counter-clockwise about the origin.
 
-    Args:
-        points: (..., 2) metres.
-        angle_rad: (...) less any axes; an angle that is none but for rounding leaves its points as they are.
-
-    Returns:
-        (..., 2).
+    `angle_rad` is (...), less any axes; an angle that is none but for rounding leaves its points as they are.
     """
     angle = np.asarray(angle_rad, np.float64)
     angle = np.where(np.abs(angle) < _NOTHING_RAD, 0.0, angle)

@@ -31,18 +31,9 @@ def entries_of(content: Any) -> Any:
 
 
 def read(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
-    """Plans of UniAD.
+    """Plans of UniAD, mirrored back where the recorded futures in the file are mirrored.
 
-    Args:
-        path: The file, for messages.
-        content: Of the pickle.
-        samples: What there is.
-
-    Returns:
-        The plans, mirrored back where the recorded futures in the file are mirrored.
-
-    Raises:
-        RefusedFile: If an entry is broken, a sample unknown or twice, or the recorded futures are those of others.
+    A sample that is unknown or occurs twice, and recorded futures of other samples, are refused.
     """
     entries = entries_of(content)
     rows = rows_of(path, [key_of(path, entry, "token", f"entry {at}") for at, entry in enumerate(entries)], samples)

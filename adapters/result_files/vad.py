@@ -27,19 +27,7 @@ SAME_L2_M: Final = 2e-3
 
 
 def read_results(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
-    """Plans of ``results_nusc.pkl``.
-
-    Args:
-        path: The file, for messages.
-        content: Of the pickle.
-        samples: What there is.
-
-    Returns:
-        The plans of the stored commands.
-
-    Raises:
-        RefusedFile: If an entry is broken, a sample unknown, or a stored command is that of another sample.
-    """
+    """Plans of ``results_nusc.pkl``, of the stored commands; a command that is another sample's is refused."""
     stored = content["plan_results"]
     if not isinstance(stored, dict):
         refuse(path, "shape", "its plan_results are no dictionary", "make the file again with the official script")
@@ -60,17 +48,8 @@ def read_results(path: Path, content: Any, samples: RecordedSamples) -> FilePlan
 def read_out(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
     """Plans of ``--out``: the list has no tokens, but displacements from the recorded future, which prove the order.
 
-    Args:
-        path: The file, for messages.
-        content: Of the pickle.
-        samples: What there is.
-
-    Returns:
-        The plans.
-
-    Raises:
-        RefusedFile: If there is not one entry for each sample, one is broken, or its command, its displacement or
-            whether the recording goes on are those of another sample.
+    Refused if there is not one entry for each sample, or its command, its displacement or whether the recording goes
+    on are those of another sample.
     """
     entries, rows = entries_of(content), samples.by_time
     require_count(path, len(entries), len(rows), samples)
@@ -123,7 +102,7 @@ def _require_command(path: Path, row: int, command: int, samples: RecordedSample
 
 
 def _compare_metrics(path: Path, at: int, row: int, plan: Floats, stored: Any, samples: RecordedSamples) -> int:
-    """How many stored displacements agree; none where the sample has none."""
+    """Number of stored displacements that agree; none where the sample has none."""
     if not isinstance(stored, dict) or stored.get("fut_valid_flag") is None:
         return 0
     complete, token = bool(samples.complete[row]), samples.tokens[row]

@@ -40,14 +40,10 @@ _APART: Final = 0.013
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What one setting of a generator made: the adversarial scenes of one split of one data set.
+    """One setting of a generator: the adversarial scenes of one split of one data set.
 
-    Attributes:
-        data_name: Name of the data set.
-        split: The split.
-        worst: The worst feature; ``None`` where nobody compared with recordings.
-        without_fault: Share of the scenes whose adversaries have no fault.
-        success: Attributable attack success on each planner, of scenes.
+    `worst` is the worst feature, ``None`` where there was no comparison with recordings; `without_fault` the share of
+    the scenes whose adversaries have no fault; `success` the attributable attack success on each planner, of scenes.
     """
 
     data_name: str
@@ -86,7 +82,7 @@ def attack_figures(frame: Frame) -> tuple[NamedFigure, ...]:
 
 
 def nothing_drawn(data_name: str, records: Sequence[RunRecord]) -> str | None:
-    """Why there is no figure of a data set that has adversaries, in a sentence; ``None`` where there is one."""
+    """Reason why there is no figure of a data set that has adversaries, in a sentence; ``None`` where there is one."""
     own = [each for each in records if each.run.data.name == data_name and has_adversaries(each)]
     if not own or any(setting.data_name == data_name for setting in generator_settings(own)):
         return None
@@ -145,7 +141,7 @@ def _say(figure: Figure, heading: str, words: Sequence[str], theme: Theme) -> No
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where a setting stands on an axis, and its interval."""
+    """Place of a setting on an axis, and its interval."""
 
     at: float
     low: float | None
@@ -203,7 +199,7 @@ def _draw_setting(
 
 
 def _words(settings: Sequence[Setting]) -> list[str]:
-    """Which number is which setting, and what the axes are."""
+    """Sentences on which number is which setting, and on the axes."""
     found = []
     for number, setting in enumerate(settings, 1):
         name = drawable(split_of(setting.split, setting.data_name))

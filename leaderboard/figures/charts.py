@@ -57,7 +57,7 @@ def rates_over_horizon(frame: Frame, protocol: str) -> Sketch | None:
 
 
 def disagreement_figure(frame: Frame, split: str) -> Sketch | None:
-    """How much of what ``exact`` sees each protocol misses, and how much of what it reports is false.
+    """Share of what ``exact`` sees that each protocol misses, and of what it reports that is false.
 
     ``None`` where no record of the split was judged by ``exact`` and another protocol.
     """
@@ -69,7 +69,7 @@ def disagreement_figure(frame: Frame, split: str) -> Sketch | None:
 
 
 def manoeuvre_figure(frame: Frame, protocol: str) -> Sketch | None:
-    """How many adversarial scenes there are of each manoeuvre, and in how many each planner hits the adversary first.
+    """Number of adversarial scenes of each manoeuvre, and of those in which each planner hits the adversary first.
 
     Where records do not say whom contacts are with: how many it fails. ``None`` where no record of split ``adv`` says
     what the adversaries do.
@@ -198,7 +198,7 @@ def _manoeuvre_panels(data_name: str, protocol: str, runs: Sequence[RunRecord], 
 
 
 def _manoeuvres(run: RunRecord) -> dict[str, str]:
-    """What the adversary of each scene does; empty where the record says nothing of any."""
+    """Manoeuvre of the adversary of each scene; empty where the record says nothing of any."""
     facts = run.run.scene_facts
     found = {scene: facts[scene].manoeuvre for scene in run.run.scenes if scene in facts}
     if not any(found.values()):
@@ -207,7 +207,7 @@ def _manoeuvres(run: RunRecord) -> dict[str, str]:
 
 
 def planner_style(place: int, theme: Theme) -> dict[str, Any]:
-    """How the line of the planner at a place is drawn."""
+    """Style of the line of the planner at a place."""
     marker = MARKERS[(place + place // len(theme.planners)) % len(MARKERS)]
     return {"color": theme.planner(place), "marker": marker, "markersize": 4.5, "linewidth": 1.4}
 

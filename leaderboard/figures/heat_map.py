@@ -37,14 +37,7 @@ _HATCH = "#9a9a9a"
 
 @dataclass(frozen=True, slots=True)
 class Square:
-    """A cell of a picture.
-
-    Attributes:
-        text: Its number.
-        below: What stands small below it.
-        colour: Red, green, blue, 0..1.
-        bold: Whether it stands out.
-    """
+    """A cell of a picture."""
 
     text: str
     below: str
@@ -85,7 +78,7 @@ def heat_maps(matrix: TransferMatrix) -> tuple[bytes, bytes, Callable[[], bytes]
 
 
 def lift_map(matrix: TransferMatrix, suffix: str, theme: Theme = LIGHT) -> bytes:
-    """The same of how far two planners fail the same scenes beyond chance.
+    """Picture of how far two planners fail the same scenes beyond chance.
 
     Lift is above the diagonal and φ below it, each with its interval; colours say how far it is from chance.
     """

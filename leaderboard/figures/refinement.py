@@ -47,11 +47,7 @@ _HALF_STRIP: Final = 0.31
 
 
 def refinement_figures(data_name: str, sheets: Sheets) -> tuple[NamedFigure, ...]:
-    """Figures of at most `SCENES_OF_A_SPLIT` traced scenes (`challenger-bench sheets --rounds`) of each split, by name.
-
-    Raises:
-        InputError: If a trace does not fit together.
-    """
+    """Figures of at most `SCENES_OF_A_SPLIT` scenes of each split traced by `challenger-bench sheets --rounds`."""
     found, drawn = [], dict.fromkeys((split for _, split, _ in sheets.scenes), 0)
     for (data, split, scene), stored in sorted(sheets.scenes.items()):
         if data != data_name or drawn[split] == SCENES_OF_A_SPLIT:
@@ -69,17 +65,7 @@ def refinement_figure(
 ) -> bytes | None:
     """One planning frame of a scene: a panel a round on the map, and the scores of all rounds beside them.
 
-    Args:
-        stored: A scene with its trace.
-        suffix: ``.png`` or ``.svg``.
-        frame: Planning frame; `most_improved` by default.
-        theme: Its colours.
-
-    Returns:
-        The picture, or ``None`` where the scene is not traced, or nothing was searched at that frame.
-
-    Raises:
-        InputError: If the trace does not fit together.
+    ``None`` where the scene is not traced, or nothing was searched at that frame, by default `most_improved`.
     """
     sketch = _sketch(stored, frame)
     return None if sketch is None else picture(sketch, suffix, theme)
@@ -114,14 +100,8 @@ def most_improved(rounds: RefinementTrace) -> TraceFrame | None:
 def quartiles(scores: Sequence[float], searched: int) -> tuple[float, float, float] | None:
     """Quartiles of a round's scores, those that were left out counted by those that stand for them.
 
-    Of more than were kept, the better half of the kept are the best ones and the others a sample of the rest.
-
-    Args:
-        scores: Of the candidates that are kept.
-        searched: How many there were.
-
-    Returns:
-        Lower quartile, median and upper quartile, each one of the scores, or ``None`` without scores.
+    Of more than were kept, the better half of the kept are the best ones and the others a sample of the rest. Lower
+    quartile, median and upper quartile, each one of the scores; `searched` is how many there were.
     """
     if not scores:
         return None

@@ -27,14 +27,10 @@ _NO_SCORE: Final = "#777777"
 
 @dataclass(frozen=True, slots=True)
 class MapView:
-    """What the panels show: the adversary drives to the right from (0, 0).
+    """View of the panels: the adversary drives to the right from (0, 0).
 
-    Attributes:
-        pose: (3,) its pose now, in the sheet's metres.
-        left: Edge behind it, metres in its frame, as for all four.
-        right: Edge ahead.
-        bottom: Edge to its right.
-        top: Edge to its left.
+    `pose` is (3,), its present one in the sheet's metres; the edges are metres in its frame, `left` the one behind it,
+    `right` ahead, `bottom` to its right and `top` to its left.
     """
 
     pose: Floats

@@ -31,9 +31,7 @@ NO_SENSOR: Final = "none"
 class Driven:
     """A record of drives as a row of a table; its numbers are cells.
 
-    Attributes:
-        record: The record.
-        name: Its planner, with what tells its version from others of its world.
+    `name` is its planner, with what tells its version from others of its world.
     """
 
     record: DriveRecord
@@ -47,13 +45,13 @@ class Driven:
 
     @property
     def origin(self) -> Origin:
-        """Where its numbers come from."""
+        """Origin of its numbers."""
         facts = self.record.facts
         return Origin(facts.measured.world, named_record(self.record.content_id, self.name, facts.split))
 
     @cached_property
     def rates(self) -> Mapping[str, RateRow]:
-        """What the record says, by column, as it is defined now."""
+        """Rates of the record, by column, as they are defined now."""
         return columns_of(self.record)
 
     def cell(self, column: str, unit: str = PERCENT) -> Cell | None:
@@ -64,19 +62,15 @@ class Driven:
         return self.origin.percent(rate, "drives") if unit == PERCENT else self.origin.amount(rate, unit, "drives")
 
     def drives(self) -> Cell:
-        """How many drives there are."""
+        """Number of drives."""
         return self.origin.count(self.record.summary.drives, "drives")
 
 
 @dataclass(frozen=True)
 class World:
-    """One thing that was measured, and who drove in it.
+    """One thing that was measured, and its records: planners before privileged ones, by name.
 
-    Attributes:
-        title: In words.
-        sensor: What the cameras of those saw that look.
-        records: Planners before privileged ones, by name.
-        name: Part of a file's name.
+    `title` is in words, `name` a part of a file's name; `sensor` is what the cameras of those saw that look.
     """
 
     title: str
@@ -93,7 +87,7 @@ class World:
 
     @property
     def notes(self) -> list[str]:
-        """What has to be said of the records: sensor, few scenes, marks, old scores."""
+        """Notes on the records: sensor, few scenes, marks, old scores."""
         first = self.records[0].facts
         # A scene of which nobody says where it comes from is its own recording.
         known = first.scene_facts
@@ -109,7 +103,7 @@ class World:
         return [*self._said_of_sensor(), *([FEW_NOTE] if few else []), *marks, *lacking, *stale]
 
     def _said_of_sensor(self) -> list[str]:
-        """What pictures depended on besides the sensor's name."""
+        """Notes on what pictures depended on besides the sensor's name."""
         found = [each.facts.measured for each in self.records if each.facts.measured.sensor == self.sensor]
         facts = found[0].sensor_facts if found else {}
         said = ", ".join(f"{name} {value}" for name, value in sorted(facts.items()))
@@ -117,12 +111,9 @@ class World:
 
 
 def worlds(records: Sequence[DriveRecord]) -> list[World]:
-    """What was measured, each with the records that may stand beside each other; NeuroNCAP's engines last.
+    """Worlds that were measured, each with the records that may stand beside each other; NeuroNCAP's engines last.
 
     Planners that look at nothing stand beside those of every sensor: what cameras see is nothing to them.
-
-    Raises:
-        InputError: If two records are of one planner in one version.
     """
     kinds: dict[str, list[DriveRecord]] = {}
     for record in records:

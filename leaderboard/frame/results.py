@@ -16,15 +16,10 @@ from leaderboard.selection import one_run_each
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """What a leaderboard is made from.
+    """Results that a leaderboard is made from.
 
-    Attributes:
-        frames: Runs of each data set that has any, at most one for each planner and split.
-        drives: Records of drives.
-        quality: Records of video quality.
-        sheets: Scene sheets: statistics, manoeuvres, search and runtime are made from them.
-        ablations: Ablation studies.
-        challenges: Scores of entries of challenges.
+    `frames` are runs of each data set that has any, at most one for each planner and split. Statistics, manoeuvres,
+    search and runtime are made from the scene sheets.
     """
 
     frames: tuple[Frame, ...]
@@ -43,9 +38,8 @@ class Results:
 def frames_of(records: Sequence[RunRecord]) -> tuple[Frame, ...]:
     """A frame of each data set, by its name, of records in any order; `one_run_each` says which of them count.
 
-    Raises:
-        InputError: If there are no records, two records of one planner and split would share a row, or records of one
-            split saw different data.
+    Two records of one planner and split that would share a row, or records of one split on different data, are an
+    `InputError`.
     """
     if not records:
         raise InputError("there are no run records to make tables of; run challenger-bench eval first")
@@ -62,11 +56,7 @@ def read_results(
     drives: Sequence[DriveRecord] = (),
     challenges: Sequence[ChallengeScores] = (),
 ) -> Results:
-    """Results of records of every kind; run records may be missing only if there is anything else.
-
-    Raises:
-        InputError: As `frames_of`.
-    """
+    """Results of records of every kind; run records may be missing only if there is anything else."""
     others = bool(quality or sheets.splits or ablations or drives or challenges)
     frames = frames_of(records) if records or not others else ()
     return Results(frames, drives, quality, sheets, ablations, challenges)

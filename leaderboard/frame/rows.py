@@ -30,7 +30,7 @@ FEW_NOTE = f"Fewer than {FEW_SCENES} recorded scenes: the intervals are too narr
 
 
 def split_place(split: str) -> tuple[int, str]:
-    """To sort splits by: the paper's three first, the others by name."""
+    """Place by which splits are sorted: the paper's three first, the others by name."""
     return SPLIT_ORDER.index(split) if split in SPLIT_ORDER else len(SPLIT_ORDER), split
 
 
@@ -81,7 +81,7 @@ def with_caveat_mark(cell: Shown, facts: RecordFacts) -> Shown:
 
 
 def caveat_notes(records: Iterable[RecordFacts]) -> list[str]:
-    """What the numbers of some runs or drives needed and did not get.
+    """Notes on what the numbers of some runs or drives needed and did not get.
 
     One sentence for each caveat and split, with the planners that it concerns, and one for older records, of which it
     is not known whether their scenes are annotated.
@@ -101,7 +101,7 @@ def caveat_notes(records: Iterable[RecordFacts]) -> list[str]:
 
 
 def mark_notes(*, privileged: bool, miniature: bool) -> list[str]:
-    """What the marks of the planners' names mean, where any planner of a table has them."""
+    """Notes on the marks of the planners' names, where any planner of a table has them."""
     return [*([PRIVILEGED_NOTE] if privileged else []), *([MINIATURE_NOTE] if miniature else [])]
 
 
@@ -137,17 +137,17 @@ def stale_notes(record: RunRecord, protocols: Sequence[str]) -> list[str]:
 
 
 def judges(protocol: str) -> str:
-    """Who judges, as titles say it."""
+    """Judge of a protocol, as titles name it."""
     return "each planner under its own protocol" if protocol == NATIVE else f"protocol {protocol}"
 
 
 def recordings(record: RunRecord) -> int:
-    """How many recorded scenes a run's scenes come from: what its intervals rest on."""
+    """Number of recorded scenes that a run's scenes come from: what its intervals rest on."""
     return len(set(source_of_scenes(record).values()))
 
 
 def run_notes(records: Sequence[RunRecord], told: Sequence[str]) -> list[str]:
-    """What has to be said of the runs behind a table, in the table's order.
+    """Notes on the runs behind a table, in the table's order.
 
     What marks mean, what numbers lacked, whether any has few recorded scenes, what inspectors said, what is ``told`` of
     single runs, and what is not whole.
@@ -158,7 +158,7 @@ def run_notes(records: Sequence[RunRecord], told: Sequence[str]) -> list[str]:
 
 
 def review_notes(records: Iterable[RunRecord]) -> list[str]:
-    """What inspectors said of each split that has adversaries or a review; one sentence for all that have none."""
+    """Notes of inspectors on each split that has adversaries or a review; one sentence for all that have none."""
     said = {record.run.split: record.run.review for record in records if record.run.review is not None}
     notes = [f"{split}: {review_words(said[split])}." for split in sorted(said, key=split_place)]
     made = {record.run.split for record in records if record.run.split not in said and _has_adversaries(record)}
@@ -187,5 +187,5 @@ def completeness_notes(records: Sequence[RunRecord]) -> list[str]:
 
 
 def part_of_split(scenes: int, in_split: int) -> str:
-    """How much of a split there is."""
+    """Part of a split that there is, in words."""
     return f"{scenes} of {counted(in_split, 'scene')} of the split"

@@ -29,10 +29,7 @@ Made = TypeVar("Made")
 class Row(Generic[Found]):
     """A run as a row of a table; its numbers are cells, which say of which protocol and record they are.
 
-    Attributes:
-        record: The record.
-        judge: Protocol or definition behind the numbers; empty where they rest on none.
-        found: What was measured.
+    `judge` is the protocol or definition behind them; empty where they rest on none.
     """
 
     record: RunRecord
@@ -46,12 +43,12 @@ class Row(Generic[Found]):
 
     @property
     def with_caveats(self) -> Shown:
-        """The same, marked where its numbers lacked something."""
+        """Name of the planner, marked where its numbers lacked something."""
         return with_caveat_mark(self.planner, self.record.run)
 
     @property
     def name(self) -> Shown:
-        """The same with all marks: reproduced by others, and judged by an earlier version of the protocol."""
+        """Name of the planner with all marks: reproduced by others, judged by an earlier version of the protocol."""
         return row_name(self.record, self.judge)
 
     @property
@@ -71,19 +68,19 @@ class Row(Generic[Found]):
 
     @property
     def origin(self) -> Origin:
-        """Where its numbers come from."""
+        """Origin of its numbers."""
         return origin_of(self.record, self.judge or None)
 
     def samples(self, count: int) -> Cell:
-        """How many of its samples."""
+        """Cell of a count of its samples."""
         return self.origin.count(count, "samples", self.record.summary.samples)
 
     def scenes(self, count: int) -> Cell:
-        """How many of the scenes that ran."""
+        """Cell of a count of the scenes that ran."""
         return self.origin.count(count, "scenes", len(self.record.run.scenes))
 
     def scenes_of_split(self) -> Cell:
-        """How many scenes of its split ran."""
+        """Cell of the number of scenes of its split that ran."""
         return self.origin.count(len(self.record.run.scenes), "scenes", self.record.run.scenes_in_split)
 
     def by_horizon(self, head: str, column: str, rates: Mapping[str, AnyRate]) -> dict[str, Value]:
@@ -98,11 +95,8 @@ class Row(Generic[Found]):
 class Frame:
     """The runs on one data set, and what was measured of them, each thing once.
 
-    Attributes:
-        data_name: Name of the data set, for titles.
-        given: The records as they were given.
-        runs: The same in the order of tables.
-        against: Further records that they may be compared with, the newest last.
+    `given` are the records as they were given, `runs` the same in the order of tables; `against` further ones that
+    they may be compared with, the newest last.
     """
 
     def __init__(self, data_name: str, records: Iterable[RunRecord], against: Iterable[RunRecord] = ()) -> None:
@@ -128,11 +122,11 @@ class Frame:
 
     @cached_property
     def judges(self) -> list[str]:
-        """Whose verdicts come first: ``exact``, and each planner's own protocol where one has it."""
+        """Judges whose verdicts come first: ``exact``, and each planner's own protocol where one has it."""
         return [*((EXACT,) if EXACT in self.protocols else ()), *((NATIVE,) if self.has_native else ())]
 
     def once(self, make: Callable[..., Made], *of: str) -> Made:
-        """What a function makes of the frame and some words, which is asked for once."""
+        """Result of a function of the frame and some words, which is asked for once."""
         key = make, *of
         if key not in self._made:
             self._made[key] = make(self, *of)
@@ -148,11 +142,7 @@ class Frame:
         return [Row(record, judge, found) for record, found in said if found is not None]
 
     def scored(self, record: RunRecord, protocol: str) -> Scored:
-        """Verdicts on one of the runs, read once.
-
-        Raises:
-            InputError: As `benchmark.metrics.scores.scored`.
-        """
+        """Verdicts on one of the runs, read once."""
         key = id(record), protocol_of(record, protocol)
         if key not in self._scored:
             self._scored[key] = scored(record, protocol=protocol)
@@ -179,11 +169,11 @@ def shown_protocols(frame: Frame, asked: Sequence[str] | None) -> Sequence[str]:
 
 
 def row_notes(rows: Sequence[Row[Any]], told: Iterable[str] = ()) -> list[str]:
-    """What has to be said of the runs behind rows, ``told`` and who was judged by an earlier version among it."""
+    """Notes on the runs behind rows, ``told`` and who was judged by an earlier version among it."""
     stale = [note for row in rows for note in stale_notes(row.record, (row.judge,))]
     return run_notes([row.record for row in rows], [*told, *stale])
 
 
 def whose(protocol: str) -> str:
-    """Whose verdicts, as labels over columns say it."""
+    """Judges whose verdicts are shown, as labels over columns name them."""
     return "own protocol" if protocol == NATIVE else protocol

@@ -29,7 +29,7 @@ def by_name(parts: Iterable[Mapping[str, Sequence[Table]]]) -> dict[str, tuple[T
 
 
 def origin_of(sheet: SplitSheet) -> Origin:
-    """Where the numbers of a split come from: the data set's fingerprint stands for a record."""
+    """Origin of the numbers of a split: the data set's fingerprint stands for a record."""
     return Origin(record=named_record(sheet.data.fingerprint[:12], sheet.data.name, sheet.split))
 
 

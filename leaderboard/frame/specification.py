@@ -14,17 +14,9 @@ Values = Mapping[str, Value]
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column.
+    """One column, with its `head` and the `group` above the heads of neighbours.
 
-    Attributes:
-        head: Above it.
-        name: Of the value that it shows.
-        group: Above the heads of neighbours.
-        text: Whether it is one of the leading columns of text.
-        digits: Decimals of a number.
-        after: Text behind a number.
-        signed: Whether positive numbers have a sign.
-        interval: Whether it shows the number's interval.
+    `text` columns lead; `signed` numbers have a sign when positive, `interval` ones show theirs.
     """
 
     head: str
@@ -38,11 +30,11 @@ class Column:
 
     @property
     def key(self) -> str:
-        """How a table calls the column where it is not called by its head."""
+        """Key of the column in a table, where it is not called by its head."""
         return f"95 % of {self.name}" if self.interval else self.name
 
     def shown(self, row: Values) -> str | Shown:
-        """What a row shows here."""
+        """Text or number that a row shows here."""
         value = row.get(self.name)
         if value is None:
             return UNDEFINED
@@ -108,22 +100,10 @@ def tabulate(
     sources: Sequence[str] = (),
     latex_form: LatexForm | None = None,
 ) -> Table:
-    """The table that a specification gives.
+    """Table that a specification gives.
 
-    Args:
-        name: File stem.
-        title: One line above it.
-        columns: From left to right.
-        rows: From top to bottom.
-        notes: Sentences below it.
-        brief: Keys of the columns that a terminal shows, if not all.
-        brief_title: What it says above them, if not the same.
-        brief_notes: What it says below, if not the same.
-        sources: Where quoted numbers come from.
-        latex_form: How LaTeX lays it out, if not plainly.
-
-    Returns:
-        The table.
+    `brief` are keys of the columns that a terminal shows, if not all, `brief_title` and `brief_notes` what it says
+    above and below them, if not the same; `sources` say where quoted numbers come from.
     """
     groups = [(label, len(list(same))) for label, same in itertools.groupby(columns, lambda column: column.group)]
     shown = None

@@ -70,7 +70,7 @@ def closed_loop(results: Results) -> Iterator[Section]:
 
 
 def of_extensions(results: Results) -> Iterator[Section]:
-    """What extensions show of records of their own."""
+    """Sections that extensions make of records of their own."""
     return sections_of({"challenges": results.challenges, "quality": results.quality})
 
 

@@ -26,7 +26,7 @@ _GROUPS: Final = {
 
 
 def group_of(table: Table) -> str:
-    """What a table under ``exact`` and the planners' own protocols is shown together with."""
+    """Group that a table under ``exact`` and the planners' own protocols is shown in."""
     kind = table.name.partition("-")[0]
     return next((group for group, kinds in _GROUPS.items() if kind in kinds), _RATES)
 
@@ -37,7 +37,7 @@ def page_text(heading: str, tables: Sequence[Table]) -> bytes:
 
 
 def page_path(data_name: str, name: str) -> str:
-    """Where a page of a data set lies below the leaderboard's folder."""
+    """Path of a page of a data set below the leaderboard's folder."""
     return f"{TABLES_FOLDER}/{file_name(data_name)}/{file_name(name)}.md"
 
 

@@ -10,14 +10,9 @@ from benchmark.report.table import Table
 
 @dataclass(frozen=True, slots=True)
 class NamedFigure:
-    """One picture.
+    """One picture: PNG for screens, SVG for print and light pages.
 
-    Attributes:
-        name: File stem.
-        title: What it shows.
-        png: For screens.
-        svg: For print and light pages.
-        dark: Draws the SVG for dark pages, which sites alone have.
+    `dark` draws the SVG for dark pages, which sites alone have.
     """
 
     name: str
@@ -32,14 +27,12 @@ Item = str | Table | NamedFigure
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """What stands under one heading.
+    """Contents under one heading.
 
     Attributes:
         data_name: The data set that it is of; empty for published numbers.
         heading: Of the page, in Markdown; empty where it goes on under the one before.
-        shown: What the page shows, in order: lines, tables and figures.
         tables: Tables that have files, by what the site shows them under.
-        figures: Figures that have files.
         files: Further files, by path below the leaderboard's folder.
     """
 
@@ -67,11 +60,7 @@ def said_once(shown: Iterable[Item], said: Iterable[str] = ()) -> Iterator[Item]
 
 
 def sections_of(records: Mapping[str, Sequence[Any]]) -> Iterator[Section]:
-    """Sections that extensions make of records by kind; kinds without a record need no extension.
-
-    Raises:
-        InputError: If there are records of an extension that is not installed.
-    """
+    """Sections that extensions make of records by kind; kinds without a record need no extension."""
     for kind in OFFERS["section"]:
         if records.get(kind):
             made: Iterable[Section] = from_extension("section", kind)(records[kind])

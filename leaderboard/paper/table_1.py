@@ -84,7 +84,7 @@ def _place(block: Block) -> tuple[int, int, bool, str]:
 
 
 def _pairs(blocks: Sequence[Block]) -> list[tuple[Block, Block | None]]:
-    """Which planners stand beside each other: of those with and of those without a protocol the halves."""
+    """Planners that stand beside each other: of those with and of those without a protocol the halves."""
     pairs: list[tuple[Block, Block | None]] = []
     for without in (0, 1):
         group = [block for block in blocks if _place(block)[0] == without]
@@ -113,7 +113,7 @@ def _half(block: Block | None, split: str) -> tuple[str | Shown, ...]:
 
 
 def _increase(row: Row[ProtocolSummary], val: Row[ProtocolSummary] | None) -> Shown:
-    """From val to adv, where both are whole and judged alike."""
+    """Increase from val to adv, where both are whole and judged alike."""
     if row.split != "adv" or val is None or not (row.record.covers_split and val.record.covers_split):
         return Shown("")
     both = [each.found for each in (val, row)]

@@ -51,7 +51,7 @@ class _Shown:
 
     @property
     def key(self) -> str:
-        """In addresses and file names."""
+        """Key in addresses and file names."""
         return content_key("drive", self.record.content_id, self.row.scene, self.row.family, self.row.run)[:16]
 
     @property
@@ -77,11 +77,7 @@ def drive_files(drives: Sequence[DriveRecord], sheets: Sheets) -> dict[str, byte
 
 
 def drive_index(drives: Sequence[DriveRecord], sheets: Sheets) -> list[dict[str, Any]]:
-    """What pages say of drives.
-
-    Args:
-        drives: Records of drives.
-        sheets: Scene sheets.
+    """Entries of drives for pages.
 
     Returns:
         For each ``key`` (null without a sheet), ``scene`` (the scene's key), ``planner``, ``privileged``,
@@ -276,15 +272,10 @@ def _contact(
 
 
 def driven_poses(seconds: Floats, ticks: Floats, states: Floats) -> Floats:
-    """Where the ego is between stored states: a cubic through places and speeds, headings by the shortest turn.
+    """Places of the ego between stored states: a cubic through places and speeds, headings by the shortest turn.
 
-    Args:
-        seconds: (F,) times; those before and after the states are held to them.
-        ticks: (K,) times of the states.
-        states: (K, 4 or more) x, y, yaw, speed along the heading.
-
-    Returns:
-        (F, 3) x, y, yaw.
+    (F, 3) x, y, yaw at (F,) times, which are held to the states; these are (K, 4 or more) x, y, yaw, speed along the
+    heading at (K,) ticks.
     """
     yaw = np.unwrap(states[:, _YAW])
     if len(ticks) == 1:
@@ -304,7 +295,7 @@ def driven_poses(seconds: Floats, ticks: Floats, states: Floats) -> Floats:
 
 
 def considered_data(sheet: Sheet, frames: Sequence[ConsideredFrame]) -> list[dict[str, Any]]:
-    """What an adversary considered: planning frames, in force until the next; the drive is of the sheet's scene.
+    """Planning frames of an adversary, in force until the next; the drive is of the sheet's scene.
 
     Each has ``t`` (seconds from the first frame), ``did`` (`benchmark.records.considered`), ``paths`` (x, y in turn of
     each candidate, decimetres as steps, worst first), ``shares`` (of each, hundredths: 0 for the best score, 100 for

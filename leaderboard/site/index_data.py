@@ -40,13 +40,9 @@ NOTES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class PlacedTable:
-    """A table and where it stands.
+    """A table and its place: `folder` is that of its files below the leaderboard's.
 
-    Attributes:
-        table: The table.
-        data_name: Name of its data set; empty for what is of none.
-        group: What it is shown together with, for example ``protocol vad``.
-        folder: Where its files lie below the leaderboard's folder.
+    `data_name` is empty for what is of none; `group` is what it is shown together with, for example ``protocol vad``.
     """
 
     table: Table
@@ -60,10 +56,7 @@ class PlacedFigure:
     """A figure among the site's files.
 
     Attributes:
-        data_name: Name of its data set.
-        title: What it shows.
         path: Its file below the site's folder.
-        dark_path: The same for a dark page.
         size_px: (width, height) at which its letters are as large as the page's, so that a page leaves room before it
             is loaded.
     """
@@ -109,7 +102,7 @@ def _figure(figure: PlacedFigure, written: frozenset[str]) -> dict[str, Any]:
 
 
 def _key_tables(frames: Sequence[Frame], origins: "_Origins", written: frozenset[str]) -> list[dict[str, Any]]:
-    """Of each data set the table of the first page."""
+    """Table of the first page of each data set."""
     found = [(frame.data_name, key_table(frame)) for frame in frames]
     placed = [PlacedTable(table, name, "", "") for name, table in found if table is not None]
     return [_table(each, f"key-{number}", origins, written) for number, each in enumerate(placed)]
@@ -144,12 +137,10 @@ def _table(placed: PlacedTable, name: str, origins: "_Origins", written: frozens
 
 
 class _Origins:
-    """What many cells have in common, written once: cells name its place as ``record``.
+    """Common parts of many cells, written once: cells name its place as ``record``.
 
-    Attributes:
-        found: For each origin the places of its unit, of what is counted, of its protocol, record and source among the
-            words; -1 where there is none.
-        words: Texts.
+    `found` has for each origin the places of its unit, of what is counted, of its protocol, record and source among
+    the words; -1 where there is none.
     """
 
     def __init__(self) -> None:
@@ -158,7 +149,7 @@ class _Origins:
 
     @property
     def found(self) -> list[list[int]]:
-        """For each origin the places of its facts among the words."""
+        """Places of the facts of each origin among the words."""
         return [list(origin) for origin in self._origins]
 
     @property

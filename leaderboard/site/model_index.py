@@ -84,7 +84,7 @@ def _driving(summary: DrivingSummary) -> dict[str, Any]:
 
 
 def _scenes_hit(record: RunRecord, protocol: str) -> list[int] | None:
-    """Scenes in which a sample touches the adversary first, and those of which that can be said; if anybody says it."""
+    """Numbers of scenes with a sample that touches the adversary first, and of scenes where that is said."""
     told = attributes(record) and registered_version(protocol) is not None and says_whom(record, protocol)
     if not told:
         return None

@@ -62,17 +62,9 @@ class _Ran:
 def scene_files(sheets: Sheets, records: Sequence[RunRecord]) -> dict[str, bytes | Path]:
     """Files of every scene that a record or a sheet names.
 
-    Args:
-        sheets: Scene sheets.
-        records: At most one for each data set, split and planner (`leaderboard.selection.one_run_each`).
-
     Returns:
         ``data/scenes/<key>.js``, ``media/<key>/cameras/<frame>.webp``, ``media/<key>/thumb.webp`` and
         ``media/<key>/thumb-dark.webp`` below the site's folder; a path as value means a copy of that file.
-
-    Raises:
-        InputError: If a record has samples that the scene's sheet lacks, or lists of a sheet or a plan are of the wrong
-            lengths.
     """
     ran = _by_scene(records)
     files: dict[str, bytes | Path] = {}
@@ -265,11 +257,7 @@ def _edges(sheet: Sheet) -> dict[str, dict[str, list[int]]]:
 
 
 def thumbnail(sheet: Sheet, colours: GroundColours = ON_LIGHT) -> bytes:
-    """A WebP picture of 320 x 320 pixels: the scene, which has frames, from above in its `closest_frame`.
-
-    Raises:
-        InputError: If OpenCV was built without WebP.
-    """
+    """A WebP picture of 320 x 320 pixels: the scene, which has frames, from above in its `closest_frame`."""
     image, _ = SceneFromAbove(sheet, colours).draw(
         closest_frame(sheet), width_px=THUMBNAIL_PX, height_px=THUMBNAIL_PX, extent_m=THUMBNAIL_EXTENT_M
     )

@@ -32,21 +32,16 @@ _DIGITS: Final = 3
 
 @dataclass(slots=True)
 class _Seen:
-    """What run records say of one scene, by planner where it is of one.
+    """Facts of run records about one scene, by planner where they are of one.
 
     Attributes:
-        source: The recording that it was made from.
-        manoeuvre: Of its adversary.
-        seconds: Its length.
         adversarial: Whether its split has adversaries, so that contacts with others are counted by themselves.
         verdicts: By protocol whether the planner fails it (`benchmark.metrics.effect.touched_scenes`).
         others: Protocols under which a plan touches somebody else first.
         unsaid: Protocols under which a plan collides and nobody says with whom.
-        causes: Of attributed collisions.
         colliding: Samples that touch the adversary first under ``exact``, anybody without adversaries; ``None`` where
             that is not said. What has none is left out.
         bystanders: The same of samples that touch somebody else first.
-        failed: Samples on which the planner failed.
         judgement: Who survives it.
         severity: How severe the planner's plans are.
     """
@@ -77,9 +72,6 @@ def scene_index(
     """One entry for each scene that a record or a sheet names, by data set, split (the paper's three first) and name.
 
     ``written`` are paths of the site's files; they tell which scenes have a thumbnail.
-
-    Raises:
-        InputError: If a sheet was made from other content than a record of its split.
     """
     seen: dict[SceneName, _Seen] = {}
     for record in records:
@@ -195,7 +187,7 @@ def _add_samples(found: _Seen, record: RunRecord, places: NDArray[np.int64], tou
 
 
 def label_words(label: Mapping[str, Any]) -> str:
-    """What labels (docs/manoeuvres.md) say of one adversary; what a stranger's labels lack is left out.
+    """Words for the labels (docs/manoeuvres.md) of one adversary; what a stranger's labels lack is left out.
 
     For example ``cut-in-left; on: straight; closest 0.40 m, left, at 9.2 s; also blocking``.
     """
@@ -254,10 +246,7 @@ def _require_same_content(records: Sequence[RunRecord], sheets: Sheets) -> None:
 
 
 def judgement_entry(judgement: JudgementSummary | None) -> dict[str, Any] | None:
-    """What was said of a scene.
-
-    Args:
-        judgement: It, or ``None`` where nobody judged the scene.
+    """Judgement of a scene.
 
     Returns:
         ``survives`` (names of drivers), ``unsolvable``, ``margin``, ``gap``, ``ttc``, ``tet``, ``pet``, ``btn`` of the
@@ -281,10 +270,7 @@ def judgement_entry(judgement: JudgementSummary | None) -> dict[str, Any] | None
 
 
 def severity_entries(record: RunRecord) -> dict[str, dict[str, Any]]:
-    """How severe a planner's plans are, by scene; only of scenes with something to say.
-
-    Args:
-        record: Of one planner on one split.
+    """Severity of a planner's plans, by scene; only of scenes with something to say.
 
     Returns:
         ``contacts`` (samples whose first contact is with an adversary, with anybody on a split without them),

@@ -38,7 +38,6 @@ def planner_samples(
     """One planner's part of a scene's script.
 
     Args:
-        record: Its run record.
         rows: Its rows of the scene by sample token.
         tokens: The scene's samples in order.
         poses: (S, 3) rear axle at these samples, local.
@@ -69,10 +68,9 @@ def planner_samples(
 def sample_entry(
     row: SampleRow, axle: Floats, protocols: Sequence[str], agents: Mapping[str, int], *, known: bool | None = None
 ) -> dict[str, Any]:
-    """What a planner did at one sample.
+    """Entry of a planner's sample.
 
     Args:
-        row: Its row.
         axle: (3,) pose of the rear axle at the sample, local.
         protocols: Names in the order of the verdicts.
         agents: Number of each agent by instance identifier.

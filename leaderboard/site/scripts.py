@@ -18,11 +18,7 @@ def data_script(target: str, value: Any) -> bytes:
 
 
 def script_data(text: str) -> Any:
-    """The value that a script of `data_script` assigns.
-
-    Raises:
-        InputError: If it is no such script.
-    """
+    """The value that a script of `data_script` assigns."""
     _, found, rest = text.partition("JSON.parse('")
     literal, end, _ = rest.rpartition("')")
     if not found or not end:

@@ -30,17 +30,11 @@ def site_files(
     """Every file of the site.
 
     Args:
-        results: What the leaderboard is made from; drives on scenes with a sheet are played.
-        tables: Tables in the order in which they are read.
-        figures: Figures that are among the downloads.
         downloads: Files that pages link or show, by their path below the leaderboard's folder; they lie at the same
             path below the site's, so that the site can be moved alone.
 
     Returns:
         Bytes by path below the site's folder; a path as value means a copy of that file.
-
-    Raises:
-        InputError: If a sheet was made from other content than a record of its split.
     """
     copied = downloads or {}
     scenes = {path: content for files in PLAYED for path, content in files(results).items()}

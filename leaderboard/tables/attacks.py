@@ -196,7 +196,7 @@ def _near_values(row: Row[AttackRates]) -> Values:
 
 
 def _cells(origin: Origin, name: str, unit: str, spread: Spread, after: str = "") -> dict[str, Cell]:
-    """What `_spread` shows."""
+    """Cells of a `_spread`."""
     return {
         f"{name}{after}": origin.cell(spread.median, unit, spread.samples),
         f"{name}, worst tenth": origin.cell(spread.worst_tenth, unit, spread.samples),

@@ -43,7 +43,6 @@ def collision_table(frame: Frame, protocol: str) -> Table:
     """Collision rates and L2 of our runs under one protocol, or the paper's Table 1.
 
     Args:
-        frame: The runs; those without the protocol are named below the table.
         protocol: Protocol of every number in the table. ``native`` is that of each planner's own repository: then
             planners without one come after the others, under ``exact``, and those whose own protocol takes maxima or
             latches stand in its own table alone.
@@ -165,7 +164,7 @@ def _values(row: Row[ProtocolSummary]) -> Values:
 
 
 def _mask_values(row: Row[ProtocolSummary]) -> dict[str, Value]:
-    """What a mask takes away; where whole samples are left out there is no rate of the same samples without that."""
+    """Values of a mask; where whole samples are left out there is no rate of the same samples without that."""
     summary, masked = row.found, row.found.mask_removed_steps
     before = summary.columns.get(BEFORE_MASK)
     counts = (masked, summary.mask_removed_for_adversary, _masked_for_others(summary))
@@ -185,7 +184,7 @@ def _masked_for_others(summary: ProtocolSummary) -> int | None:
 
 
 def _masked_in_words(rows: Sequence[Row[ProtocolSummary]]) -> list[str]:
-    """What a terminal, which does not show the columns, says of masked steps."""
+    """Notes on masked steps for a terminal, which does not show the columns."""
     told = [
         f"{row.who} {row.found.mask_removed_for_adversary} / {_masked_for_others(row.found)}"
         if row.found.mask_removed_for_adversary is not None

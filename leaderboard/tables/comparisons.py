@@ -42,7 +42,7 @@ REDRAWN_NOTE = (
 
 
 def split_table(frame: Frame, protocol: str) -> Table | None:
-    """What a planner loses from one split to another: a row for each planner and pair of splits.
+    """Losses of planners from one split to another: a row for each planner and pair of splits.
 
     ``native`` stands for each planner's own protocol. ``None`` if no planner ran on two splits.
     """
@@ -81,7 +81,7 @@ def split_table(frame: Frame, protocol: str) -> Table | None:
 
 
 def planner_table(frame: Frame, protocol: str, split: str) -> Table | None:
-    """Which planner is better on a split: a row for each pair.
+    """Comparison of planners on a split: a row for each pair.
 
     ``None`` if fewer than two ran on the whole split, and under ``native``, by which no two planners compare.
     """
@@ -119,7 +119,7 @@ def _difference(head: str) -> Columns:
 def _compared(
     frame: Frame, pairs: Sequence[Pair], protocol: str, compare: Callable[[Scored, Scored], Found]
 ) -> tuple[list[tuple[Pair, Found]], tuple[str, ...]]:
-    """What can be compared, and one sentence for each reason why a pair is left out."""
+    """Pairs that can be compared, and one sentence for each reason why a pair is left out."""
     found, refused = [], []
     for pair in pairs:
         try:

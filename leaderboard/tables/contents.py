@@ -72,7 +72,6 @@ class DataSetTables:
     """Tables of one data set, in the order in which they are read.
 
     Attributes:
-        frame: What they are made from; no part of what makes them equal.
         front: Under ``exact`` and under the planners' own protocols, then diagnosis, disagreement and driving scores.
         slices: By place, light, manoeuvre, speed and command: the same judges as ``front``.
         others: Under each other protocol; the collision table comes first.
@@ -122,21 +121,13 @@ def _slices(frame: Frame, *asked: str) -> tuple[Table, ...]:
 
 
 def closed_loop_tables(data_name: str, drives: Sequence[DriveRecord], runs: Sequence[RunRecord]) -> tuple[Table, ...]:
-    """Every table of drives through one data set, beside open loop where the planners ran there too.
-
-    Raises:
-        InputError: If two records of drives would share a row.
-    """
+    """Every table of drives through one data set, beside open loop where the planners ran there too."""
     made = drive_tables(drives), loop_tables(drives, runs), pressure_tables(drives), drive_cost_table(data_name, drives)
     return _flat(made)
 
 
 def generation_tables(sheets: Sheets, ablations: Sequence[AblationReport]) -> dict[str, tuple[Table, ...]]:
-    """Statistics, manoeuvres, search, runtime, ablation: tables of no run record, by data set in the order of names.
-
-    Raises:
-        InputError: If a sheet is damaged.
-    """
+    """Statistics, manoeuvres, search, runtime, ablation: tables of no run record, by data set in the order of names."""
     return by_name([*(by_data_set(sheets, make) for make in OF_GENERATION), ablation_tables(ablations)])
 
 

@@ -63,7 +63,7 @@ def _table(name: str, title: str, where: str, rows: Sequence[Values], marks: Seq
 
 
 def _values(origin: Origin, cost: PlannerCost, pieces: str) -> dict[str, Value]:
-    """What a planner took; pieces are what memory was looked at for."""
+    """Cost of a planner; pieces are those for which memory was looked at."""
     said, of, count = summary_of(cost), f"samples after the first of their {pieces}", len(cost.scenes)
     return {
         "device": "; ".join(said.devices),

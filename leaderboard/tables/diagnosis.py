@@ -44,11 +44,9 @@ _MANOEUVRES: Final = [
 
 @dataclass(frozen=True, slots=True)
 class _Samples:
-    """Samples of a record that ``exact`` counts.
+    """Samples of a record that ``exact`` counts: the scene of each, and whether it collides.
 
-    Attributes:
-        rows: Of each its scene, and whether it collides.
-        colliding: Of those that collide the scene, and why.
+    `colliding` are the scenes of those that do, and why.
     """
 
     rows: tuple[tuple[str, bool], ...]
@@ -79,7 +77,7 @@ def _samples(record: RunRecord) -> _Samples | None:
 
 
 def diagnosis_tables(frame: Frame) -> list[Table]:
-    """Why the plans of each planner collide under ``exact``; empty where no run was judged by it.
+    """Reasons why the plans of each planner collide under ``exact``; empty where no run was judged by it.
 
     Shares of the causes by planner and split; the cases behind them; the same by manoeuvre, where the data set says
     which. Runs from before there were diagnoses get a note in place of rows.
@@ -102,7 +100,7 @@ def diagnosis_tables(frame: Frame) -> list[Table]:
 
 
 def _values(run: Row[_Samples]) -> dict[str, Any]:
-    """What is counted, and the share of each cause among the colliding samples."""
+    """Counts, and the share of each cause among the colliding samples."""
     rows, colliding = run.found.rows, run.found.colliding
     shares = _rates(run, colliding, [[_cause(said) == cause for cause in CAUSES] for _, said in colliding])
     return {

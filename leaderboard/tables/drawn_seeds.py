@@ -129,7 +129,7 @@ def _rows(runs: dict[int, RunRecord], protocol: str) -> list[Values]:
 
 
 def _sums(run: RunRecord, protocol: str) -> SceneSums:
-    """What each recording adds to the average rate."""
+    """Sums that each recording adds to the average rate."""
     whole = scored(run, protocol=protocol).sums(source_of_scenes(run))
     column = slice(_AVERAGE, _AVERAGE + 1)
     return SceneSums(whole.names, whole.numerators[:, column], whole.denominators[:, column])

@@ -148,7 +148,7 @@ def _values(row: Driven, units: Mapping[str, str]) -> Values:
 
 
 def said_of_failures(record: DriveRecord) -> str:
-    """How many drives failed and why, in a sentence."""
+    """Sentence on how many drives failed and why."""
     reasons = ", ".join(f"{count} {reason}" for reason, count in record.summary.reasons.items())
     first = next(row for row in record.rows if row.failure is not None)
     assert first.failure is not None

@@ -54,7 +54,7 @@ _BRIEF: Final = (
 
 
 def effect_table(frame: Frame) -> Table | None:
-    """What adversaries do: a row for each planner and split with adversaries; ``None`` where there is none."""
+    """Effect of adversaries: a row for each planner and split with adversaries; ``None`` without any."""
     runs = [record for record in frame.runs if has_adversaries(record)]
     if not runs:
         return None
@@ -122,7 +122,7 @@ def _values(effect: AdversaryEffect | None) -> Values:
 
 
 def _missing(runs: Sequence[RunRecord], found: Sequence[AdversaryEffect]) -> list[str]:
-    """What cannot be said and what would help, each once."""
+    """Sentences on what cannot be said and what would help, each once."""
     notes: dict[str, None] = {}
     for record in runs:
         if not says_whom(record):
@@ -145,7 +145,7 @@ def _missing(runs: Sequence[RunRecord], found: Sequence[AdversaryEffect]) -> lis
 
 
 def _how(record: RunRecord) -> str:
-    """What makes the record that is missing."""
+    """Advice on how to make the record that is missing."""
     if knows_adversaries(record):
         return "challenger-bench eval --split val --split adv runs both"
     return (
@@ -158,7 +158,7 @@ def _who(found: Sequence[AdversaryEffect], split: str) -> str:
 
 
 def unsaid_whom(record: RunRecord) -> str:
-    """Why a record on a split with adversaries does not say whom contacts are with, in a sentence."""
+    """Reason why a record on a split with adversaries does not say whom contacts are with, in a sentence."""
     facts = [record.run.scene_facts.get(scene) for scene in record.run.scenes]
     why = "older records do not say whom contacts are with; challenger-bench rescore brings that to them"
     if any(fact is None or fact.adversaries is None for fact in facts):

@@ -14,13 +14,7 @@ from leaderboard.frame.specification import Value, intervals, numbers, tabulate,
 
 @dataclass(frozen=True, slots=True)
 class FurtherColumn:
-    """A column of a summary that has a place of its own in tables.
-
-    Attributes:
-        name: In the summary.
-        head: In the table.
-        says: What it is.
-    """
+    """A column of a summary that has a place of its own in tables."""
 
     name: str
     head: str
@@ -75,6 +69,6 @@ def further_table(frame: Frame, protocol: str) -> Table | None:
 def further_values(
     row: Row[Any], further: Sequence[FurtherColumn], rates: Mapping[str, Mapping[str, AnyRate]]
 ) -> dict[str, Value]:
-    """What a row shows in some of the columns, at every horizon."""
+    """Values of a row in some of the columns, at every horizon."""
     found = [row.by_horizon(f"{column.head} {{}}", column.name, rates[column.name]) for column in further]
     return dict(item for values in found for item in values.items())

@@ -116,7 +116,7 @@ def judgement_tables(frame: Frame) -> list[Table]:
 
 
 def split_realism(records: Sequence[RunRecord]) -> list[tuple[RunRecord, SplitRealism]]:
-    """Of each split that somebody looked at the first record that says so, in the order of tables."""
+    """Realism of each split that was looked at, of the first record that says so, in the order of tables."""
     found: dict[str, tuple[RunRecord, SplitRealism]] = {}
     for record in records:
         if record.run.realism is not None:
@@ -175,7 +175,7 @@ def _ladder_notes(found: Sequence[SplitLadder]) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Told:
-    """What is wrong with the adversaries of a split; each row is fault, how many have it, of how many it was told."""
+    """Faults of the adversaries of a split; each row is fault, how many have it, of how many it was told."""
 
     record: RunRecord
     of: str
@@ -210,7 +210,7 @@ def _told(record: RunRecord, said: SplitRealism) -> _Told:
 
 
 def _told_by_scenes(ladder: SplitLadder) -> _Told:
-    """Where nobody counted adversaries: scenes in which one of them has the fault."""
+    """Faults by scenes, where adversaries were not counted: scenes in which one of them has the fault."""
     judged = [each for each in judged_scenes(ladder.record).values() if each.least_gap_m is not None or each.faults]
     rows = tuple(
         (name, sum(name in each.faults for each in judged), sum(name not in each.unknown_faults for each in judged))

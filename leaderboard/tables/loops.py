@@ -49,11 +49,7 @@ _BRIEF_SCENES = ("planner", "scene", "fails", "contact with", "at fault", "conta
 
 
 def loop_tables(drives: Sequence[DriveRecord], runs: Sequence[RunRecord]) -> list[Table]:
-    """Rates of every world in which a planner drove that ran in open loop, then scenes of those with disagreements.
-
-    Raises:
-        InputError: If two records of drives would share a row.
-    """
+    """Rates of every world in which a planner drove that ran in open loop, then scenes of those with disagreements."""
     rates, scenes = [], []
     # Scenarios put actors into scenes that the recording, and so open loop, does not have.
     for one in worlds([each for each in drives if each.facts.measured.scenarios == "recorded"]):

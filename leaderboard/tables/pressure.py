@@ -55,12 +55,7 @@ _COLUMNS: Final = [
 
 @dataclass(frozen=True, slots=True)
 class Pressure:
-    """One planner against one budget.
-
-    Attributes:
-        row: Its drives.
-        budget: Seconds between plans, rounds, candidates.
-    """
+    """Drives of one planner against one budget: seconds between plans, rounds, candidates."""
 
     row: Driven
     budget: tuple[float, int, int]
@@ -96,7 +91,7 @@ def pressures(records: Sequence[DriveRecord]) -> list[tuple[str, list[Pressure]]
 
 
 def pressure_name(number: int) -> str:
-    """What the table and the figure of one of `pressures` are called, by its place."""
+    """Name of the table and the figure of one of `pressures`, by its place."""
     return "drives-pressure" if not number else f"drives-pressure-{number + 1}"
 
 

@@ -46,7 +46,7 @@ def published_tables() -> tuple[Table, ...]:
 def quoted_table(
     name: str, title: str, columns: Columns, rows: Iterable[Sequence[Value]], sources: Sequence[str], *notes: str
 ) -> Table:
-    """What others print, each row in the order of the columns."""
+    """Numbers that others print, each row in the order of the columns."""
     names = [column.name for column in columns]
     values = (dict(zip(names, row, strict=True)) for row in rows)
     return tabulate(name, f"Published {title}", columns, values, notes, sources=sources)

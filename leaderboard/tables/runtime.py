@@ -32,7 +32,7 @@ def stages_of(runtime: Runtime) -> list[str]:
 
 
 def counted_of(runtime: Runtime, stage: str) -> tuple[int, str]:
-    """What the seconds of a stage are counted over: attempts, or of rendering scenes."""
+    """Number of attempts, or of rendering scenes, that the seconds of a stage are counted over."""
     return (runtime.scenes, "scenes") if stage == RENDERING else (runtime.attempts, "attempts")
 
 

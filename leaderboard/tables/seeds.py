@@ -61,7 +61,7 @@ def _versions(records: Sequence[RunRecord]) -> list[list[RunRecord]]:
 
 
 def _refusal(record: RunRecord, protocol: str) -> str | None:
-    """Why a run is not comparable with those of other seeds."""
+    """Reason why a run is not comparable with those of other seeds."""
     if not (record.covers_split and record.complete):
         return f"{record.planner} on {record.run.split} has no plan for some samples of the split"
     try:

@@ -87,15 +87,9 @@ def run_slices(
     """The tables by slice that ``challenger-bench eval --by`` prints behind `run_tables`.
 
     Args:
-        data_name: Name of the data set, for the titles.
-        records: Runs on this data set.
-        kinds: By what.
         protocols: Protocols, ``native`` or ``pdm``; by default ``exact``, and ``native`` where a planner has one of its
             own.
         allow_partial: Whether runs count in which the planner failed on samples.
-
-    Returns:
-        The tables.
     """
     shown = Frame(data_name, [record for record in records if allow_partial or record.complete])
     return slices_of(shown, shown_protocols(shown, protocols), kinds)
@@ -186,7 +180,7 @@ def _driving_table(frame: Frame, kind: SliceKind) -> Table:
 
 
 def _causes_table(frame: Frame, kind: SliceKind) -> Table:
-    """Why plans collide."""
+    """Reasons why plans collide."""
     rows, notes = _rows(frame.runs, EXACT, kind, lambda record: causes_by(record, kind))
     columns = [
         *texts("planner", "split", kind),

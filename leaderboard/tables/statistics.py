@@ -122,7 +122,7 @@ def _tried(split: SplitSheet, outcome: str, chosen: Sequence[AttemptFacts]) -> V
 
 
 def manoeuvre_tables(data_name: str, splits: Sequence[SplitSheet]) -> list[Table]:
-    """How many adversaries of each split with labels do what, where, and how close they come."""
+    """Manoeuvres of the adversaries of each split with labels: how many, where, and how close they come."""
     return [_table(data_name, split) for split in splits if split.statistics.labelled]
 
 

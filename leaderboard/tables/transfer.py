@@ -68,9 +68,6 @@ def both_matrices(records: Sequence[RunRecord], protocol: str) -> list[TransferM
     """The paper's matrix and, under ``exact``, that of contacts with the adversary alone.
 
     The second is of the planners whose records say whom contacts are with, if two do.
-
-    Raises:
-        InputError: As `benchmark.metrics.transfer.transfer`.
     """
     found = [transfer(records, protocol=protocol)]
     telling = [record for record in records if says_whom(record)]
@@ -102,7 +99,7 @@ def frame_matrices(frame: Frame, protocol: str, split: str) -> tuple[list[Transf
 
 
 def transfer_tables(frame: Frame, protocol: str, split: str) -> list[Table]:
-    """Of each of `frame_matrices` a table of shares and one of lift and φ."""
+    """Tables of each of `frame_matrices`: one of shares and one of lift and φ."""
     matrices, refused = frame.once(frame_matrices, protocol, split)
     tables = [make(frame.data_name, each) for each in matrices for make in (transfer_table, lift_table)]
     return [replace(table, notes=(*table.notes, *refused)) for table in tables]
@@ -152,7 +149,7 @@ def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
 
 
 def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
-    """How far two planners fail the same scenes beyond what their failure rates give.
+    """Agreement of every two planners: failures on the same scenes beyond what their failure rates give.
 
     Args:
         data_name: Name of the data set, for the title.
@@ -184,14 +181,9 @@ def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
 
 
 def lift_table(data_name: str, matrix: TransferMatrix) -> Table:
-    """How far failures transfer beyond what failure rates give: lift and phi of every two planners, as a matrix.
+    """Lift and phi of every two planners, as a matrix: how far failures transfer beyond what failure rates give.
 
-    Args:
-        data_name: Name of the data set, for the title.
-        matrix: From `benchmark.metrics.transfer.transfer`.
-
-    Returns:
-        One row and one column per planner: lift with its interval above the diagonal, phi with its below it.
+    One row and one column per planner: lift with its interval above the diagonal, phi with its below it.
     """
     names = planner_names(matrix)
     rows: list[dict[str, Value]] = [
@@ -243,7 +235,7 @@ def name_of_lift(data_name: str, matrix: TransferMatrix) -> tuple[str, str]:
 
 
 def _kind(matrix: TransferMatrix) -> str:
-    """What files of a matrix are named after."""
+    """Part of the names of a matrix's files: which contacts count."""
     return "adversary" if matrix.adversary_only else matrix.protocol
 
 
@@ -282,7 +274,7 @@ def _who(matrix: TransferMatrix) -> str:
 
 
 def _origin(matrix: TransferMatrix, *planners: int) -> Origin:
-    """Where numbers of some of the planners come from, by their places in the matrix."""
+    """Origin of numbers of some of the planners, by their places in the matrix."""
     judged = " and ".join(dict.fromkeys(matrix.judges[place] for place in planners))
     records = (named_record(matrix.records[place], matrix.planners[place], matrix.split) for place in planners)
     return Origin(judged, "; ".join(records))

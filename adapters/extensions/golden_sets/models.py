@@ -13,16 +13,11 @@ def verify_model(name: str, golden: Path, device: str = "cpu", *, noise: bool = 
     """Fill a network by the names of its tensors, run the golden frames in order, and compare what is stored.
 
     Args:
-        name: One of `verified_models`.
         golden: A set's folder, or a model's folder whose sets are all compared.
-        device: What the network runs on; tolerances are those of single precision on a processor.
         noise: Whether our own network runs twice more, to know how far its own rounding moves each quantity.
 
     Returns:
         One check for each quantity; the first alone if names or shapes differ, since weights cannot be filled then.
-
-    Raises:
-        InputError: If there is no such model, or the set cannot be used.
     """
     known = verified_models()
     if name not in known:

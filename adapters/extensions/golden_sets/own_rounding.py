@@ -22,13 +22,7 @@ NOTABLE: Final = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """How a network is run while it is compared.
-
-    Attributes:
-        comparison: Gets the errors.
-        image_noise: What its images are changed by.
-        threads: Of the processor, if another number than usual.
-    """
+    """One way of running a network while it is compared; images are changed by `image_noise`."""
 
     comparison: Comparison = field(default_factory=Comparison)
     image_noise: float = 0.0
@@ -36,14 +30,7 @@ class Run:
 
     @contextmanager
     def varied(self, network: Any) -> Iterator[None]:
-        """Run a network so within the context.
-
-        Args:
-            network: With an ``img_backbone``.
-
-        Yields:
-            Nothing.
-        """
+        """Run a network, which has an ``img_backbone``, so within the context."""
         generator, usual = torch.Generator().manual_seed(0), torch.get_num_threads()
 
         def changed(_module: nn.Module, inputs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
@@ -67,14 +54,10 @@ def other_threads() -> int:
 
 
 def with_own_rounding(verify: Callable[[Run], Sequence[Check]]) -> list[Check]:
-    """Compare a network, and say how far its own rounding moves each quantity.
+    """Checks of the plain run, each with the larger of the two movements by the network's own rounding.
 
-    Args:
-        verify: Compares the network in a run.
-
-    Returns:
-        The checks of the plain run, each with the larger of the two movements. Notes name the movements of those that
-        are past their tolerance, and of those that rounding moves by half of it or more.
+    Notes name the movements of those that are past their tolerance, and of those that rounding moves by half of it or
+    more.
     """
     plain, images, threads = Run(), Run(image_noise=IMAGE_NOISE), Run(threads=other_threads())
     for run in (plain, images, threads):

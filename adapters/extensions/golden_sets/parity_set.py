@@ -31,11 +31,11 @@ Length = Annotated[int, Field(gt=0, le=4096)]
 
 
 class NetworkNumbers(Protocol):
-    """What golden sets of networks have in common."""
+    """Common parts of golden sets of networks."""
 
     @property
     def recipe(self) -> WeightsRecipe:
-        """How weights are made."""
+        """Recipe of the weights."""
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
@@ -63,16 +63,10 @@ class GoldenNetwork(Generic[S]):
         """Fill a network for each golden set and compare it.
 
         Args:
-            model: Whose network.
             golden: A set's folder, or a model's folder whose sets are all compared.
-            device: What the network runs on.
-            run: How it is run; plainly by default.
 
         Returns:
             One check for each quantity; the first alone if names or shapes differ, since weights cannot be filled then.
-
-        Raises:
-            InputError: If a folder holds no such set, or a damaged one.
         """
         run = run or Run()
         comparison = run.comparison
@@ -97,12 +91,9 @@ def _set_folders(golden: Path) -> list[Path]:
 
 
 class ImageRecipe(BaseModel):
-    """How the synthetic images of a set are made.
+    """Recipe of the synthetic images of a set.
 
-    Attributes:
-        shape: Cameras, channels, rows, columns.
-        valid_rows: Rows from this one on are padding.
-        sha256: Of the float32 images of each frame.
+    The hashes are of the float32 images of each frame; rows from `valid_rows` on are padding.
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore")
@@ -113,7 +104,7 @@ class ImageRecipe(BaseModel):
 
 
 class StoredTensor(BaseModel):
-    """How a quantity is stored: shape of the tensor, and stride of its flat numbers where only a part of them is."""
+    """Stored form of a quantity: shape of the tensor, and stride of its flat numbers where only a part of them is."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
@@ -132,14 +123,9 @@ class ParityManifest(WeightsRecipe):
 
 @dataclass(frozen=True, slots=True)
 class ParitySet:
-    """One golden set.
+    """One golden set: how weights and images are made, and for each frame what the official code computed.
 
-    Attributes:
-        folder: Where it is.
-        recipe: How weights and images are made, and what is stored.
-        shapes: Shapes of the network's tensors by name.
-        inputs: Calibration, motion and commands.
-        outputs: For each frame, what the official code computed.
+    `inputs` are calibration, motion and commands.
     """
 
     folder: Path
@@ -156,7 +142,7 @@ class ParitySet:
         return cls(folder.path, recipe, read_shapes(folder.nearby("keys.json")), folder.arrays("inputs.npz"), outputs)
 
     def camera_images(self, frame: int, cameras: int) -> Tensor:
-        """As `images`, for a network that has so many cameras."""
+        """Images as of `images`, for a network that has so many cameras."""
         images = self.images(frame)
         if images.shape[:2] != (cameras, 3):
             raise ValueError(f"its images are of shape {tuple(images.shape)}, the network has {cameras} cameras")
@@ -173,7 +159,7 @@ class ParitySet:
         return recorded_images(images.astype(np.float32), image.sha256[frame] if image.sha256 else None, frame)
 
     def stored(self, quantity: str, frame: int) -> StoredTensor:
-        """How a quantity is stored."""
+        """Stored form of a quantity."""
         layout = self.recipe.tensors[quantity]
         return layout if isinstance(layout, StoredTensor) else layout[f"frame{frame}"]
 
@@ -194,15 +180,7 @@ def recorded_images(images: NDArray[np.float32], sha256: str | None, frame: int)
 def compare_frame(
     comparison: Comparison, golden: ParitySet, frame: int, ours: Mapping[str, Quantity], elsewhere: tuple[str, ...] = ()
 ) -> None:
-    """Compare all stored quantities of one frame.
-
-    Args:
-        comparison: Gets the errors.
-        golden: The set.
-        frame: Number of the frame.
-        ours: Quantities by the names of the set.
-        elsewhere: What is compared in another place.
-    """
+    """Compare all stored quantities of one frame, by the names of the set, but for those compared `elsewhere`."""
     stored, where = golden.outputs[frame], comparison.where
     names = {name.removesuffix(SAMPLED).removesuffix(STATISTICS) for name in stored.names} - {*elsewhere}
     known = [name for name in ours if name in names]

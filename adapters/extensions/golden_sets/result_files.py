@@ -28,12 +28,9 @@ _REFUSALS: Final = "refusals by category"
 
 @dataclass(frozen=True, slots=True)
 class _Known:
-    """What an importer must know, and what happened.
+    """Samples for an importer, and what happened in each scene, from the set ``protocols`` beside this one.
 
-    Attributes:
-        samples: For the importer.
-        index_in_scene: (S,) number of the sample in its scene.
-        truths: What happened in each scene, by its name, from the set ``protocols`` beside this one.
+    `index_in_scene` is the (S,) number of each sample in its scene.
     """
 
     samples: RecordedSamples

@@ -79,7 +79,7 @@ def _compare_frame(comparison: Comparison, network: SparseNetwork, golden: Spars
 
 
 def _whole(own: Quantity, said: Statistic) -> Whole:
-    """What is said of the whole of an array, most of which may not be stored."""
+    """Differences over the whole of an array, most of which may not be stored."""
     values = own.values.astype(np.float64)
     if values.size != math.prod(said.shape):
         raise ValueError(f"an array has the shape {said.shape}, the network's {list(values.shape)}")

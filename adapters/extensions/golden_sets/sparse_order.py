@@ -23,13 +23,9 @@ MOVED: Final = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """For each row of the golden set, which of ours it is.
+    """Rows of ours for each row of the golden set.
 
-    Attributes:
-        agents: Of all boxes, from the second stage on.
-        lines: Of all map elements, from the second stage on.
-        boxes: Of the reported boxes.
-        vectors: Of the reported map elements.
+    `agents` and `lines` are of all instances, from the second stage on; `boxes` and `vectors` of the reported ones.
     """
 
     agents: Rows
@@ -75,13 +71,6 @@ def follow(
 
     What is remembered of a row is ours in any case; only where it stands is the set's, and its number, which follows
     from where it stands. Where that takes more than changes of place at ties, nothing is changed.
-
-    Args:
-        network: Has computed the frame; its memory is changed.
-        predictions: Of the frame.
-        before: What was remembered and used; absent where it was not.
-        order: Of the frame's rows.
-        stored: What the set says about the frame.
     """
     memory, head = network.memory, network.head
     names = {"det_instance_id", "state_cached_instance_id", "state_map_cached_anchor"}
@@ -128,7 +117,7 @@ def _rows_of(kept: Rows, ids: Rows, own: Rows, order: Rows) -> Rows | None:
 
 
 def _order(ours: torch.Tensor, golden: Floats | None) -> Rows:
-    """For each golden row, ours: the same, or where that differs, the nearest of those that differ."""
+    """Order of ours for the golden rows: the same row, or where that differs, the nearest of those that differ."""
     order = np.arange(len(ours))
     if golden is None:
         return order
@@ -143,7 +132,7 @@ def _order(ours: torch.Tensor, golden: Floats | None) -> Rows:
 
 
 def _nearest(decoded: Decoded, golden: Floats) -> Rows | None:
-    """Which instances golden places are of; nothing if that is not clear."""
+    """Instances that golden places are of; nothing if that is not clear."""
     own = decoded.anchors.detach().cpu().numpy().astype(np.float64)
     apart = np.abs(golden[:, None] - own).max(-1)
     rows = apart.argmin(1)

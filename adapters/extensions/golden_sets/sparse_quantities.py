@@ -40,15 +40,8 @@ def frame_quantities(
 ) -> dict[str, Quantity]:
     """Everything but feature maps that a set may store of a frame, in the golden order of rows.
 
-    Args:
-        network: Has computed the frame and remembers it.
-        predictions: Of the frame.
-        order: Of its rows.
-        command: Of the frame.
-        fresh: Whether what was remembered was used; ``None`` where nothing was.
-
-    Returns:
-        Quantities by the names of the sets, with the axes that these have: what a head gives has one more in front.
+    By the names of the sets, with the axes that these have: what a head gives has one more in front. `fresh` says
+    whether what was remembered was used; ``None`` where nothing was.
     """
     found = _stages(predictions, order)
     found |= _planner(predictions, order)

@@ -37,10 +37,8 @@ class SetManifest(BaseModel):
     """The manifest of a set.
 
     Attributes:
-        model: Whose set it is.
         salt: Of weights and images; a set without weights of its own has those of the set of that name beside it.
         image_hw: Rows and columns of the images.
-        n_frames: Frames, in the order of time.
         image_sha256: Of the float32 images: of ``frame0`` and so on, or of the only frame.
     """
 
@@ -54,14 +52,9 @@ class SetManifest(BaseModel):
 
 
 class Statistic(BaseModel):
-    """What a set says about a whole tensor of which it stores a part, or nothing.
+    """Statistics of a whole tensor of which a set stores a part, or nothing.
 
-    Attributes:
-        shape: Of the tensor.
-        mean: Of all numbers.
-        std: Of all numbers.
-        absmax: The largest size.
-        first: The first numbers.
+    `absmax` is the largest size, `first` the first numbers.
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
@@ -74,24 +67,17 @@ class Statistic(BaseModel):
 
 
 class ModuleStatistic(Statistic):
-    """What one call of a module of the official code gave."""
+    """Statistics of one call of a module of the official code."""
 
     module: str
 
 
 @dataclass(frozen=True, slots=True)
 class SparseSet:
-    """One golden set.
+    """One golden set: how images and weights are made, and for each frame what the official code computed.
 
-    Attributes:
-        folder: Where it is.
-        manifest: How images are made.
-        recipe: How weights are made, kept values included.
-        shapes: Shapes of the network's tensors by name.
-        inputs: Calibration, poses, times, commands and noise.
-        outputs: For each frame, what the official code computed.
-        statistics: For each frame, statistics of whole tensors by name; empty where the set has none.
-        calls: For each frame, modules in the order of their calls; empty where the set has none.
+    `inputs` are calibration, poses, times, commands and noise; `statistics` of whole tensors by name and `calls`,
+    modules in the order of their calls, are empty where the set has none.
     """
 
     folder: Path
@@ -161,12 +147,12 @@ class SparseSet:
 
 
 def _by_frame(folder: GoldenFolder, name: str, adapter: TypeAdapter[dict[str, T]]) -> dict[str, T]:
-    """What a file says about each frame; nothing where there is no file."""
+    """Contents of a file for each frame; nothing where there is no file."""
     return adapter.validate_python(folder.facts(name)) if folder.has(name) else {}
 
 
 def _recipe(folder: GoldenFolder, salt: str, shapes: dict[str, tuple[int, ...]]) -> WeightsRecipe:
-    """How weights are made: as the set says, or as the set beside it that has the name of the salt."""
+    """Recipe of the weights: of the set, or of the set beside it that has the name of the salt."""
     home = folder if folder.has("kept_buffers.npz") else GoldenFolder(folder.path.parent / salt)
     recipe, kept = WeightsRecipe.model_validate(home.facts("manifest.json")), home.arrays("kept_buffers.npz")
     values = {name: kept.floats(name, *shapes[name]).astype(np.float32) for name in sorted(kept.names)}

@@ -14,12 +14,7 @@ from adapters.extensions.golden_sets.taps import hooked
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """What was recorded of one frame.
-
-    Attributes:
-        maps: Of the backbone and the pyramid, by name.
-        calls: Means, standard deviations, largest sizes and counts of numbers by module, call by call.
-    """
+    """Feature maps of one frame by name, and means, standard deviations, largest sizes and counts of each call."""
 
     maps: dict[str, list[Tensor]] = field(default_factory=dict)
     calls: dict[str, list[tuple[float, float, float, int]]] = field(default_factory=lambda: defaultdict(list))
@@ -27,15 +22,7 @@ class Trace:
 
 @contextmanager
 def traced(network: nn.Module, calls: list[ModuleStatistic]) -> Iterator[Trace]:
-    """Record a frame.
-
-    Args:
-        network: Runs within the context.
-        calls: Whose modules are recorded; those that the network does not have are passed over.
-
-    Yields:
-        What is recorded.
-    """
+    """Record a frame of the network that runs within the context; modules that it does not have are passed over."""
     trace = Trace()
     modules = {name for name, _ in network.named_modules()}
 

@@ -9,15 +9,7 @@ from torch import Tensor, nn
 
 @contextmanager
 def hooked(network: nn.Module, hooks: Iterable[tuple[str, Callable[[Any], None]]]) -> Iterator[None]:
-    """Hand on what modules give.
-
-    Args:
-        network: Runs within the context.
-        hooks: Names of modules, and what is called with each of their outputs.
-
-    Yields:
-        Nothing.
-    """
+    """Hand on the outputs of modules, by their names, of the network that runs within the context."""
     handles = []
     try:
         for name, keep in hooks:
@@ -34,15 +26,9 @@ def hooked(network: nn.Module, hooks: Iterable[tuple[str, Callable[[Any], None]]
 
 @contextmanager
 def tapped(network: nn.Module, head: str = "", parts: Iterable[str] = ()) -> Iterator[dict[str, Tensor]]:
-    """Collect feature maps of images, and what parts of a head give.
+    """Feature maps of images, and what `parts` of a `head` give, of the network that runs within the context.
 
-    Args:
-        network: Runs within the context.
-        head: Name of the module that has the parts.
-        parts: Names of modules that give one tensor.
-
-    Yields:
-        Tensors by the names of the sets, as they come.
+    Tensors come by the names of the sets.
     """
     taps: dict[str, Tensor] = {}
 

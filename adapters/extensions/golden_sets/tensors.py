@@ -18,14 +18,12 @@ OUTLIER_TOLERANCE: Final = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """What is allowed.
+    """Error that is allowed.
 
     Attributes:
-        allowed: Largest error.
         of_spread: Whether it is a share of the standard deviation of the golden tensor, or in the tensor's unit.
         share: Of the values for which it holds. The others, which a network with random weights pushes over a bend, may
             be off by more.
-        unit: Of the tensor, where it is told.
         rows: Whether a row counts as one value, its worst.
         others: What the errors of all values are called where `share` does not hold for all.
         allowed_of_others: How far they may be off, of the spread.
@@ -75,13 +73,13 @@ class Quantity:
         return self.values.dtype.kind in "iub"
 
     def title(self, name: str) -> str:
-        """What its errors are called."""
+        """Name of its errors."""
         return name if self.equal else self.tolerance.title(name)
 
 
 @dataclass(frozen=True, slots=True)
 class Whole:
-    """How a whole tensor, of which a part may be stored, differs from what the set says about it.
+    """Differences of a whole tensor, of which a part may be stored, from the statistics of the set.
 
     Attributes:
         most: Errors of numbers that all values have a part in.
@@ -105,14 +103,8 @@ def compare_tensor(
 ) -> None:
     """Compare a tensor.
 
-    Args:
-        comparison: Gets the errors.
-        name: Of the quantity.
-        quantity: Ours.
-        stored: The part of ours that is stored, and the stored numbers.
-        whole: What the set says about the whole.
-        spread: Golden standard deviation; that of the stored numbers by default.
-        hanging: Which numbers are undecided.
+    `stored` are the part of ours that is stored, and the stored numbers; `whole` is what the set says about the whole;
+    `spread` the golden standard deviation, of the stored numbers by default; `hanging` which numbers are undecided.
     """
     (ours, golden), title, allowed, where = stored, quantity.title(name), quantity.tolerance, comparison.where
     undecided = np.zeros(ours.shape, np.bool_) if hanging is None else hanging

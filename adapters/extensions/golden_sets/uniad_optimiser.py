@@ -56,5 +56,5 @@ def compare_optimiser(comparison: Comparison, predictions: UniADPredictions, sto
 
 
 def _per_point(occupied: Bools, plan: Floats) -> list[Bools]:
-    """For each point of a plan, the (rows, columns) occupancy that counts for it."""
+    """Occupancy, (rows, columns), that counts for each point of a plan."""
     return [occupied[min(step + 1, len(occupied) - 1)] for step in range(len(plan))]

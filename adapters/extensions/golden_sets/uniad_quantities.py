@@ -43,17 +43,10 @@ TOO_CLOSE_MASK: Final = 2e-2
 def frame_quantities(
     network: UniAD, predictions: UniADPredictions, seen: Tensor, taps: Mapping[str, Tensor], stored: GoldenArrays
 ) -> dict[str, Quantity]:
-    """All quantities of a frame.
+    """Quantities of a frame by the names of the set.
 
-    Args:
-        network: Has computed it.
-        predictions: What it computed.
-        seen: (18,) the CAN bus vector that it saw.
-        taps: Feature maps of images under the names of the set.
-        stored: The golden numbers, after which lists are ordered.
-
-    Returns:
-        Quantities by the names of the set.
+    `seen` is the (18,) CAN bus vector that the network saw, `taps` are feature maps under the names of the set; lists
+    are ordered after the `stored` golden numbers.
     """
     p = predictions
     found = {name: Quantity.of(tensor, EXACT) for name, tensor in taps.items()}

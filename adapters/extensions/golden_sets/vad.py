@@ -162,7 +162,7 @@ def _in_golden_order(ours: dict[str, Quantity], stored: GoldenArrays, boxes: str
 
 
 def _pairs(apart: NDArray[np.float64]) -> tuple[NDArray[np.int64], Bools]:
-    """For each row the nearest column, closest pairs first, each column once; and whether the two are a pair at all.
+    """Nearest column for each row, closest pairs first, each column once; and whether the two are a pair at all.
 
     Rows that pair with nothing get the columns that are left, in order.
     """

@@ -69,15 +69,7 @@ _TITLES: Final = {
 
 
 def card_of(small: Model, facts: Mapping[str, Any]) -> str:
-    """The card as Markdown.
-
-    Args:
-        small: The miniature.
-        facts: Of `adapters.extensions.training.planners.train_planner`.
-
-    Returns:
-        The text.
-    """
+    """The card as Markdown."""
     source = facts["source"]
     commit = source["commit"] or "unknown"
     started = ", ".join(f"{_STARTS[option]} `{key[:16]}`" for option, key in facts["started_from"].items())

@@ -39,15 +39,7 @@ OFFSET_WITHIN_M: Final = 3.5
 
 
 def dense_targets(frame: TrainingFrame, grid: BEVGrid) -> tuple[Tensor, Tensor]:
-    """Targets of all cells.
-
-    Args:
-        frame: The key frame.
-        grid: Of the view.
-
-    Returns:
-        (cells, `CHANNELS`) 0 or 1, and (cells, `CHANNELS`) whether the target is known.
-    """
+    """Targets of all cells: (cells, `CHANNELS`) 0 or 1, and (cells, `CHANNELS`) whether the target is known."""
     low, high = torch.tensor(grid.range_m[:2]), torch.tensor(grid.range_m[3:5])
     centres = low + grid.centres() * (high - low)
     half_cell_m = (high - low) / torch.tensor([grid.columns, grid.rows]) / 2
@@ -64,17 +56,7 @@ def dense_targets(frame: TrainingFrame, grid: BEVGrid) -> tuple[Tensor, Tensor]:
 
 
 def dense_loss(bev: Tensor, frame: TrainingFrame, grid: BEVGrid, weight: float) -> Tensor:
-    """Cross entropy of the first channels of a bird's-eye view; the mean over what is known.
-
-    Args:
-        bev: (cells, C).
-        frame: What is annotated.
-        grid: Of the view.
-        weight: What the loss counts.
-
-    Returns:
-        A scalar.
-    """
+    """Cross entropy of the first channels of a bird's-eye view; the mean over what is known."""
     targets, known = dense_targets(frame, grid)
     entropy = F.binary_cross_entropy_with_logits(DENSE_GAIN * bev[:, :CHANNELS], targets, reduction="none")
     # Cells of lines and agents are few.
@@ -83,15 +65,9 @@ def dense_loss(bev: Tensor, frame: TrainingFrame, grid: BEVGrid, weight: float) 
 
 
 def offset_loss(found: Tensor, frame: TrainingFrame, grid: BEVGrid) -> Tensor:
-    """How far off the view places lines, finer than its cells: L1 in units of `OFFSET_UNIT_M`, per known number.
+    """L1 of the offsets at which the view places lines, finer than its cells: `OFFSET_UNIT_M`, per known number.
 
-    Args:
-        found: (cells, `OFFSETS`) channels of a bird's-eye view.
-        frame: What is annotated.
-        grid: Of the view.
-
-    Returns:
-        A scalar.
+    `found` are (cells, `OFFSETS`) channels of a bird's-eye view.
     """
     low, high = torch.tensor(grid.range_m[:2]), torch.tensor(grid.range_m[3:5])
     centres = low + grid.centres() * (high - low)
@@ -110,14 +86,10 @@ def offset_loss(found: Tensor, frame: TrainingFrame, grid: BEVGrid) -> Tensor:
 
 
 def lane_offsets(frame: TrainingFrame) -> tuple[Tensor, Tensor]:
-    """How far to the left and to the right the nearest line is that one drives along, at some places ahead.
+    """Offsets to the nearest line on the left and on the right of one's way, at some places ahead.
 
-    Args:
-        frame: The key frame.
-
-    Returns:
-        (`LANE_NUMBERS`,) metres to the right, those of lines on the left first and negative, and whether each is known:
-        whether there is such a line nearby.
+    (`LANE_NUMBERS`,) metres to the right, those of lines on the left first and negative, and whether each is known:
+    whether there is such a line nearby.
     """
     driven_along = torch.isin(frame.line_labels, torch.tensor(OFFSET_KINDS))
     lines = frame.lines[driven_along]
@@ -135,43 +107,22 @@ def lane_offsets(frame: TrainingFrame) -> tuple[Tensor, Tensor]:
 
 
 def lane_loss(found: Tensor, frame: TrainingFrame) -> Tensor:
-    """L1 of what is said of the lines ahead, metres, per known number.
-
-    Args:
-        found: (`LANE_NUMBERS`,) as `lane_offsets`.
-        frame: What is annotated.
-
-    Returns:
-        A scalar.
-    """
+    """L1 of the offsets of lines ahead, (`LANE_NUMBERS`,) as `lane_offsets`, metres, per known number."""
     wanted, known = lane_offsets(frame)
     return (found - wanted)[known].abs().sum() / max(int(known.sum()), 1)
 
 
 def offsets_to_lines(points: Tensor, lines: Tensor) -> Tensor:
-    """From each point to the nearest one of any line.
-
-    Args:
-        points: (N, 2) metres.
-        lines: (M, P, 2) metres, at least one.
-
-    Returns:
-        (N, 2) metres.
-    """
+    """Offsets, (N, 2) metres, from each of (N, 2) points to the nearest one of any of (M, P, 2) lines, at least one."""
     offsets, _ = offsets_to_pieces(points, lines)
     nearest = offsets.square().sum(-1).argmin(1)
     return offsets[torch.arange(len(points)), nearest]
 
 
 def offsets_to_pieces(points: Tensor, lines: Tensor) -> tuple[Tensor, Tensor]:
-    """From each point to the nearest one of every piece of lines.
+    """Offsets from each of (N, 2) points to the nearest one of every piece of (M, P, 2) lines, metres.
 
-    Args:
-        points: (N, 2) metres.
-        lines: (M, P, 2) metres.
-
-    Returns:
-        (N, M (P - 1), 2) metres, and the pieces, (M (P - 1), 2) from their starts to their ends.
+    (N, M (P - 1), 2), and the pieces, (M (P - 1), 2) from their starts to their ends.
     """
     starts, ends = lines[:, :-1].flatten(0, 1), lines[:, 1:].flatten(0, 1)
     along = ends - starts

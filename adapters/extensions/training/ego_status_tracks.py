@@ -29,12 +29,7 @@ _SMOOTHED_FRAMES = 9
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """B training samples.
-
-    Attributes:
-        motion: What the network sees.
-        future: (B, 6, 2) rear-axle positions, ego frame, metres.
-    """
+    """B training samples. `future` are (B, 6, 2) rear-axle positions, ego frame, metres."""
 
     motion: EgoMotion
     future: Floats
@@ -49,18 +44,7 @@ class Samples:
 
 
 def read_samples(folder: Path, sources: Sequence[str]) -> dict[str, Samples]:
-    """Samples of several sources.
-
-    Args:
-        folder: Folder of ``SOURCE.npz`` files in the neutral track format.
-        sources: Names of the sources.
-
-    Returns:
-        Samples by source.
-
-    Raises:
-        InputError: If a file is missing or holds no usable track.
-    """
+    """Samples by source, from a folder of ``SOURCE.npz`` files in the neutral track format."""
     return {source: _read(folder / f"{source}.npz") for source in sources}
 
 

@@ -33,7 +33,7 @@ class ForecastFigures:
         precision: Share of the forecasts of that area that are of an annotated object, whatever it is.
         least_error_m: Mean distance over 3 s of the best mode, over matched vehicles annotated to the end.
         likeliest_error_m: Of the most likely mode.
-        standing_error_m: Of the forecast that everybody stays where it is.
+        standing_error_m: Of the forecast that all stay where they are.
     """
 
     vehicles: int
@@ -50,13 +50,9 @@ class ForecastFigures:
 
 @dataclass(frozen=True, slots=True)
 class _Compared:
-    """One sample by one of the rules.
+    """One sample by one of the rules: forecasts in its lidar frame.
 
-    Attributes:
-        truth: The sample.
-        forecasts: In its lidar frame.
-        matched: Row of the forecast by instance.
-        counted: Numbers of the vehicles that count.
+    `matched` are rows of the forecast by instance, `counted` numbers of the vehicles that count.
     """
 
     truth: SampleTruth
@@ -66,14 +62,9 @@ class _Compared:
 
 
 def forecast_figures(truths: Sequence[SampleTruth], plans: Sequence[Plan]) -> ForecastFigures | None:
-    """Compare forecasts with what happened, as diagnosed.
+    """Figures of forecasts against the recording, as diagnosed.
 
-    Args:
-        truths: S samples.
-        plans: S plans with their forecasts.
-
-    Returns:
-        The figures; ``None`` where there are no forecasts, no vehicles or no matches.
+    ``None`` where there are no forecasts, no vehicles or no matches.
     """
     compared = []
     for truth, plan in zip(truths, plans, strict=True):
@@ -88,15 +79,9 @@ def forecast_figures(truths: Sequence[SampleTruth], plans: Sequence[Plan]) -> Fo
 def seen_figures(
     truths: Sequence[SampleTruth], plans: Sequence[Plan], visible: Sequence[frozenset[str]]
 ) -> ForecastFigures | None:
-    """Compare forecasts with what happened, as seen.
+    """Figures of forecasts against the recording, as seen: `visible` are S sets of `visible_instances`.
 
-    Args:
-        truths: S samples.
-        plans: S plans with their forecasts.
-        visible: S sets of instances (`visible_instances`).
-
-    Returns:
-        The figures; ``None`` where there are no forecasts, no vehicles or no matches.
+    ``None`` where there are no forecasts, no vehicles or no matches.
     """
     compared = []
     for truth, plan, seen in zip(truths, plans, visible, strict=True):
@@ -109,14 +94,9 @@ def seen_figures(
 
 
 def visible_instances(scene: Scene) -> tuple[frozenset[str], ...]:
-    """Who can be seen at each keyframe of a scene.
+    """Instances that can be seen at each keyframe of a scene: their level of visibility is not the least.
 
-    Args:
-        scene: The scene.
-
-    Returns:
-        For each keyframe the instances annotated there whose level of visibility is not the least, which means 40 % at
-        most. Where a data set has no levels everybody annotated is visible.
+    The least means 40 % at most. Where a data set has no levels all that is annotated is visible.
     """
     known = scene.annotations
     seen = known.valid & (known.visibility != HIDDEN)

@@ -34,10 +34,7 @@ class _OpenScene:
 class FrameStore:
     """Frames of a split, in the order of scenes and time.
 
-    Attributes:
-        folder: Where they lie.
-        scenes: Names of the scenes.
-        identity: Key of the data and of the code that the frames were made with.
+    `identity` is the key of the data and of the code that the frames were made with.
     """
 
     def __init__(self, folder: Path, counts: dict[str, int], identity: str) -> None:
@@ -53,17 +50,7 @@ class FrameStore:
 
     @classmethod
     def open(cls, folder: Path) -> Self:
-        """Open frames that `build_frames` has made.
-
-        Args:
-            folder: Where they lie.
-
-        Returns:
-            The frames.
-
-        Raises:
-            InputError: If there are none, or they are not complete.
-        """
+        """Open frames that `build_frames` has made; an `InputError` says that there are none, or not all."""
         path = folder / INDEX
         if not path.is_file():
             raise InputError(f"{folder} holds no complete training frames; build them first (train planner does)")
@@ -84,17 +71,7 @@ class FrameStore:
         return range(first, first + self._counts[scene])
 
     def frame(self, number: int) -> TrainingFrame:
-        """One frame.
-
-        Args:
-            number: 0 to the number of frames.
-
-        Returns:
-            The frame.
-
-        Raises:
-            InputError: If its file is missing or broken.
-        """
+        """One frame."""
         name, index = self._places[number]
         path = _scene_file(self.folder, name)
         try:
@@ -103,33 +80,14 @@ class FrameStore:
             raise InputError(f"cannot read the training frames {path} ({error}); remove it and build again") from error
 
     def clip(self, number: int, length: int) -> list[TrainingFrame]:
-        """A frame and those before it in its scene.
-
-        Args:
-            number: The last frame.
-            length: Frames; fewer are given at the start of a scene.
-
-        Returns:
-            Frames in time order.
-
-        Raises:
-            InputError: If a file is missing or broken.
-        """
+        """A frame and those before it in its scene, in time order; fewer than `length` at the start of a scene."""
         _, index = self._places[number]
         return [self.frame(each) for each in range(number - min(index, length - 1), number + 1)]
 
     def followed(self, scene: str, index: int) -> Tensor:
-        """Steps of the ego's future that a planner learns from, as `TrainingFrame.ego_future_valid`; reads no image.
+        """Steps, (6,) bool, of the ego's future that a planner learns from, as `TrainingFrame.ego_future_valid`.
 
-        Args:
-            scene: Name.
-            index: Number of the frame in it.
-
-        Returns:
-            (6,) bool.
-
-        Raises:
-            InputError: If the scene's file is missing or broken, or has no such frame.
+        Reads no image.
         """
         path = _scene_file(self.folder, scene)
         try:
@@ -149,20 +107,7 @@ class FrameStore:
 
 
 def build_frames(data_root: Path, split: str, folder: Path, *, workers: int = 1) -> FrameStore:
-    """Gather the frames of a split; scenes that are there already are kept, so that the same command resumes.
-
-    Args:
-        data_root: Data set in nuScenes format.
-        split: Of it.
-        folder: Where to write.
-        workers: Processes.
-
-    Returns:
-        The frames.
-
-    Raises:
-        InputError: If the data set or the split cannot be used, or the folder cannot be written.
-    """
+    """Gather the frames of a split; scenes that are there already are kept, so that the same command resumes."""
     data = open_data(data_root)
     names = data.scene_names(split)
     identity = frames_key(data, split)
@@ -179,7 +124,7 @@ def build_frames(data_root: Path, split: str, folder: Path, *, workers: int = 1)
 
 
 def frames_key(data: DataSet, split: str) -> str:
-    """What the frames of a split depend on, as 64 hexadecimal digits."""
+    """Key, 64 hexadecimal digits, of all that the frames of a split depend on."""
     return content_key("training frames", data.fingerprint(), split, FORMAT)
 
 

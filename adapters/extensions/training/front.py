@@ -47,11 +47,10 @@ THINGS: Final = ((_WALKER,), _VEHICLES)
 
 @dataclass(frozen=True, slots=True)
 class Eyes:
-    """What makes the map of the front camera that a plan looks at.
+    """Eyes that make the map of the front camera that a plan looks at.
 
-    Attributes:
-        see: From normalised images (B, 3, H, W) to maps (B, channels, h, w).
-        own: Whether they are the plan's own; then the first channels have to say where things are (`things_loss`).
+    `see` takes normalised images (B, 3, H, W) to maps (B, channels, h, w). With `own` they are the plan's own; then
+    the first channels have to say where things are (`things_loss`).
     """
 
     see: Callable[[Tensor], Tensor]
@@ -62,11 +61,6 @@ class FrontObjective:
     """`frames.Objective` for what the plan takes from the front camera: where lines are ahead.
 
     A whole frame of the network costs fifty times one image, and four frames a step learn this too slowly.
-
-    Args:
-        network: The network.
-        reader: Its part whose plan sees the front camera.
-        eyes: What makes the maps that this part reads.
     """
 
     clip_frames = 32
@@ -75,13 +69,9 @@ class FrontObjective:
         self.network, self.reader, self._eyes = network, reader, eyes
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
-        """The losses of frames that need not belong together, as bright or dark as they may be.
+        """Losses of frames that need not belong together, as bright or dark as they may be.
 
-        Args:
-            clip: The frames.
-
-        Returns:
-            The terms of `front_losses`, weighted means over the frames, and ``things`` where maps have to say them.
+        The terms of `front_losses`, weighted means over the frames, and ``things`` where maps have to say them.
         """
         images = miniature_images(torch.stack([frame.images[FRONT] for frame in clip]))
         brightness = torch.empty(len(images), 1, 1, 1, device=images.device).uniform_(-0.3, 0.3)
@@ -95,12 +85,8 @@ class FrontObjective:
 def of_all_cameras(network: nn.Module, kept: tuple[str, ...]) -> Eyes:
     """Eyes of a network that sees all cameras with the same: its finest feature map.
 
-    Args:
-        network: One with an image network `img_backbone` and a feature pyramid `img_neck`; the former stays as it is.
-        kept: How the names of those parameters of the pyramid begin that stay as they are, too.
-
-    Returns:
-        The eyes.
+    The network has `img_backbone`, which stays as it is, and a pyramid `img_neck`; parameters of that whose names
+    begin with `kept` stay as they are, too.
     """
     backbone, neck = network.get_submodule("img_backbone"), network.get_submodule("img_neck")
     for name, parameter in neck.named_parameters():
@@ -117,14 +103,9 @@ def of_all_cameras(network: nn.Module, kept: tuple[str, ...]) -> Eyes:
 
 
 def things_loss(seen: Tensor, frames: Sequence[TrainingFrame]) -> Tensor:
-    """Whether the first channels of maps are logits of where things are.
+    """Loss of the first channels of (F, channels, h, w) maps as logits of where things are.
 
-    Args:
-        seen: (F, channels, h, w) maps of front cameras.
-        frames: The key frames, F of them.
-
-    Returns:
-        `centre_loss` of walkers and of vehicles, as many as in a mean frame.
+    `centre_loss` of walkers and of vehicles, as many as in a mean frame.
     """
     heats = torch.from_numpy(np.stack([front_heat(frame) for frame in frames])).to(seen.device)
     wanted = torch.stack([heats[:, list(kinds)].amax(1) for kinds in THINGS], 1)
@@ -132,27 +113,18 @@ def things_loss(seen: Tensor, frames: Sequence[TrainingFrame]) -> Tensor:
 
 
 def mean_front_losses(said: Tensor, frames: Sequence[TrainingFrame]) -> dict[str, Tensor]:
-    """`front_losses` of several key frames.
-
-    Args:
-        said: (F, numbers).
-        frames: The key frames, F of them.
-
-    Returns:
-        The terms, weighted means over the frames.
-    """
+    """`front_losses` of F key frames, from (F, numbers): weighted means over the frames."""
     each = [front_losses(numbers, frame) for numbers, frame in zip(said, frames, strict=True)]
     return {name: weight * torch.stack([losses[name] for losses in each]).mean() for name, weight in WEIGHTS.items()}
 
 
 def front_losses(front: Tensor, frame: TrainingFrame) -> dict[str, Tensor]:
-    """What the first numbers that the plan takes from the front camera have to say.
+    """Losses of the first numbers that the plan takes from the front camera.
 
     Args:
         front: (numbers,) where lines are to the left and right (`lane_loss`), then how far to the right one who drives
             straight on will be at each step, then the room ahead in units of `GAP_UNIT_M`, then how near walkers are
             in each strip.
-        frame: The key frame.
 
     Returns:
         ``lane``, ``ahead``, ``gap`` and ``walkers``: metres, squared metres, units of `GAP_UNIT_M` and squares of
@@ -173,13 +145,9 @@ def front_losses(front: Tensor, frame: TrainingFrame) -> dict[str, Tensor]:
 
 
 def walkers_ahead(frame: TrainingFrame) -> Tensor:
-    """How near the nearest walker ahead is, in each strip along the ego: what the plan has to brake for in time.
+    """Nearness of the nearest walker ahead, (strips,) along the ego: what the plan has to brake for in time.
 
-    Args:
-        frame: The key frame.
-
-    Returns:
-        (strips,) 1 beside the lidar, 0 at `WALKER_REACH_M` and where there is none.
+    1 beside the lidar, 0 at `WALKER_REACH_M` and where there is none.
     """
     right, ahead = frame.boxes[frame.labels == _WALKER, :2].unbind(-1)
     edges = frame.boxes.new_tensor(STRIPS_M)
@@ -189,13 +157,9 @@ def walkers_ahead(frame: TrainingFrame) -> Tensor:
 
 
 def gap_ahead(frame: TrainingFrame) -> float | None:
-    """Room in front of the ego along the way that it takes, up to whatever is there now.
+    """Room in front of the ego along the way that it takes, up to the nearest box that is there now.
 
-    Args:
-        frame: The key frame.
-
-    Returns:
-        Metres from the lidar to the nearest box on the way, `FARTHEST_GAP_M` at most; ``None`` where none is known.
+    Metres from the lidar, `FARTHEST_GAP_M` at most; ``None`` where no way is known.
     """
     if not frame.ego_future_valid.all():
         return None
@@ -220,14 +184,10 @@ def gap_ahead(frame: TrainingFrame) -> float | None:
 
 
 def front_phase(reader_of: Callable[[Any], FrontReader | None], eyes_of: Callable[[Any], Eyes]) -> Phase:
-    """The first part of the training of a miniature whose plan sees the front camera.
+    """First part of the training of a miniature whose plan sees the front camera.
 
-    Args:
-        reader_of: From the network to the part that does.
-        eyes_of: From the network to what makes the maps that this part reads; may keep parameters from learning.
-
-    Returns:
-        The phase.
+    `reader_of` gives the part of the network that does, `eyes_of` the eyes that make the maps for it; that may keep
+    parameters from learning.
     """
 
     def objective(network: Any) -> FrontObjective:

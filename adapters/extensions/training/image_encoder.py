@@ -31,13 +31,9 @@ RARE = -4.0
 
 
 def miniature_images(images: Tensor) -> Tensor:
-    """Images of training frames as the miniatures read them.
+    """Images of training frames, (..., 3, H, W) uint8, red green blue, as the miniatures read them.
 
-    Args:
-        images: (..., 3, H, W) uint8, red green blue.
-
-    Returns:
-        The same shape, float32, normalised (`RGB_MEAN_STD`).
+    float32, normalised (`RGB_MEAN_STD`).
     """
     mean = torch.tensor(RGB_MEAN_STD.mean, device=images.device)[:, None, None]
     std = torch.tensor(RGB_MEAN_STD.std, device=images.device)[:, None, None]
@@ -63,25 +59,19 @@ class ImageEncoder(nn.Module):
                 bias[4 if rare is self.ground else 0 :] = RARE
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """What is in images.
+        """Contents of normalised images, (N, 3, H, W).
 
-        Args:
-            images: (N, 3, H, W) normalised.
-
-        Returns:
-            Logits of centres (N, classes, H / 8, W / 8), box numbers (N, 8, H / 8, W / 8), logits of kinds of ground
-            (N, kinds, H / 4, W / 4).
+        Logits of centres (N, classes, H / 8, W / 8), box numbers (N, 8, H / 8, W / 8), logits of kinds of ground (N,
+        kinds, H / 4, W / 4).
         """
         features = F.relu(self.shared(self.pyramid(self.img_backbone(images))[0]))
         return self.heat(features), self.boxes(features), F.pixel_shuffle(self.ground(features), 2)
 
 
 class ImageEncoderObjective:
-    """How the image encoder learns.
+    """Objective of the image encoder.
 
-    Attributes:
-        network: The encoder.
-        clip_frames: Frames in one forward pass; normalisation uses their statistics, so they are any frames.
+    Normalisation uses the statistics of the `clip_frames` of one forward pass, so they are any frames.
     """
 
     clip_frames = 4
@@ -90,14 +80,7 @@ class ImageEncoderObjective:
         self.network = network
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
-        """Losses of frames that need not belong together; about half of them are mirrored.
-
-        Args:
-            clip: The frames.
-
-        Returns:
-            Weighted scalars.
-        """
+        """Losses of frames that need not belong together; about half of them are mirrored."""
         # The networks keep their statistics still; these are the weights that the statistics come from.
         for module in self.network.img_backbone.modules():
             if isinstance(module, nn.BatchNorm2d):
@@ -139,15 +122,7 @@ def _losses(heat: Tensor, boxes: Tensor, ground: Tensor, wanted: dict[str, Tenso
 
 
 def centre_loss(logits: Tensor, heat: Tensor) -> Tensor:
-    """Focal loss that forgives what is near a centre (CornerNet, ECCV 2018).
-
-    Args:
-        logits: (...).
-        heat: The same shape, 1 at centres.
-
-    Returns:
-        A scalar: the sum per centre.
-    """
+    """Focal loss, per centre, that forgives what is near a centre (CornerNet, ECCV 2018); `heat` is 1 at centres."""
     shares = logits.sigmoid()
     centres = heat >= 1
     found = -F.logsigmoid(logits) * (1 - shares) ** 2 * centres

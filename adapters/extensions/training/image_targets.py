@@ -33,7 +33,7 @@ _UNIT_CORNERS: Final = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 
 
 @dataclass(frozen=True, slots=True)
 class ImageTargets:
-    """What is in C images.
+    """Targets of C images.
 
     Attributes:
         heat: (C, classes, h, w) 1 at centres of boxes, falling around them.
@@ -72,14 +72,7 @@ class _SeenBoxes:
 
 
 def image_targets(frame: TrainingFrame) -> ImageTargets:
-    """What is in the images of a frame.
-
-    Args:
-        frame: The frame.
-
-    Returns:
-        Targets of its images.
-    """
+    """Targets of the images of a frame."""
     height, width = frame.images.shape[-2:]
     seen = _seen_boxes(frame, width, height)
     heat, boxes, has_box = _box_maps(seen, len(frame.images), height // CELL_PX, width // CELL_PX)
@@ -88,14 +81,7 @@ def image_targets(frame: TrainingFrame) -> ImageTargets:
 
 
 def front_heat(frame: TrainingFrame) -> NDArray[np.float32]:
-    """Centres of boxes in the front camera's image alone.
-
-    Args:
-        frame: The frame.
-
-    Returns:
-        (classes, h, w) as `ImageTargets.heat`.
-    """
+    """Centres of boxes in the front camera's image alone: (classes, h, w) as `ImageTargets.heat`."""
     front = replace(frame, images=frame.images[FRONT : FRONT + 1], lidar2img=frame.lidar2img[FRONT : FRONT + 1])
     height, width = frame.images.shape[-2:]
     heat, _, _ = _box_maps(_seen_boxes(front, width, height), 1, height // CELL_PX, width // CELL_PX)
@@ -155,7 +141,7 @@ def _box_maps(
 
 
 def _ground_maps(frame: TrainingFrame, seen: _SeenBoxes, rows: int, columns: int) -> tuple[NDArray[np.float32], Bools]:
-    """What the ground is where rays through the cells meet it; asked for where no box is in the way."""
+    """Kinds of ground where rays through the cells meet it; asked for where no box is in the way."""
     matrices = frame.lidar2img.numpy()
     inverse = np.linalg.inv(matrices[:, :3, :3])
     eyes = -np.einsum("cij,cj->ci", inverse, matrices[:, :3, 3])
@@ -189,7 +175,7 @@ def _looked_up(raster: Bools, points: Floats, low_x_m: float, low_y_m: float, ce
 
 
 def _line_rasters(frame: TrainingFrame) -> list[Bools]:
-    """Which cells the dividers, the crossings and the boundaries pass through; rows along y, columns along x."""
+    """Cells that the dividers, the crossings and the boundaries pass through; rows along y, columns along x."""
     size = (round(2 * _AHEAD_M / _LINE_CELL_M), round(2 * _ASIDE_M / _LINE_CELL_M))
     places = np.rint((frame.lines.double().cpu().numpy() + [_ASIDE_M, _AHEAD_M]) / _LINE_CELL_M - 0.5).astype(np.int32)
     rasters = []

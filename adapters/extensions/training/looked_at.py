@@ -24,20 +24,12 @@ FORGOTTEN: Final = 0.15
 
 
 class LookedAt:
-    """Frames without their images, in memory.
-
-    Attributes:
-        scenes: Names of the scenes that were looked at.
-        identity: Of the frames that they were.
-    """
+    """Frames without their images, in memory."""
 
     def __init__(self, store: Frames, frames: Sequence[int], look: Callable[[Sequence[TrainingFrame]], None]) -> None:
         """Look at all scenes that frames are learned from, one after the other and from their beginnings.
 
-        Args:
-            store: Training frames.
-            frames: Numbers of those to learn from.
-            look: Called with all frames of each scene, in time order.
+        `look` is called with all frames of each scene, in time order.
         """
         wanted = set(frames)
         self.identity = store.identity
@@ -68,15 +60,7 @@ class LookedAt:
 
 
 def weighed(frames: Frames, numbers: Sequence[int]) -> list[int]:
-    """Frames in which the ego does not just drive on count several times: most of a drive is driving on.
-
-    Args:
-        frames: Training frames.
-        numbers: Of those to learn from.
-
-    Returns:
-        The numbers, some of them more than once.
-    """
+    """Numbers of frames, several times those in which the ego does not just drive on: most of a drive is driving on."""
     return [each for each in numbers for _ in range(OFTEN if _changes(frames.frame(each)) else 1)]
 
 

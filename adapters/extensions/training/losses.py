@@ -28,9 +28,7 @@ _CLOSED_WITHIN_M: Final = 0.05
 class Matches:
     """One-to-one pairs of Q predictions and G annotations; every annotation has one where Q >= G.
 
-    Attributes:
-        queries: (K,) int64.
-        wanted: (K,) int64, the annotation of each.
+    (K,) int64 of both.
     """
 
     queries: Tensor
@@ -47,9 +45,6 @@ def assigned(cost: Tensor, queries: int | None = None, counts: Sequence[int] | N
 
     Returns:
         The pairs; of one key frame min(Q, G).
-
-    Raises:
-        InputError: If a cost is not finite.
     """
     matrix = cost.detach().float().cpu().numpy()
     if not np.isfinite(matrix).all():
@@ -63,15 +58,7 @@ def assigned(cost: Tensor, queries: int | None = None, counts: Sequence[int] | N
 
 
 def class_cost(logits: Tensor, labels: Tensor) -> Tensor:
-    """Change of the focal loss of a query if it becomes a positive (DETR family).
-
-    Args:
-        logits: (Q, C).
-        labels: (G,) int64.
-
-    Returns:
-        (Q, G).
-    """
+    """Change of the focal loss of a query if it becomes a positive (DETR family). (Q, G), from (Q, C) logits."""
     shares = logits.detach().float().sigmoid()
     positive = FOCAL_ALPHA * (1 - shares) ** FOCAL_GAMMA * -(shares + 1e-12).log()
     negative = (1 - FOCAL_ALPHA) * shares**FOCAL_GAMMA * -(1 - shares + 1e-12).log()
@@ -80,9 +67,6 @@ def class_cost(logits: Tensor, labels: Tensor) -> Tensor:
 
 def normalised_boxes(boxes: Tensor) -> Tensor:
     """Boxes in the form in which they are compared, with the yaw as given.
-
-    Args:
-        boxes: (..., 9) x, y, z, length, width, height, yaw, velocity x, y.
 
     Returns:
         (..., 10) x, y, log width, log length, z, log height, sin yaw, cos yaw, velocity x, y: the order of
@@ -105,20 +89,8 @@ def match_boxes(
 ) -> Matches:
     """Match predicted and annotated boxes by class and weighted L1 of codes.
 
-    Args:
-        logits: (Q, C).
-        codes: (Q, D) in the same form as ``wanted``.
-        labels: (G,) int64.
-        wanted: (G, D), for example of `normalised_boxes`.
-        code_weights: (D,), zero for what matching leaves out.
-        class_weight: Of the cost of the class.
-        box_weight: Of the cost of the box.
-
-    Returns:
-        The pairs.
-
-    Raises:
-        InputError: If predictions are not finite.
+    `logits` are (Q, C), `codes` (Q, D) in the same form as the (G, D) `wanted`, for example of `normalised_boxes`;
+    `code_weights` (D,) are zero for what matching leaves out. Predictions that are not finite are an `InputError`.
     """
     distance = torch.cdist(codes.detach().float() * code_weights, wanted.float() * code_weights, p=1)
     return assigned(class_weight * class_cost(logits, labels) + box_weight * distance)
@@ -127,13 +99,7 @@ def match_boxes(
 def focal_loss(logits: Tensor, targets: Tensor, *, count: float | None = None) -> Tensor:
     """Sigmoid focal loss (Lin et al., ICCV 2017).
 
-    Args:
-        logits: (...).
-        targets: The same shape, 0 to 1.
-        count: What the sum is divided by, at least 1; the sum of the targets where none is given.
-
-    Returns:
-        A scalar.
+    `targets` are 0 to 1; the sum is divided by `count`, at least 1, or by the sum of the targets.
     """
     entropy = F.binary_cross_entropy_with_logits(logits, targets, reduction="none")
     shares = logits.sigmoid()
@@ -145,13 +111,7 @@ def focal_loss(logits: Tensor, targets: Tensor, *, count: float | None = None) -
 def query_class_loss(logits: Tensor, labels: Tensor, matches: Matches) -> Tensor:
     """Focal loss of all queries: matched ones have a class, all others none.
 
-    Args:
-        logits: (Q, C).
-        labels: (G,) int64, of the annotations.
-        matches: Which query stands for which.
-
-    Returns:
-        A scalar, per annotation.
+    Per annotation; `logits` are (Q, C), `labels` (G,).
     """
     targets = torch.zeros_like(logits)
     targets[matches.queries, labels[matches.wanted]] = 1.0
@@ -159,17 +119,7 @@ def query_class_loss(logits: Tensor, labels: Tensor, matches: Matches) -> Tensor
 
 
 def box_loss(codes: Tensor, wanted: Tensor, matches: Matches, code_weights: Tensor) -> Tensor:
-    """Weighted L1 of the codes of matched boxes.
-
-    Args:
-        codes: (Q, D).
-        wanted: (G, D).
-        matches: The pairs.
-        code_weights: (D,).
-
-    Returns:
-        A scalar: the sum over codes, per pair.
-    """
+    """Weighted L1 of the codes of matched boxes, (Q, D) against (G, D): the sum over codes, per pair."""
     error = (codes[matches.queries] - wanted[matches.wanted]).abs() * code_weights
     return error.sum() / max(len(matches.queries), 1)
 
@@ -177,11 +127,7 @@ def box_loss(codes: Tensor, wanted: Tensor, matches: Matches, code_weights: Tens
 def equivalent_lines(lines: Tensor) -> Tensor:
     """The orders of points in which a line is the same line: both directions, and for closed ones all starts.
 
-    Args:
-        lines: (M, P, 2) metres.
-
-    Returns:
-        (M, K, P, 2); K is 2 where no line is closed, else 2 (P - 1), open lines being repeated.
+    (M, K, P, 2), from (M, P, 2); K is 2 where no line is closed, else 2 (P - 1), open lines being repeated.
     """
     both = torch.stack([lines, lines.flip(1)], 1)
     closed = (lines[:, 0] - lines[:, -1]).norm(dim=-1) < _CLOSED_WITHIN_M
@@ -207,19 +153,12 @@ def match_lines(
     """Match predicted and annotated map elements, in whichever order of points is nearest (MapTR, ICLR 2023).
 
     Args:
-        logits: (Q, C).
         points: (Q, P, 2) in the same unit as ``wanted``.
-        labels: (M,) int64.
-        wanted: (M, P, 2).
         scale: Distances are divided by this, a number or one for each axis.
-        class_weight: Of the cost of the class.
         line_weight: Of the cost of the points: their summed L1, over P.
 
     Returns:
         The pairs, and (K, P, 2) annotated points of each pair in the order nearest to its query.
-
-    Raises:
-        InputError: If predictions are not finite.
     """
     orders = equivalent_lines(wanted)
     scaled = (orders / scale).flatten(2)
@@ -231,16 +170,9 @@ def match_lines(
 
 
 def line_loss(points: Tensor, matched: Tensor, matches: Matches, *, scale: Tensor | float = 1.0) -> Tensor:
-    """L1 of the points of matched map elements.
+    """L1 of the points of matched map elements: summed over x and y, mean over points and pairs.
 
-    Args:
-        points: (Q, P, 2).
-        matched: (K, P, 2) as `match_lines` gives them.
-        matches: The pairs.
-        scale: As in `match_lines`.
-
-    Returns:
-        A scalar: summed over x and y, mean over points and pairs.
+    `points` are (Q, P, 2), `matched` (K, P, 2) as `match_lines` gives them; `scale` as there.
     """
     error = ((points[matches.queries] - matched) / scale).abs()
     return error.sum() / max(matched.shape[0] * matched.shape[1], 1)
@@ -249,28 +181,16 @@ def line_loss(points: Tensor, matched: Tensor, matches: Matches, *, scale: Tenso
 def direction_loss(points: Tensor, matched: Tensor, matches: Matches) -> Tensor:
     """How far the pieces of matched map elements turn from the annotated ones: 1 minus the cosine (MapTR).
 
-    Args:
-        points: (Q, P, 2) metres.
-        matched: (K, P, 2) metres.
-        matches: The pairs.
-
-    Returns:
-        A scalar, 0 to 2.
+    0 to 2; `points` are (Q, P, 2) and `matched` (K, P, 2) metres.
     """
     found, wanted = points[matches.queries].diff(dim=1), matched.diff(dim=1)
     return (1 - F.cosine_similarity(found, wanted, dim=-1)).sum() / max(wanted.shape[0] * wanted.shape[1], 1)
 
 
 def winners(trajectories: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:
-    """The mode that is nearest on average over the steps that are annotated.
+    """Mode, (N,), that is nearest on average over the steps that are annotated.
 
-    Args:
-        trajectories: (N, M, T, 2) metres.
-        wanted: (N, T, 2).
-        valid: (N, T) bool.
-
-    Returns:
-        (N,) int64.
+    Of (N, M, T, 2) trajectories to (N, T, 2) metres, where (N, T) are valid.
     """
     distance = torch.linalg.vector_norm(trajectories.detach() - wanted[:, None], dim=-1)
     best: Tensor = (distance * valid[:, None]).sum(-1).argmin(-1)
@@ -280,14 +200,9 @@ def winners(trajectories: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:
 def trajectory_losses(trajectories: Tensor, logits: Tensor, wanted: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
     """Winner takes all: L1 of the nearest mode, and cross entropy that asks for it.
 
-    Args:
-        trajectories: (N, M, T, 2) metres.
-        logits: (N, M); their softmax are the scores.
-        wanted: (N, T, 2).
-        valid: (N, T) bool; what has no valid step counts nowhere.
-
-    Returns:
-        L1, summed over x and y, mean over valid steps; cross entropy, mean over what has a valid step.
+    L1 is summed over x and y, mean over valid steps; cross entropy mean over what has a valid step, for what has none
+    counts nowhere. `trajectories` are (N, M, T, 2) and `wanted` (N, T, 2) metres; softmax of the (N, M) `logits` are
+    the scores.
     """
     counted = valid.any(-1)
     trajectories, logits, wanted, valid = trajectories[counted], logits[counted], wanted[counted], valid[counted]
@@ -298,46 +213,21 @@ def trajectory_losses(trajectories: Tensor, logits: Tensor, wanted: Tensor, vali
 
 
 def plan_loss(plan: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:
-    """L1 of a plan.
-
-    Args:
-        plan: (T, 2) metres.
-        wanted: (T, 2).
-        valid: (T,) bool.
-
-    Returns:
-        A scalar: summed over x and y, mean over valid steps.
-    """
+    """L1 of a plan, (T, 2) metres: summed over x and y, mean over valid steps."""
     return ((plan - wanted).abs().sum(-1) * valid).sum() / max(int(valid.sum()), 1)
 
 
 def aside_loss(found: Tensor, wanted: Tensor, counted: Tensor) -> Tensor:
-    """Squared offset to the side, up to a metre; mean over the steps that count.
+    """Squared offset to the side in metres, up to a metre; mean over the steps that count.
 
     L1 asks for the median, which is to stay where one is: most of those who drive straight on do.
-
-    Args:
-        found: (..., T) metres.
-        wanted: (..., T) metres.
-        counted: (..., T) bool.
-
-    Returns:
-        A scalar.
     """
     error = F.huber_loss(found, wanted, reduction="none")
     return (error * counted).sum() / max(int(counted.sum()), 1)
 
 
 def dice_loss(logits: Tensor, targets: Tensor) -> Tensor:
-    """One minus the overlap of masks (V-Net, 3DV 2016).
-
-    Args:
-        logits: (N, ...).
-        targets: The same shape, 0 or 1.
-
-    Returns:
-        A scalar, mean over N, 0 to 1.
-    """
+    """One minus the overlap of (N, ...) masks (V-Net, 3DV 2016), mean over N, 0 to 1."""
     shares, targets = logits.sigmoid().flatten(1), targets.flatten(1)
     overlap = 2 * (shares * targets).sum(-1) + 1
     return (1 - overlap / (shares.square().sum(-1) + targets.square().sum(-1) + 1)).sum() / max(len(logits), 1)

@@ -22,12 +22,7 @@ IN_THE_WAY_M: Final = 3.0
 
 
 class MixedFrames:
-    """Several stores end to end; scenes have different names in each.
-
-    Attributes:
-        scenes: Names of all scenes.
-        identity: Key of all stores, in their order.
-    """
+    """Several stores end to end; scenes have different names in each."""
 
     def __init__(self, stores: Sequence[Frames]) -> None:
         self._stores = tuple(stores)
@@ -65,12 +60,7 @@ class MixedFrames:
 
 
 class ApartScenes:
-    """A store whose scenes have another name in front: two roots of the town name their scenes alike.
-
-    Attributes:
-        scenes: ``NAME/SCENE``.
-        identity: Key of the store and of the name.
-    """
+    """A store whose scenes have another name in front: two roots of the town name their scenes alike."""
 
     def __init__(self, store: Frames, name: str) -> None:
         self._store, self._name = store, name
@@ -102,12 +92,8 @@ class ApartScenes:
 class FollowedAsRecorded:
     """Adversarial scenes, of whose ego a planner learns what it learns from the scene that each was made from.
 
-    The ego of both drives the same way; what the recorded data set says of departures from the path holds for both. But
-    it does not see the adversary: once it is in somebody's way, nothing is learned from how it goes on.
-
-    Attributes:
-        scenes: Names of the adversarial scenes.
-        identity: Key of both stores.
+    The ego of both drives the same way; what the recorded data set says of departures from the path holds for both.
+    But it does not see the adversary: once that is in the way of one of them, nothing is learned from how it goes on.
     """
 
     def __init__(self, store: FrameStore, recorded: FrameStore, sources: Mapping[str, str]) -> None:
@@ -136,7 +122,7 @@ class FollowedAsRecorded:
 
 
 def _clear(frame: TrainingFrame) -> Tensor:
-    """(6,) bool, the steps of the ego's future before it is where somebody else is."""
+    """Steps, (6,) bool, of the ego's future before it is where another is."""
     steps = len(frame.ego_future)
     distance = (frame.futures[:, :steps, :2] - frame.ego_future).norm(dim=-1)
     met = ((distance < IN_THE_WAY_M) & frame.futures_valid[:, :steps]).any(0)
@@ -151,15 +137,7 @@ def gathered(data_root: Path, split: str, *, workers: int) -> FrameStore:
 
 
 def require_others(roots: Sequence[Path], data: DataSet) -> None:
-    """Refuse a data set that would be learned from twice.
-
-    Args:
-        roots: Of data sets that are learned from as well.
-        data: The data set that is learned from.
-
-    Raises:
-        InputError: If a root cannot be used, or two hold the same data set.
-    """
+    """Refuse a data set that would be learned from twice."""
     known = {data.fingerprint(): data.root}
     for root in roots:
         fingerprint = open_data(root).fingerprint()
@@ -169,19 +147,9 @@ def require_others(roots: Sequence[Path], data: DataSet) -> None:
 
 
 def require_made_from(root: Path, data: DataSet, split: str) -> dict[str, str]:
-    """Refuse adversarial scenes that were not made from the scenes that are learned from.
+    """The recorded scene of each adversarial one; refuse scenes that were not made from those that are learned from.
 
-    Args:
-        root: Root of adversarial scenes.
-        data: The data set that is learned from.
-        split: Of it.
-
-    Returns:
-        The recorded scene of each adversarial one.
-
-    Raises:
-        InputError: If the root cannot be used, does not say where its scenes come from, or one comes from elsewhere: a
-            scene that planners are judged on must never be learned from.
+    A scene that planners are judged on must never be learned from.
     """
     adversarial = open_data(root)
     names = adversarial.scene_names(ADVERSARIAL_SPLIT)

@@ -26,9 +26,6 @@ TOLD: Final = "tell"
 def seen_with_own_eyes(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Weights of a network whose plan looked at the maps of all cameras, for one with eyes of its own.
 
-    Args:
-        trunk: The weights; those of a network that has such eyes stay.
-
     Returns:
         The same, and what the eyes begin with: the layers that made those maps, which say of no place that anything is
         there (`adapters.extensions.training.front.things_loss`).
@@ -51,12 +48,8 @@ def seen_with_own_eyes(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
 def eyes_of_sparse(trunk: Mapping[str, Tensor], reader: str) -> dict[str, Tensor]:
     """The eyes of the plan of a sparse miniature and what reads their map, for another miniature.
 
-    Args:
-        trunk: Weights.
-        reader: How the names begin of what reads the map of the front camera in the network that they are for.
-
-    Returns:
-        Weights of both; none where the weights are of another network, or their plan has no eyes of its own.
+    `reader` is how the names begin of what reads the map of the front camera in the network that they are for. None
+    where the weights are of another network, or their plan has no eyes of its own.
     """
     read = {
         reader + name.removeprefix(SPARSE_READER): value

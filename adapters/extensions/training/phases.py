@@ -12,10 +12,7 @@ from adapters.extensions.training.trainer import Recipe
 class Phase:
     """One part of a training; it starts from the averaged weights of the part before it.
 
-    Attributes:
-        name: In the names of files and in the log.
-        objective: Makes the objective of a network; may set its first values and what of it learns.
-        recipe: How long and how fast.
+    `objective` makes that of a network; it may set first values and what of the network learns.
     """
 
     name: str
@@ -23,16 +20,7 @@ class Phase:
     recipe: Recipe
 
     def changed(self, share: float, seed: int, learning_rate: float | None) -> Self:
-        """The same phase, shorter or longer.
-
-        Args:
-            share: Of its steps.
-            seed: Of everything that is drawn.
-            learning_rate: Peak, or ``None`` for the recipe's own.
-
-        Returns:
-            The phase.
-        """
+        """The same phase with a share of its steps; a learning rate of ``None`` is the recipe's own."""
         steps = max(round(self.recipe.steps * share), 1)
         peak = self.recipe.learning_rate if learning_rate is None else learning_rate
         return replace(self, recipe=replace(self.recipe, steps=steps, seed=seed, learning_rate=peak))

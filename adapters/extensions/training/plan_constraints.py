@@ -23,15 +23,7 @@ MOVES_M: Final = 0.5
 
 
 def agent_constraint(plan: Tensor, frame: TrainingFrame) -> Tensor:
-    """How much too near the plan comes to others.
-
-    Args:
-        plan: (T, 2) metres, positions.
-        frame: The key frame.
-
-    Returns:
-        A scalar, metres, mean over steps.
-    """
+    """Distance by which a plan, (T, 2) metres, comes too near to others; metres, mean over steps."""
     steps = len(plan)
     if not len(frame.boxes):
         return plan.sum() * 0
@@ -46,7 +38,7 @@ def agent_constraint(plan: Tensor, frame: TrainingFrame) -> Tensor:
 
 
 def boundary_constraint(plan: Tensor, frame: TrainingFrame) -> Tensor:
-    """How much too near the plan comes to the boundary; arguments and result as in `agent_constraint`."""
+    """Distance by which a plan comes too near to the boundary; arguments and result as in `agent_constraint`."""
     boundaries = frame.lines[frame.line_labels == BOUNDARY]
     if not len(boundaries):
         return plan.sum() * 0
@@ -57,12 +49,7 @@ def boundary_constraint(plan: Tensor, frame: TrainingFrame) -> Tensor:
 def direction_constraint(plan: Tensor, frame: TrainingFrame) -> Tensor:
     """One minus the cosine between steps of the plan and the nearest divider, whichever way it runs.
 
-    Args:
-        plan: As in `agent_constraint`.
-        frame: The key frame.
-
-    Returns:
-        A scalar, 0 to 1, mean over steps.
+    0 to 1, mean over steps.
     """
     dividers = frame.lines[frame.line_labels == DIVIDER]
     if not len(dividers):

@@ -28,7 +28,7 @@ _BLANK_GREY: Final = 128
 
 
 class Images(StrEnum):
-    """What a planner is shown.
+    """Images that a planner is shown.
 
     ``own``: what its cameras saw. ``blank``: grey. ``shuffled``: what the same cameras saw in another scene at a sample
     of the same number, with its own calibration and ego motion.
@@ -41,14 +41,9 @@ class Images(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PlanFigures:
-    """Figures over samples whose recording reaches 3 s.
+    """Figures over samples whose recording reaches 3 s: mean distance from the recorded position.
 
-    Attributes:
-        samples: How many.
-        l2_1s_m: Mean distance from the recorded position at 1 s.
-        l2_2s_m: At 2 s.
-        l2_3s_m: At 3 s.
-        collisions: Share whose plan touches anything within 3 s, by the protocol ``exact``.
+    `collisions` is the share whose plan touches anything within 3 s, by the protocol ``exact``.
     """
 
     samples: int
@@ -64,13 +59,9 @@ class PlanFigures:
 
 @dataclass(frozen=True, slots=True)
 class JudgedPlans:
-    """S plans beside what happened.
+    """S plans beside what happened, of samples whose recording reaches 3 s.
 
-    Attributes:
-        truths: S samples whose recording reaches 3 s.
-        plans: S plans.
-        visible: S sets of instances that can be seen
-            (`adapters.extensions.training.forecast_figures.visible_instances`).
+    `visible` are instances that can be seen (`adapters.extensions.training.forecast_figures.visible_instances`).
     """
 
     truths: Sequence[SampleTruth]
@@ -78,7 +69,7 @@ class JudgedPlans:
     visible: Sequence[frozenset[str]]
 
     def outcomes(self) -> Outcomes:
-        """What the protocol ``exact`` says of them."""
+        """Outcomes of the plans under the protocol ``exact``."""
         pairs = zip(self.truths, self.plans, strict=True)
         waypoints = [plan.waypoints_in_lidar(truth.lidar_ahead_m) for truth, plan in pairs]
         return protocol("exact").evaluate(self.truths, np.array(waypoints))
@@ -109,23 +100,21 @@ class Difference:
 
     @classmethod
     def of(cls, rate: Rate) -> Self:
-        """From a mean with its interval, rounded."""
+        """Difference from a mean with its interval, rounded."""
         ends = (None if each is None else round(each, 4) for each in (rate.low, rate.high))
         return cls(round(rate.value or 0.0, 4), *ends)
 
     def said(self, digits: int) -> str:
-        """For readers."""
+        """Text for readers."""
         shown = ["-" if each is None else f"{each:+.{digits}f}" for each in (self.value, self.low, self.high)]
         return f"{shown[0]} [{shown[1]}, {shown[2]}]"
 
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """What plans lose when a planner is shown something else than what its cameras saw.
+    """Losses of plans when a planner is shown something else than what its cameras saw.
 
-    Attributes:
-        l2_3s_m: More metres from the recorded position at 3 s.
-        collisions_pt: More plans that touch anything within 3 s, percentage points.
+    `collisions_pt` are more plans that touch anything within 3 s, percentage points.
     """
 
     l2_3s_m: Difference
@@ -133,7 +122,7 @@ class Loss:
 
     @classmethod
     def between(cls, own: JudgedPlans, other: JudgedPlans) -> Self:
-        """From the plans of the same samples with its own images and with others."""
+        """Loss between the plans of the same samples with its own images and with others."""
         pairs = [
             np.stack([outcomes.l2[:, -1], 100.0 * outcomes.collision.any(-1)], axis=-1)
             for outcomes in (own.outcomes(), other.outcomes())
@@ -143,7 +132,7 @@ class Loss:
         return cls(*(Difference.of(rate) for rate in ratios_over_scenes(lost, np.ones_like(lost), scenes, seed=0)))
 
     def said(self) -> str:
-        """For readers."""
+        """Text for readers."""
         return f"L2 at 3 s {self.l2_3s_m.said(2)} m, collisions {self.collisions_pt.said(1)} points"
 
     @classmethod
@@ -162,20 +151,10 @@ def plan_figures(
 def judged_plans(
     planner: Planner, data: DataSet, scenes: Sequence[str], *, images: Images = Images.OWN, every: int = 1
 ) -> JudgedPlans:
-    """Let a planner plan.
+    """Plans of a planner, beside what happened.
 
-    Args:
-        planner: The planner.
-        data: Where the scenes are.
-        scenes: Which.
-        images: What it is shown.
-        every: Of the samples, one in so many is judged; planners with memory see all of them.
-
-    Returns:
-        Its plans, beside what happened.
-
-    Raises:
-        InputError: If no sample is complete, shuffling has only one scene, or something in the data is broken.
+    One in `every` samples is judged; planners with memory see all of them. An `InputError` says that no sample is
+    complete, or that shuffling has only one scene.
     """
     truths, plans, visible = [], [], []
     for number, name in enumerate(scenes):
@@ -196,19 +175,10 @@ def judged_plans(
 
 
 def shown(data: DataSet, scenes: Sequence[str], number: int, images: Images) -> Iterator[Observation]:
-    """Observations of a scene with the images that a planner is to be shown.
+    """Observations of a scene, in time order, with the images that a planner is to be shown.
 
-    Args:
-        data: Where the scenes are.
-        scenes: All that are looked at.
-        number: Place of the scene among them.
-        images: Those of its own cameras, blank ones, or those of another scene.
-
-    Yields:
-        Observations in time order.
-
-    Raises:
-        InputError: If shuffling has only one scene.
+    `number` is the place of the scene among `scenes`; images are those of its own cameras, blank ones, or those of
+    another scene.
     """
     if images is Images.OWN:
         yield from data.observations(scenes[number])

@@ -58,12 +58,7 @@ class Around:
 
     @classmethod
     def of(cls, frames: Sequence[TrainingFrame], steps: int) -> "Around":
-        """Everybody annotated.
-
-        Args:
-            frames: F of them.
-            steps: T.
-        """
+        """All that is annotated in F frames, for T steps."""
         boxes, there = [], []
         for frame in frames:
             future, size = frame.futures[:, :steps], frame.boxes[:, None, 3:5].expand(-1, steps, -1)
@@ -72,19 +67,15 @@ class Around:
         return cls(*(pad_sequence(each, batch_first=True) for each in (boxes, there)))
 
     def on(self, device: torch.device) -> "Around":
-        """The same on a device."""
+        """Bodies on a device."""
         return Around(self.boxes.to(device), self.there.to(device))
 
 
 def missing_room(plans: Tensor, around: Around) -> Tensor:
-    """How much room plans lack, to whoever they lack it most at each step.
+    """Room that plans lack, (F, M) metres, to the body they lack it most to at each step.
 
-    Args:
-        plans: (F, M, T, 2) positions of the lidar, metres, in the lidar frames.
-        around: Of the same F key frames.
-
-    Returns:
-        (F, M) metres, means over the steps; 0 where there is room to everybody.
+    Means over the steps; 0 where there is room to all. `plans` are (F, M, T, 2) positions of the lidar, metres, in the
+    lidar frames.
     """
     if around.boxes.shape[1] == 0:
         return plans.sum((-2, -1)) * 0
@@ -108,7 +99,7 @@ def missing_room(plans: Tensor, around: Around) -> Tensor:
 
 
 def room_loss(plan: Tensor, frame: TrainingFrame) -> Tensor:
-    """The same of one plan, (T, 2), as a scalar."""
+    """Room that one plan, (T, 2), lacks, as a scalar."""
     return missing_room(plan[None, None], Around.of([frame], len(plan)))[0, 0]
 
 

@@ -62,7 +62,7 @@ _ENCODER_RECIPE: Final = Recipe(
 
 @dataclass(frozen=True, slots=True)
 class PlannerTraining:
-    """What a training depends on.
+    """Settings of the training of a planner.
 
     Attributes:
         model: A miniature, or `ENCODER_NAME`.
@@ -275,7 +275,7 @@ class _Checked:
     scenes: Sequence[str]
 
     def figures(self, weights: Mapping[str, Tensor]) -> dict[str, float]:
-        """Of plans made from the images."""
+        """Figures of plans made from the images."""
         return plan_figures(self._planner(weights), self.data, self.scenes, every=2).as_log()
 
     def facts(self, weights: Mapping[str, Tensor]) -> dict[str, Any]:

@@ -46,18 +46,10 @@ class _Motion:
 
 
 def scene_arrays(data: DataSet, name: str) -> Arrays:
-    """Everything that is learned from a scene.
+    """Arrays of all that is learned from a scene, by name.
 
-    Args:
-        data: The data set.
-        name: The scene.
-
-    Returns:
-        Arrays by name, for K key frames: those of `TrainingFrame` with a leading K, except that what differs in number
-        is put end to end, with ``box_starts`` and ``line_starts`` (K + 1,) where each frame begins.
-
-    Raises:
-        InputError: If the scene is broken, an image is missing, or what is said of the ego cannot be read.
+    For K key frames: those of `TrainingFrame` with a leading K, except that what differs in number is put end to end,
+    with ``box_starts`` and ``line_starts`` (K + 1,) where each frame begins.
     """
     scene, truths = data.scene(name), data.truth(name)
     require_two_hz(scene, "training")
@@ -114,7 +106,7 @@ def _seconds(scene: Scene, keyframe: int) -> tuple[Floats, Floats]:
 
 
 def _of_ego(observation: Observation, truth: SampleTruth, shows: Bools) -> Arrays:
-    """What is known of the ego; ``shows`` (6,) says which steps of its future a planner may learn from."""
+    """Arrays of the ego; ``shows`` (6,) says which steps of its future a planner may learn from."""
     return {
         "timestamp_s": np.array(observation.timestamp_us * 1e-6),
         "global_T_lidar": lidar_pose(observation),
@@ -126,7 +118,7 @@ def _of_ego(observation: Observation, truth: SampleTruth, shows: Bools) -> Array
 
 
 def _of_driven(driven: DrivenEgo, keyframe: int, pose: Floats) -> Arrays:
-    """What is to learn where a planner drove: not where it went, but where it should have gone."""
+    """Arrays of the ego where a planner drove: not where it went, but where it should have gone."""
     local = to_local(driven.wanted[keyframe], pose)
     known = driven.known[keyframe]
     future = np.where(known[:, None], np.column_stack([-local[:, 1], local[:, 0]]), 0.0)
@@ -194,15 +186,7 @@ def _of_map(road_map: RoadMap, pose: Floats) -> Arrays:
 
 
 def drivable_cells(road_map: RoadMap, pose: Floats) -> Bools:
-    """The drivable area around the lidar.
-
-    Args:
-        road_map: The map.
-        pose: (3,) planar lidar pose, global.
-
-    Returns:
-        Cells as `TrainingFrame.drivable` has them.
-    """
+    """Cells of the drivable area around a planar lidar pose, (3,) global, as `TrainingFrame.drivable` has them."""
     cell_m = 2 * DRIVABLE_HALF_M / DRIVABLE_CELLS
     along = (np.arange(DRIVABLE_CELLS) + 0.5) * cell_m - DRIVABLE_HALF_M
     forward, right = np.meshgrid(along, along, indexing="ij")

@@ -32,7 +32,7 @@ Check = Callable[[dict[str, Tensor]], dict[str, float]]
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """How long and how fast a network learns.
+    """Recipe of a training: how long and how fast a network learns.
 
     Attributes:
         steps: Gradient steps.
@@ -82,21 +82,14 @@ def fit(
     same weights as an undisturbed one.
 
     Args:
-        objective: The network, with the weights to start from, and its losses.
-        store: Training frames.
         frames: Numbers of those to learn from; each is the last of a clip.
         recipe: How.
         out: The weights file to be; ``.progress.safetensors`` (until finished) and ``.log.jsonl`` lie beside it.
         check: Measures averaged weights on held-out scenes now and then, for the log; not at the end.
-        device: Where to compute: cpu, cuda, auto.
         keep_every_s: Time between two copies of an unfinished run on disk.
 
     Returns:
         The averaged weights, by name.
-
-    Raises:
-        InputError: If there is nothing to learn from, the progress file belongs to another run or is broken, the
-            losses are no longer finite, or a file cannot be written.
     """
     if not frames:
         raise InputError("there are no frames to train on; give a split with more scenes")
@@ -147,21 +140,7 @@ def as_channels_last(network: nn.Module) -> None:
 
 
 def clip_of(store: Frames, frames: Sequence[int], recipe: Recipe, length: int, draw: int) -> list[TrainingFrame]:
-    """The clip of a draw: every frame ends one clip before any ends a second one.
-
-    Args:
-        store: Training frames.
-        frames: Numbers of those to learn from.
-        recipe: How.
-        length: Frames of a clip.
-        draw: Number of the clip since the beginning.
-
-    Returns:
-        The frames.
-
-    Raises:
-        InputError: If they cannot be read.
-    """
+    """The clip of a draw: every frame ends one clip before any ends a second one."""
     if not recipe.scattered:
         return store.clip(_drawn(frames, recipe.seed, draw), length)
     return [store.frame(_drawn(frames, recipe.seed, draw * length + each)) for each in range(length)]
@@ -199,15 +178,7 @@ def _copied(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
 
 
 def learning_rate(recipe: Recipe, step: int) -> float:
-    """Learning rate of a step: linear rise, then a cosine that ends at a hundredth of the peak.
-
-    Args:
-        recipe: How.
-        step: From 0.
-
-    Returns:
-        The rate.
-    """
+    """Learning rate of a step: linear rise, then a cosine that ends at a hundredth of the peak."""
     rising = min((step + 1) / max(recipe.warmup, 1), 1.0)
     falling = 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * step / recipe.steps))
     return recipe.learning_rate * rising * falling

@@ -12,14 +12,9 @@ from adapters.networks.layers.ego_motion import EgoMotion
 
 
 def turned_can_bus(can_bus: Tensor, turn_rad: float) -> Tensor:
-    """The same motion in a world that is turned around its origin.
+    """The same motion, (18,), in a world that is turned counter-clockwise around its origin.
 
-    Args:
-        can_bus: (18,) as `adapters.camera_inputs.can_bus_vector` gives it.
-        turn_rad: Counter-clockwise.
-
-    Returns:
-        (18,); motion itself is measured in the frame of the car and stays.
+    As `adapters.camera_inputs.can_bus_vector` gives it; motion itself is measured in the frame of the car and stays.
     """
     turned = can_bus.clone()
     cosine, sine = math.cos(turn_rad), math.sin(turn_rad)

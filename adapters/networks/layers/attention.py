@@ -10,10 +10,6 @@ class MultiheadAttention(nn.Module):
 
     Keys or values may lack the batch axis of the others, as when a batch of keys shares its values: they are projected
     once for all.
-
-    Args:
-        channels: Width of queries, keys, values and result.
-        heads: Divides `channels`.
     """
 
     def __init__(self, channels: int, heads: int) -> None:
@@ -26,16 +22,9 @@ class MultiheadAttention(nn.Module):
         nn.init.zeros_(self.out_proj.bias)
 
     def forward(self, query: Tensor, key: Tensor, value: Tensor, allowed: Tensor | None = None) -> Tensor:
-        """Attend.
+        """Attention, (..., Q, C), of (..., Q, C) queries to (..., K, C) keys and values.
 
-        Args:
-            query: (..., Q, C).
-            key: (..., K, C).
-            value: (..., K, C).
-            allowed: (..., Q or 1, K) booleans, ``False`` where a query may not look; a query needs one key at least.
-
-        Returns:
-            (..., Q, C).
+        `allowed` are (..., Q or 1, K) booleans, ``False`` where a query may not look; a query needs one key at least.
         """
         weights, biases = self.in_proj_weight.chunk(3), self.in_proj_bias.chunk(3)
         q, k, v = (
@@ -54,12 +43,7 @@ class MultiheadAttention(nn.Module):
 
 
 class Attention(nn.Module):
-    """Attention, added to what it came from; positions enter queries and keys only.
-
-    Args:
-        channels: Width of the tokens.
-        heads: Divides `channels`.
-    """
+    """Attention, added to what it came from; positions enter queries and keys only."""
 
     def __init__(self, channels: int, heads: int) -> None:
         super().__init__()
@@ -73,17 +57,10 @@ class Attention(nn.Module):
         values: Tensor | None = None,
         allowed: Tensor | None = None,
     ) -> Tensor:
-        """Attend to other tokens or, without `keys`, to each other.
+        """Tokens, (..., Q, C), that have looked at other ones, (..., K, C), or, without `keys`, at each other.
 
-        Args:
-            tokens: (..., Q, C).
-            positions: Of the tokens; broadcast.
-            keys: (..., K, C), positions already added.
-            values: (..., K, C).
-            allowed: As in `MultiheadAttention`.
-
-        Returns:
-            (..., Q, C).
+        `positions` are those of the tokens, and broadcast; they are already added to `keys`. `allowed` as in
+        `MultiheadAttention`.
         """
         query = tokens + positions
         attended: Tensor = self.attn(
@@ -93,12 +70,7 @@ class Attention(nn.Module):
 
 
 class ResidualAttention(nn.Module):
-    """Attention, added to what is given for it.
-
-    Args:
-        channels: Width of the tokens.
-        heads: Divides `channels`.
-    """
+    """Attention, added to what is given for it."""
 
     def __init__(self, channels: int, heads: int) -> None:
         super().__init__()
@@ -107,29 +79,16 @@ class ResidualAttention(nn.Module):
     def forward(
         self, tokens: Tensor, query: Tensor, key: Tensor, value: Tensor, allowed: Tensor | None = None
     ) -> Tensor:
-        """Attend.
+        """Tokens, (..., Q, C), with the attention of (..., Q, C) queries to (..., K, C) keys and values added.
 
-        Args:
-            tokens: (..., Q, C) what the result is added to.
-            query: (..., Q, C).
-            key: (..., K, C).
-            value: (..., K, C).
-            allowed: As in `MultiheadAttention`.
-
-        Returns:
-            (..., Q, C).
+        `allowed` as in `MultiheadAttention`.
         """
         attended: Tensor = self.attn(query, key, value, allowed)
         return tokens + attended
 
 
 class FeedForward(nn.Module):
-    """Two linear layers, added to what they came from.
-
-    Args:
-        channels: Width of the tokens.
-        hidden: Width in between.
-    """
+    """Two linear layers, added to what they came from."""
 
     def __init__(self, channels: int, hidden: int) -> None:
         super().__init__()
@@ -145,13 +104,7 @@ class FeedForward(nn.Module):
 
 
 class CrossAttentionLayer(nn.Module):
-    """Attention to other tokens, then a feed-forward block; each is normalised after its addition.
-
-    Args:
-        channels: Width of the tokens.
-        heads: Divides `channels`.
-        hidden: Width of the feed-forward block.
-    """
+    """Attention to other tokens, then a feed-forward block; each is normalised after its addition."""
 
     def __init__(self, channels: int, heads: int, hidden: int) -> None:
         super().__init__()

@@ -14,7 +14,6 @@ class BEVConfig:
         bev_rows: Cells of the bird's-eye view along y, the driving direction.
         bev_columns: Cells along x.
         perception_range_m: x, y, z of one corner, then of the other, in the lidar frame.
-        encoder_layers: Layers of the bird's-eye-view encoder.
         decoder_layers: Layers of the agent decoder, and of others like it.
         pyramid_levels: Outputs of the feature pyramid; those past the stages are strided convolutions.
         max_boxes: Boxes (and tracks) that are reported.
@@ -24,11 +23,6 @@ class BEVConfig:
         backbone_width: Channels after its first convolution; 64 in both.
         channels: Width of all tokens; a multiple of `heads` and of 4.
         feedforward_channels: Hidden width of the feed-forward blocks.
-        heads: Attention heads.
-        agent_classes: Kinds of agents.
-        map_classes: Kinds of map elements.
-        modes: Forecasts per agent.
-        commands: Driving commands.
         cameras: Cameras, in the order of the specification.
         height_points: Heights of the pillar over a cell at which images are sampled.
         image_points: Sampling points per head and level in images, a multiple of `height_points`.

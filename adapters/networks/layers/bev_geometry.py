@@ -15,10 +15,7 @@ NEAREST_DEPTH_M = 1e-5
 class BEVGrid:
     """A grid over the ground; rows along y, columns along x, cells numbered row by row from the least x and y.
 
-    Attributes:
-        rows: Cells along y.
-        columns: Cells along x.
-        range_m: x, y, z of the least corner, then of the greatest.
+    `range_m` are x, y, z of the least corner, then of the greatest.
     """
 
     rows: int
@@ -32,7 +29,7 @@ class BEVGrid:
 
     @property
     def cells(self) -> int:
-        """How many."""
+        """Number of cells."""
         return self.rows * self.columns
 
     def centres(self) -> Tensor:
@@ -43,13 +40,9 @@ class BEVGrid:
         return torch.stack([x[None].expand(shape), y[:, None].expand(shape)], -1).flatten(0, 1)
 
     def pillars(self, heights: int) -> Tensor:
-        """Points above the centres of the cells.
+        """Points above the centres of the cells, (cells, heights, 3) metres.
 
-        Args:
-            heights: Points per cell, spread evenly and half a metre away from the ends of the range.
-
-        Returns:
-            (cells, heights, 3) metres.
+        Heights are spread evenly, half a metre away from the ends of the range.
         """
         x_low, y_low, z_low, x_high, y_high, z_high = self.range_m
         depth = z_high - z_low
@@ -61,7 +54,7 @@ class BEVGrid:
 
 @dataclass(frozen=True, slots=True)
 class CameraHits:
-    """Which cells which cameras see: P pairs, camera after camera.
+    """Pairs, P of them, of cells and the cameras that see them, camera after camera.
 
     Attributes:
         camera: (P,) int32.
@@ -81,19 +74,12 @@ class CameraHits:
 
 
 def camera_hits(pillars: Tensor, projections: Tensor, height: int, width: int) -> CameraHits:
-    """Find the cells that cameras see.
+    """Pairs of a camera and a cell of whose pillar a point lies in the image and in front of the camera.
 
     With the cameras of nuScenes 18 % of all pairs exist. Keeping those and sampling for them alone costs one wait for
     the device a frame; sampling for all pairs and masking them would cost no wait and 5.5 times the work.
 
-    Args:
-        pillars: (cells, heights, 3) metres.
-        projections: (cameras, 4, 4) to pixels.
-        height: Of the images, pixels.
-        width: Of the images, pixels.
-
-    Returns:
-        Pairs of a camera and a cell of whose pillar a point lies in the image and in front of the camera.
+    `pillars` are (cells, heights, 3) metres, `projections` (cameras, 4, 4) to pixels.
     """
     # Written out, because matrix products may run in reduced precision: a pixel off is a cell lost.
     x, y, z = pillars.unbind(-1)
@@ -111,15 +97,10 @@ def camera_hits(pillars: Tensor, projections: Tensor, height: int, width: int) -
 
 
 def previous_cell_matrix(grid: BEVGrid, angle_deg: float, centre: tuple[float, float]) -> Tensor:
-    """From places in the turned view to places in the previous one.
+    """Matrix from places in the turned view to places in the previous one, on the processor.
 
-    Args:
-        grid: Of both views.
-        angle_deg: By how much the previous view is turned, counter-clockwise in an image whose rows go down.
-        centre: Column and row, in cells, of the point that stays.
-
-    Returns:
-        (2, 3) matrix on (column, row, 1), which are measured in cells from the middle of the grid; on the processor.
+    (2, 3) on (column, row, 1), which are measured in cells from the middle of the grid. The previous view is turned by
+    `angle_deg`, counter-clockwise in an image whose rows go down, around `centre`: column and row, in cells.
     """
     cosine, sine = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
     x, y = centre[0] - 0.5 * grid.columns, centre[1] - 0.5 * grid.rows
@@ -131,15 +112,9 @@ def previous_cell_matrix(grid: BEVGrid, angle_deg: float, centre: tuple[float, f
 
 
 def turned_view(view: Tensor, grid: BEVGrid, matrix: Tensor) -> Tensor:
-    """A bird's-eye view turned in its plane; each cell takes the nearest one of the previous view.
+    """A bird's-eye view, (cells, C), turned in its plane; each cell takes the nearest one of the previous view.
 
-    Args:
-        view: (cells, C).
-        grid: Of the view.
-        matrix: (2, 3) from `previous_cell_matrix`.
-
-    Returns:
-        (cells, C), zero where the previous view has nothing.
+    Zero where the previous view has nothing; `matrix` is from `previous_cell_matrix`.
     """
     rows, columns = grid.shape
     device, exact = view.device, torch.float64

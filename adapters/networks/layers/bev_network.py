@@ -13,11 +13,9 @@ from adapters.networks.layers.ego_motion import CAN_BUS, EgoMotion
 
 
 class BEVTransformer(nn.Module):
-    """The encoder of the bird's-eye view; subclasses add decoders and then, as is published, `can_bus_mlp`.
+    """Encoder of the bird's-eye view; subclasses add decoders and then, as is published, `can_bus_mlp`.
 
-    Args:
-        config: Sizes.
-        level_embeddings: Feature maps for which there are parameters.
+    `level_embeddings` counts the feature maps for which there are parameters.
     """
 
     can_bus_mlp: nn.Sequential
@@ -39,19 +37,10 @@ class BEVTransformer(nn.Module):
         motion: EgoMotion,
         previous: Tensor | None,
     ) -> Tensor:
-        """Bird's-eye view of one moment.
+        """Bird's-eye view of one moment, (cells, C).
 
-        Args:
-            queries: (cells, C).
-            positions: (cells, C).
-            maps: For each level, (cameras, C, h, w) features.
-            images: (cameras, 3, H, W) they are from.
-            projections: (cameras, 4, 4) from metres to pixels.
-            motion: Since the previous moment.
-            previous: (cells, C) the view of the previous moment of the same scene.
-
-        Returns:
-            (cells, C).
+        `queries`, `positions` and the `previous` view of the same scene are (cells, C); `maps` (cameras, C, h, w)
+        features for each level, of (cameras, 3, H, W) images; `projections` (cameras, 4, 4) from metres to pixels.
         """
         features = ImageFeatures.of(maps, images, self.cams_embeds, self.level_embeds)
         turned = None if previous is None else turned_view(previous, self.encoder.grid, motion.previous_cells)
@@ -68,7 +57,7 @@ def bev_decoder(config: BEVConfig) -> DeformableDecoder:
 
 
 def can_bus_network(channels: int) -> nn.Sequential:
-    """From the CAN bus vector to what is added to every cell."""
+    """Layers from the CAN bus vector to the channels that are added to every cell."""
     return nn.Sequential(
         OrderedDict(
             [

@@ -15,13 +15,7 @@ from adapters.networks.layers.sampling import Shapes, deformable_sampling
 
 
 class TemporalSelfAttention(nn.Module):
-    """Cells attend to the previous view and to their own.
-
-    Args:
-        channels: Width of the cells.
-        heads: Divides `channels`.
-        points: Looks per head and view.
-    """
+    """Cells attend to the previous view and to their own. `points` are looks per head and view."""
 
     def __init__(self, channels: int, heads: int, points: int) -> None:
         super().__init__()
@@ -44,17 +38,10 @@ class TemporalSelfAttention(nn.Module):
         shape: tuple[int, int],
         views: tuple[Tensor, Tensor] | None,
     ) -> Tensor:
-        """Attend.
+        """Cells, (cells, C), that have looked at both views.
 
-        Args:
-            cells: (cells, C).
-            positions: (cells, C).
-            references: (cells, 2) x, y, 0 to 1 over both views.
-            shape: Rows and columns.
-            views: (cells, C) of the previous and of this view; the cells stand for both where there is no past.
-
-        Returns:
-            (cells, C).
+        `references` are (cells, 2) x, y, 0 to 1 over both views; `views` (cells, C) of the previous and of this view,
+        for both of which the cells stand where there is no past.
         """
         past = cells if views is None else views[0]
         query = torch.cat([past, cells + positions], -1)
@@ -72,11 +59,7 @@ class TemporalSelfAttention(nn.Module):
 class SpatialCrossAttention(nn.Module):
     """Cells attend to the images that see them.
 
-    Args:
-        channels: Width of cells and image features.
-        heads: Divides `channels`.
-        levels: Feature maps of an image.
-        points: Looks per head and map; a multiple of the heights of a pillar.
+    `levels` are feature maps of an image, `points` looks per head and map, a multiple of the heights of a pillar.
     """
 
     def __init__(self, channels: int, heads: int, levels: int, points: int) -> None:
@@ -87,17 +70,7 @@ class SpatialCrossAttention(nn.Module):
         nn.init.zeros_(self.output_proj.bias)
 
     def forward(self, cells: Tensor, features: Tensor, shapes: Shapes, hits: CameraHits) -> Tensor:
-        """Attend.
-
-        Args:
-            cells: (cells, C).
-            features: (cameras, S, C) cells of all maps.
-            shapes: Rows and columns of the maps.
-            hits: Which cells which cameras see.
-
-        Returns:
-            (cells, C).
-        """
+        """Cells, (cells, C), that have looked at the (cameras, S, C) features of the cameras that see them."""
         pattern = self.deformable_attention
         # Point p belongs to height p modulo heights.
         heights = hits.image_points.shape[1]
@@ -117,16 +90,7 @@ class SpatialCrossAttention(nn.Module):
 
 
 class BEVFormerLayer(nn.Module):
-    """Past, images, feed-forward; each is normalised after its addition.
-
-    Args:
-        channels: Width of the cells.
-        heads: Divides `channels`.
-        hidden: Width of the feed-forward block.
-        levels: Feature maps of an image.
-        bev_points: Looks per head and view.
-        image_points: Looks per head and map.
-    """
+    """Past, images, feed-forward; each is normalised after its addition."""
 
     def __init__(self, channels: int, heads: int, hidden: int, levels: int, bev_points: int, image_points: int) -> None:
         super().__init__()
@@ -158,14 +122,7 @@ class BEVFormerLayer(nn.Module):
 
 @dataclass(frozen=True, slots=True)
 class ImageFeatures:
-    """Features of all cameras.
-
-    Attributes:
-        features: (cameras, S, C), each map row by row, fine to coarse.
-        shapes: Rows and columns of the maps.
-        height: Of the images they are from, pixels.
-        width: Of those images.
-    """
+    """Features of all cameras. (cameras, S, C), each map row by row, fine to coarse."""
 
     features: Tensor
     shapes: tuple[tuple[int, int], ...]
@@ -174,16 +131,10 @@ class ImageFeatures:
 
     @classmethod
     def of(cls, maps: Sequence[Tensor], images: Tensor, cameras: Tensor, levels: Tensor) -> "ImageFeatures":
-        """Put maps in one row and say of each cell which camera and level it is from.
+        """Features with all maps in one row, each cell with the embedding of its camera and level.
 
-        Args:
-            maps: For each level, (cameras, C, h, w).
-            images: (cameras, 3, H, W) they are from.
-            cameras: (cameras, C) embeddings.
-            levels: (levels or more, C) embeddings.
-
-        Returns:
-            The features.
+        `maps` are (cameras, C, h, w) for each level, of (cameras, 3, H, W) images; `cameras` (cameras, C) and `levels`
+        (levels or more, C) are embeddings.
         """
         flat = [
             features.flatten(2).transpose(1, 2) + cameras[:, None] + levels[level]
@@ -194,11 +145,7 @@ class ImageFeatures:
 
 
 class BEVFormerEncoder(nn.Module):
-    """A stack of `BEVFormerLayer` over a grid.
-
-    Args:
-        config: Sizes.
-    """
+    """A stack of `BEVFormerLayer` over a grid."""
 
     pillars: Tensor
     centres: Tensor
@@ -225,19 +172,12 @@ class BEVFormerEncoder(nn.Module):
         shift: Tensor,
         previous: Tensor | None,
     ) -> Tensor:
-        """Encode one moment.
+        """Bird's-eye view of one moment, (cells, C), from (cells, C) queries and positions.
 
-        Args:
-            cells: (cells, C) queries.
-            positions: (cells, C).
-            images: Of all cameras.
-            projections: (cameras, 4, 4) from metres to pixels of the images.
-            shift: (2,) x, y by which the ego moved, 1 for the length of the grid. Both views are sampled as if
-                shifted, the present one too: the published code adds in place, and its weights have learned it.
-            previous: (cells, C) the previous view, turned to the present heading.
-
-        Returns:
-            (cells, C).
+        `projections` are (cameras, 4, 4) from metres to pixels of the images; `shift` is (2,) x, y by which the ego
+        moved, 1 for the length of the grid. Both views are sampled as if shifted, the present one too: the published
+        code adds in place, and its weights have learned it. `previous` is the (cells, C) previous view, turned to the
+        present heading.
         """
         hits = camera_hits(self.pillars, projections, images.height, images.width)
         references = self.centres + shift

@@ -7,56 +7,33 @@ from torch import Tensor
 
 
 def logit(shares: Tensor, closest: float = 1e-5) -> Tensor:
-    """Inverse of the sigmoid, finite at both ends.
+    """Inverse of the sigmoid, finite at both ends: neither a number nor its complement counts as less than `closest`.
 
-    Args:
-        shares: Numbers, of which what lies outside 0 to 1 is moved to the nearer end.
-        closest: Neither a number nor its complement counts as less than this.
-
-    Returns:
-        The same shape.
+    Numbers outside 0 to 1 are moved to the nearer end.
     """
     shares = shares.clamp(0, 1)
     return torch.log(shares.clamp(min=closest) / (1 - shares).clamp(min=closest))
 
 
 def metres(shares: Tensor, lower: Sequence[float], upper: Sequence[float]) -> Tensor:
-    """Positions from shares of a range.
-
-    Args:
-        shares: (..., D), 0 to 1.
-        lower: D coordinates of one corner, metres.
-        upper: D coordinates of the other.
-
-    Returns:
-        (..., D) metres.
-    """
+    """Positions in metres from shares, (..., D) of 0 to 1, of a range between two corners of D coordinates."""
     axes = [shares[..., axis] * (high - low) + low for axis, (low, high) in enumerate(zip(lower, upper, strict=True))]
     return torch.stack(axes, -1)
 
 
 def box_codes(centres: Tensor, corrections: Tensor) -> Tensor:
-    """Codes of boxes from centres in metres and what a branch predicted.
+    """Codes of boxes from (..., 3) centres in metres and the (..., 10) corrections of a branch: all but 0, 1 and 4.
 
-    Args:
-        centres: (..., 3) metres.
-        corrections: (..., 10), of which all but 0, 1 and 4 are used.
-
-    Returns:
-        (..., 10) x, y, log width, log length, z, log height, sin yaw, cos yaw, velocity x, y.
+    (..., 10) x, y, log width, log length, z, log height, sin yaw, cos yaw, velocity x, y.
     """
     x_y, z = centres[..., :2], centres[..., 2:3]
     return torch.cat([x_y, corrections[..., 2:4], z, corrections[..., 5:]], -1)
 
 
 def decode_boxes(codes: Tensor) -> Tensor:
-    """Boxes from their codes.
+    """Boxes from their codes, (..., 10) as `box_codes` gives them.
 
-    Args:
-        codes: (..., 10) as `box_codes` gives them.
-
-    Returns:
-        (..., 9) centre x, y, z, width, length, height, yaw, velocity x, y; sine and cosine need not be of one circle.
+    (..., 9) centre x, y, z, width, length, height, yaw, velocity x, y; sine and cosine need not be of one circle.
     """
     x_y, z = codes[..., 0:2], codes[..., 4:5]
     sizes = torch.cat([codes[..., 2:4], codes[..., 5:6]], -1).exp()
@@ -67,12 +44,7 @@ def decode_boxes(codes: Tensor) -> Tensor:
 def strongest(logits: Tensor, limit: int) -> tuple[Tensor, Tensor, Tensor]:
     """The most certain pairs of query and class; a query may appear with several classes.
 
-    Args:
-        logits: (Q, classes).
-        limit: Most pairs.
-
-    Returns:
-        Scores 0 to 1, falling; classes; queries.
+    Scores 0 to 1, falling; classes; queries; from (Q, classes) logits.
     """
     scores, pairs = logits.float().sigmoid().flatten().topk(min(limit, logits.numel()))
     classes = logits.shape[-1]
@@ -80,14 +52,7 @@ def strongest(logits: Tensor, limit: int) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def line_extent(points: Tensor) -> Tensor:
-    """Smallest upright rectangle around a line.
-
-    Args:
-        points: (..., P, 2).
-
-    Returns:
-        (..., 4) centre x, y, width, height.
-    """
+    """Smallest upright rectangle, (..., 4) centre x, y, width, height, around a line of (..., P, 2)."""
     low, high = points.amin(-2), points.amax(-2)
     return torch.cat([(low + high) / 2, high - low], -1)
 

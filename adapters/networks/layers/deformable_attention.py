@@ -9,15 +9,9 @@ from adapters.networks.layers.sampling import Shapes, deformable_sampling
 
 
 def ring_of_offsets(heads: int, levels: int, points: int) -> Tensor:
-    """Where an untrained network looks: each head in its own direction, its points one to `points` cells away.
+    """Offsets of an untrained network: each head in its own direction, its points one to `points` cells away.
 
-    Args:
-        heads: Directions, evenly over the circle.
-        levels: Repeated for each.
-        points: Per head and level.
-
-    Returns:
-        (heads * levels * points * 2,) x, y in cells.
+    (heads * levels * points * 2,) x, y in cells; directions are spread evenly over the circle.
     """
     angles = torch.arange(heads, dtype=torch.float32) * (2 * math.pi / heads)
     direction = torch.stack([angles.cos(), angles.sin()], -1)
@@ -28,14 +22,9 @@ def ring_of_offsets(heads: int, levels: int, points: int) -> Tensor:
 
 
 class SamplingPattern(nn.Module):
-    """What any deformable attention predicts from its queries: where to look, and how much each look counts.
+    """Pattern that deformable attention predicts from its queries: where to look, and how much each look counts.
 
-    Args:
-        query_channels: Width of what the pattern is predicted from.
-        channels: Width of the values.
-        heads: Divides `channels`.
-        levels: Feature maps.
-        points: Looks per head and level.
+    `query_channels` is the width of the queries, `channels` that of the values; `points` are looks per head and level.
     """
 
     def __init__(self, query_channels: int, channels: int, heads: int, levels: int, points: int) -> None:
@@ -70,14 +59,7 @@ class SamplingPattern(nn.Module):
 
 
 class DeformableAttention(SamplingPattern):
-    """Multi-scale deformable attention, added to what it came from.
-
-    Args:
-        channels: Width of tokens and values.
-        heads: Divides `channels`.
-        levels: Feature maps.
-        points: Looks per head and level.
-    """
+    """Multi-scale deformable attention, added to what it came from. `points` are looks per head and level."""
 
     def __init__(self, channels: int, heads: int, levels: int, points: int) -> None:
         super().__init__(channels, channels, heads, levels, points)
@@ -88,17 +70,9 @@ class DeformableAttention(SamplingPattern):
     def forward(
         self, tokens: Tensor, positions: Tensor, references: Tensor, features: Tensor, shapes: Shapes
     ) -> Tensor:
-        """Attend.
+        """Tokens, (Q, C), that have looked at (S, C) cells of all maps around (Q, 2) x, y, 0 to 1 over every map.
 
-        Args:
-            tokens: (Q, C).
-            positions: (Q, C), added for the prediction of the pattern only.
-            references: (Q, 2) x, y, 0 to 1 over every map.
-            features: (S, C) cells of all maps.
-            shapes: Rows and columns of the maps.
-
-        Returns:
-            (Q, C).
+        `positions` are added for the prediction of the pattern only.
         """
         query = tokens + positions
         sampled = deformable_sampling(

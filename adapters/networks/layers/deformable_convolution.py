@@ -6,13 +6,7 @@ from torch import Tensor, nn
 
 
 class DeformableConvolution(nn.Module):
-    """A 3 x 3 convolution without bias whose nine taps are moved and weighted, place by place, as its input asks.
-
-    Args:
-        inputs: Input channels.
-        outputs: Output channels.
-        stride: Of the output grid.
-    """
+    """A 3 x 3 convolution without bias whose nine taps are moved and weighted, place by place, as its input asks."""
 
     def __init__(self, inputs: int, outputs: int, stride: int = 1) -> None:
         super().__init__()
@@ -33,17 +27,10 @@ class DeformableConvolution(nn.Module):
 
 
 def modulated_convolution(images: Tensor, weight: Tensor, offsets: Tensor, mask: Tensor, stride: int) -> Tensor:
-    """The convolution itself; bilinear between pixels, zero outside.
+    """Convolution, (B, O, h, w), of (B, C, H, W) images with moved taps; bilinear between pixels, zero outside.
 
-    Args:
-        images: (B, C, H, W).
-        weight: (O, C, 3, 3).
-        offsets: (B, 18, h, w) y, x of the taps in pixels, tap after tap, row by row.
-        mask: (B, 9, h, w) how much each tap counts.
-        stride: Of the output grid.
-
-    Returns:
-        (B, O, h, w).
+    `weight` is (O, C, 3, 3), `offsets` (B, 18, h, w) y, x of the taps in pixels, tap after tap, row by row, `mask` (B,
+    9, h, w) how much each tap counts.
     """
     batch, channels, height, width = images.shape
     rows, columns = offsets.shape[-2:]

@@ -14,12 +14,7 @@ from adapters.networks.layers.sampling import Shapes
 class DeformableDecoderLayer(nn.Module):
     """Self-attention, deformable attention to maps, feed-forward; each is normalised after its addition.
 
-    Args:
-        channels: Width of the tokens.
-        heads: Divides `channels`.
-        hidden: Width of the feed-forward block.
-        levels: Feature maps.
-        points: Looks per head and map.
+    `points` are looks per head and map.
     """
 
     def __init__(self, channels: int, heads: int, hidden: int, levels: int, points: int) -> None:
@@ -42,7 +37,7 @@ class DeformableDecoderLayer(nn.Module):
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """What the K layers of a decoder leave.
+    """Results of the K layers of a decoder.
 
     Attributes:
         states: (K, Q, C) tokens after each layer.
@@ -76,19 +71,11 @@ class DeformableDecoder(nn.Module):
         branches: nn.ModuleList,
         moved: tuple[int, ...],
     ) -> Decoded:
-        """Decode.
+        """Decode (Q, C) tokens against (S, C) cells of all maps; the result holds all that happened on the way.
 
-        Args:
-            tokens: (Q, C).
-            positions: (Q, C).
-            references: (Q, R), R at least 2: x, y first, 0 to 1.
-            features: (S, C) cells of all maps.
-            shapes: Rows and columns of the maps.
-            branches: For each layer, what predicts (Q, D) corrections from tokens.
-            moved: For each of the R coordinates, which of the D corrections is added to its logit.
-
-        Returns:
-            Everything that happened on the way.
+        `references` are (Q, R), R at least 2: x, y first, 0 to 1. `branches` predict (Q, D) corrections from tokens,
+        one for each layer; `moved` says for each of the R coordinates which of the D corrections is added to its
+        logit.
         """
         first, columns = references.float(), list(moved)
         references = first

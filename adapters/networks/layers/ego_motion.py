@@ -31,16 +31,10 @@ class EgoMotion:
     def between(
         cls, previous: Tensor | None, present: Tensor, grid: BEVGrid, rotation_centre: tuple[float, float]
     ) -> "EgoMotion":
-        """Motion between two absolute CAN bus vectors.
+        """Motion between two absolute CAN bus vectors, (18,) float64; on the processor.
 
-        Args:
-            previous: (18,) float64, ``None`` in the first frame of a scene.
-            present: (18,) float64.
-            grid: The bird's-eye view.
-            rotation_centre: Column and row around which the previous view is turned.
-
-        Returns:
-            The motion, on the processor.
+        `previous` is ``None`` in the first frame of a scene; `rotation_centre` column and row around which the
+        previous view is turned.
         """
         motion = present.detach().to("cpu", torch.float64, copy=True)
         # The turn may pass 360 degrees and is not brought back: the published weights know it so.
@@ -61,6 +55,6 @@ class EgoMotion:
         )
 
     def to(self, device: torch.device) -> "EgoMotion":
-        """The same on a device, in single precision, with one transfer."""
+        """Motion on a device, in single precision, with one transfer."""
         packed = torch.cat([self.can_bus.float(), self.shift, self.previous_cells.flatten()]).to(device)
         return EgoMotion(packed[:CAN_BUS], packed[CAN_BUS : CAN_BUS + 2], packed[CAN_BUS + 2 :].view(2, 3))

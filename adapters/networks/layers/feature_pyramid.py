@@ -23,8 +23,6 @@ class FeaturePyramid(nn.Module):
     """Lateral 1 x 1 convolutions, a sum from coarse to fine, 3 x 3 convolutions, and coarser levels from the last.
 
     Args:
-        inputs: Channels of the incoming maps, fine to coarse.
-        channels: Of all outgoing maps.
         levels: Outgoing maps; those past the incoming ones are strided convolutions of the one before them.
         relu_before_extra: Whether those convolutions, but for the first of them, see what is positive only. (The first
             sees all in the published code too, whatever its option says; golden numbers of VAD-base confirm it.)

@@ -12,17 +12,11 @@ Module = TypeVar("Module", bound=nn.Module)
 
 
 def folded(network: Module) -> Module:
-    """Fold the normalisation of residual networks into the convolutions before it, in place.
+    """Fold the normalisation of residual networks, in evaluation mode, into the convolutions before it, in place.
 
     It multiplies and shifts each channel by stored numbers, which the weights of a convolution can do at once. Results
     differ in the last bits; names of parameters change, so that weights are loaded before. Deformable convolutions keep
     theirs. The network cannot be trained any more. Once is enough: what is folded stays as it is.
-
-    Args:
-        network: With its weights, in evaluation mode.
-
-    Returns:
-        The same network.
     """
     for module in network.modules():
         if isinstance(module, ResNet):
@@ -40,12 +34,6 @@ def channels_last(network: Module) -> Module:
 
     Features follow the layout of the weights, so that no convolution has to turn them. Where some are deformable, whose
     products want channels first, everything stays.
-
-    Args:
-        network: On a processor.
-
-    Returns:
-        The same network.
     """
     for module in network.modules():
         if isinstance(module, ResNet) and not module.deformable:

@@ -16,10 +16,6 @@ class FrontEyes(nn.Module):
     """A residual network without its last stage; what it makes of coarse cells is added to the finer ones.
 
     The maps that boxes and lines of all cameras are found in cannot change for the plan's sake. These can.
-
-    Args:
-        width: Channels after the first convolution.
-        channels: Of the map.
     """
 
     def __init__(self, width: int, channels: int) -> None:
@@ -38,16 +34,9 @@ class FrontEyes(nn.Module):
 
 
 def seen_ahead(eyes: FrontEyes | None, finest: Tensor, images: Tensor, cameras: int) -> Tensor:
-    """What plans look at of front cameras.
+    """Maps of the front cameras that plans look at, (B, C, h, w).
 
-    Args:
-        eyes: The plan's own, if it has any.
-        finest: (B * cameras, C, h, w) finest feature maps of all cameras.
-        images: (B * cameras, 3, H, W), normalised.
-        cameras: Of each moment.
-
-    Returns:
-        (B, C, h, w).
+    From (B * cameras, C, h, w) finest feature maps of all cameras, and normalised (B * cameras, 3, H, W) images.
     """
     every = slice(FRONT, None, cameras)
     return finest[every] if eyes is None else eyes(images[every])

@@ -16,15 +16,12 @@ NARROW = 32
 
 
 class FrontReader(nn.Module):
-    """What the plan of a small network takes from the front camera's finest feature map.
+    """Reader of the front camera's finest feature map for the plan of a small network.
 
-    A cell of a small bird's-eye view is larger than a lane is off its middle; in the image it is some pixels.
-
-    Args:
-        channels: Of the map. It is halved twice, and brought to `FRONT_CELLS` where it is not as large by then.
-        numbers: That are taken from it.
-        told: Width of what is made of them for the plan.
-        compares: Whether the plan is also told how they have changed: one image does not say how fast anything moves.
+    A cell of a small bird's-eye view is larger than a lane is off its middle; in the image it is some pixels. The map
+    is halved twice, and brought to `FRONT_CELLS` where it is not as large by then; `numbers` are taken from it, and
+    `told` is the width of their message to the plan. With `compares` the plan is also told how they have changed: one
+    image does not say how fast anything moves.
     """
 
     def __init__(self, channels: int, numbers: int, told: int, *, compares: bool = False) -> None:
@@ -45,14 +42,9 @@ class FrontReader(nn.Module):
         return result
 
     def told(self, numbers: Tensor, before: Tensor | None) -> Tensor:
-        """What the plan is told.
+        """Message to the plan, (B, told), of the (B, numbers) of these key frames.
 
-        Args:
-            numbers: (B, numbers) of these key frames.
-            before: What the key frames before have left (`left`); ``None`` at the start of a scene.
-
-        Returns:
-            (B, told).
+        `before` is what the key frames before have left (`left`); ``None`` at the start of a scene.
         """
         told: Tensor = self.tell(numbers)
         if self.tell_change is not None and before is not None:
@@ -61,7 +53,7 @@ class FrontReader(nn.Module):
 
     @staticmethod
     def left(numbers: Tensor, before: Tensor | None) -> Tensor:
-        """What is left for the next key frames: a mean that forgets, since each image errs by itself."""
+        """Numbers left for the next key frames: a mean that forgets, since each image errs by itself."""
         return numbers if before is None else before + KEPT_OF_NOW * (numbers - before)
 
     def only_tell(self) -> None:

@@ -12,13 +12,10 @@ USUAL = (10.0, 3.0, 0.3)
 
 
 class MotionTeller(nn.Module):
-    """What a plan is told of speed, acceleration and yaw rate; nothing before it has learned.
+    """Message to a plan of speed, acceleration and yaw rate; nothing before it has learned.
 
     Through the cells of a small bird's-eye view it learns the speed to a few tenths of a metre per second only, and
     such an error comes back with every plan of a drive.
-
-    Args:
-        told: Width of what the plan is told.
     """
 
     places: Tensor

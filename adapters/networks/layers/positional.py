@@ -7,13 +7,7 @@ from torch import Tensor, nn
 
 
 class LearnedGridEncoding(nn.Module):
-    """A vector per row and one per column; a cell has those of its column and its row, one after the other.
-
-    Args:
-        rows: Of the grid.
-        columns: Of the grid.
-        channels: Of the result, even.
-    """
+    """A vector per row and one per column; a cell has those of its column and its row, one after the other."""
 
     def __init__(self, rows: int, columns: int, channels: int) -> None:
         super().__init__()
@@ -32,13 +26,8 @@ class LearnedGridEncoding(nn.Module):
 def sine_features(numbers: Tensor, features: int, temperature: float = 10000.0) -> Tensor:
     """Sines and cosines of falling frequency.
 
-    Args:
-        numbers: (...) radians at the highest frequency.
-        features: How many, even.
-        temperature: Ratio of the highest to the frequency that would follow the lowest.
-
-    Returns:
-        (..., features), sines at even and cosines at odd places; two neighbours share a frequency.
+    (..., features) of (...) radians at the highest frequency, sines at even and cosines at odd places; two neighbours
+    share a frequency. `temperature` is the ratio of the highest to the frequency that would follow the lowest.
     """
     exponents = torch.arange(0, features, 2, device=numbers.device, dtype=numbers.dtype) / features
     angles = numbers[..., None] / temperature**exponents
@@ -48,14 +37,8 @@ def sine_features(numbers: Tensor, features: int, temperature: float = 10000.0) 
 def sine_grid_encoding(rows: int, columns: int, features: int, offset: float = -0.5) -> Tensor:
     """Sines of the row, then of the column, each scaled to one turn over the grid.
 
-    Args:
-        rows: Of the grid.
-        columns: Of the grid.
-        features: For each axis.
-        offset: Added to rows and columns, which count from one; -0.5 puts them at the centres of cells.
-
-    Returns:
-        (rows * columns, 2 * features) float32, row by row.
+    (rows * columns, 2 * features) float32, row by row. `offset` is added to rows and columns, which count from one;
+    -0.5 puts them at the centres of cells.
     """
     # Kept from dividing by zero in the published code, so it is in the published numbers.
     guard = 1e-6

@@ -12,7 +12,7 @@ from benchmark.geometry import Floats
 
 @dataclass(frozen=True, slots=True)
 class Reporting:
-    """What counts as a forecast, and which way a short plan leads.
+    """Rules of reporting: which boxes count as forecasts, and which way a short plan leads.
 
     Attributes:
         least_score: Boxes of a lower score do not: networks always report a hundred or more.
@@ -35,16 +35,10 @@ STANDING_M: Final = 1.0
 
 
 def said_once(centres: Tensor, lengths: Tensor, certainty: Tensor, apart: float) -> Tensor:
-    """Leave out what says again what a more certain one has said (non-maximum suppression).
+    """Whether each of N centres is left without those that a more certain one has said (non-maximum suppression).
 
-    Args:
-        centres: (N, 2) metres.
-        lengths: (N,) metres.
-        certainty: (N,) the greater, the earlier; of equal ones the first is the earlier.
-        apart: As in `Reporting`.
-
-    Returns:
-        (N,) whether each is left.
+    `centres` are (N, 2) and `lengths` (N,) metres; of equal certainty the first is the earlier; `apart` as in
+    `Reporting`.
     """
     if apart <= 0:
         return torch.ones(len(centres), dtype=torch.bool, device=centres.device)
@@ -61,14 +55,9 @@ def said_once(centres: Tensor, lengths: Tensor, certainty: Tensor, apart: float)
 
 
 def steered(plans: Floats, steered_from_m: float) -> Floats:
-    """Plans whose offset aside is smaller where they hardly lead anywhere.
+    """Plans, (..., S, 2) to the right and ahead in metres, whose offset aside is smaller where they hardly move.
 
-    Args:
-        plans: (..., S, 2) positions to the right and ahead, metres.
-        steered_from_m: As in `Reporting`; 0 or more than `STANDING_M`.
-
-    Returns:
-        (..., S, 2).
+    `steered_from_m` as in `Reporting`; 0 or more than `STANDING_M`.
     """
     if steered_from_m <= 0:
         return plans

@@ -15,12 +15,8 @@ EXPANSION = 4
 class Bottleneck(nn.Module):
     """1 x 1, 3 x 3 and 1 x 1 convolutions beside a shortcut.
 
-    Args:
-        inputs: Input channels.
-        inner: Channels of the 3 x 3 convolution; the output has four times as many.
-        stride: Of the block.
-        style: Which convolution strides: ``pytorch`` the 3 x 3, ``caffe`` the first 1 x 1.
-        deformable: Whether the 3 x 3 convolution is deformable.
+    `style` says which convolution strides: ``pytorch`` the 3 x 3, ``caffe`` the first 1 x 1. The output has four times
+    `inner` channels.
     """
 
     def __init__(
@@ -56,12 +52,7 @@ class Bottleneck(nn.Module):
 class ResNet(nn.Module):
     """A network of bottlenecks in four stages; its normalisation always uses the stored statistics.
 
-    Args:
-        blocks: Blocks of each stage: (3, 4, 6, 3) is ResNet-50, (3, 4, 23, 3) ResNet-101.
-        outputs: Stages, 0 to 3, whose features are returned.
-        width: Channels after the first convolution.
-        style: As in `Bottleneck`.
-        deformable_stages: Stages whose 3 x 3 convolutions are deformable.
+    (3, 4, 6, 3) blocks are ResNet-50, (3, 4, 23, 3) ResNet-101; `width` are the channels after the first convolution.
     """
 
     def __init__(
@@ -99,14 +90,7 @@ class ResNet(nn.Module):
         return self
 
     def forward(self, images: Tensor) -> list[Tensor]:
-        """Extract features.
-
-        Args:
-            images: (B, 3, H, W).
-
-        Returns:
-            For each output stage s, (B, 4 * width * 2^s, H / 2^(s + 2), W / 2^(s + 2)).
-        """
+        """Features of (B, 3, H, W) images; (B, 4 * width * 2^s, H / 2^(s + 2), W / 2^(s + 2)) of output stage s."""
         features = F.relu(self.bn1(self.conv1(images)), inplace=True)
         features = F.max_pool2d(features, 3, 2, padding=1)
         found = []

@@ -25,7 +25,6 @@ def deformable_sampling(
 
     Args:
         values: (B, S, heads, c) maps of B sources, each flattened row by row, level after level: S cells.
-        shapes: Rows and columns of the L levels.
         references: (Q, ..., 2) x, y where 0 to 1 spans a map; broadcast against `offsets`.
         offsets: (Q, heads, L, P, 2) x, y in cells of the level.
         weights: (Q, heads, L, P).

@@ -15,15 +15,13 @@ NEAREST_DEPTH_M = 1e-5
 
 @dataclass(frozen=True, slots=True)
 class CameraFeatures:
-    """What the cameras saw in a key frame, or in B of them side by side.
+    """Features of the cameras in a key frame, or in B of them side by side.
 
     Attributes:
         values: (cameras or B * cameras, S, C) features of all levels, each flattened row by row, level after level: S
             cells.
         shapes: Rows and columns of the levels, fine to coarse.
         projections: (cameras, 4, 4) or (B, cameras, 4, 4) float32, lidar frame in metres to pixels of the input images.
-        height_px: Of the input images.
-        width_px: Of the input images.
     """
 
     values: Tensor
@@ -34,29 +32,15 @@ class CameraFeatures:
 
     @classmethod
     def of(cls, maps: Sequence[Tensor], projections: Tensor, height_px: int, width_px: int) -> "CameraFeatures":
-        """From feature maps.
-
-        Args:
-            maps: (cameras or B * cameras, C, h, w) for each level, fine to coarse.
-            projections: (cameras, 4, 4) or (B, cameras, 4, 4).
-            height_px: Of the images.
-            width_px: Of the images.
-
-        Returns:
-            The same, ready to be sampled.
-        """
+        """Features from maps of (cameras or B * cameras, C, h, w) for each level, fine to coarse."""
         values = torch.cat([features.flatten(2) for features in maps], -1).transpose(1, 2).contiguous()
         shapes = tuple((int(features.shape[-2]), int(features.shape[-1])) for features in maps)
         return cls(values, shapes, projections, height_px, width_px)
 
     def locate(self, points: Tensor) -> Tensor:
-        """Where points are in the images.
+        """Places in the images of points of (..., N, P, 3) metres, lidar frame, with a leading B of several key frames.
 
-        Args:
-            points: (..., N, P, 3) metres, lidar frame; with a leading B where there are several key frames.
-
-        Returns:
-            (..., N, cameras, P, 2) x, y where 0 to 1 spans the image; also what lies outside.
+        (..., N, cameras, P, 2) x, y where 0 to 1 spans the image; also of points outside.
         """
         # Written out, because matrix products may run in reduced precision: a pixel off is another feature.
         x, y, z = points[..., None, :, :].float().unbind(-1)
@@ -136,14 +120,13 @@ def _neighbours(shapes: Sequence[tuple[int, int]], x: Tensor, y: Tensor) -> tupl
 
 
 class CameraSampling(nn.Module):
-    """How much of which camera, level and point a query takes; the base of modules that sample images.
+    """Weights of cameras, levels and points in a query; the base of modules that sample images.
 
     Subclasses make the three modules, because the order of their names is that of the published checkpoints.
 
     Attributes:
         camera_encoder: From the first three rows of a projection to channels.
         weights_fc: From a query and a camera to weights of levels, points and groups.
-        output_proj: On the sum of samples.
     """
 
     camera_encoder: nn.Sequential
@@ -155,15 +138,9 @@ class CameraSampling(nn.Module):
         self.groups = groups
 
     def sample(self, queries: Tensor, points: Tensor, cameras: CameraFeatures) -> Tensor:
-        """Sample images.
+        """Samples of the images, (..., N, C) at (..., N, P, 3) metres, lidar frame, for queries of (..., N, C).
 
-        Args:
-            queries: (..., N, C), with a leading B where there are several key frames.
-            points: (..., N, P, 3) metres, lidar frame.
-            cameras: What there is to sample.
-
-        Returns:
-            (..., N, C).
+        A leading B where there are several key frames.
         """
         count, levels, total = points.shape[-2], len(cameras.shapes), queries.shape[:-1].numel()
         views = self.camera_encoder(cameras.projections[..., :3, :].flatten(-2))
@@ -182,5 +159,5 @@ class CameraSampling(nn.Module):
 
 
 def camera_encoder(channels: int) -> nn.Sequential:
-    """From the twelve numbers of a camera's projection to channels."""
+    """Layers from the twelve numbers of a camera's projection to channels."""
     return encoder(12, channels, 2)

@@ -33,7 +33,7 @@ CHUNK: Final = 4096
 
 @dataclass(frozen=True, slots=True)
 class Sightings:
-    """What a data set holds of the things that queries are for; lidar frame, metres.
+    """Sightings in a data set of the things that queries are for; lidar frame, metres.
 
     Attributes:
         box_centres: (N, 3) of boxes.
@@ -49,18 +49,9 @@ class Sightings:
 
 
 def anchors_of(sightings: Sightings, config: SparseConfig) -> dict[str, Tensor]:
-    """Cluster what a data set holds.
+    """Anchors clustered from the sightings of a data set: float32 tensors under the names of the network.
 
-    Args:
-        sightings: Of the data set.
-        config: Of the network that gets the anchors.
-
-    Returns:
-        float32 tensors under the names of the network. An agent class that is seen too rarely repeats the futures it
-        has, and one that is never seen stands still.
-
-    Raises:
-        InputError: If the data set has too few boxes, lines or plans, or other steps.
+    An agent class that is seen too rarely repeats the futures it has, and one that is never seen stands still.
     """
     centres = _numbers(sightings.box_centres, "boxes", 3)
     boxes = np.zeros((config.anchors, BOX_CODE))
@@ -90,16 +81,7 @@ def anchors_of(sightings: Sightings, config: SparseConfig) -> dict[str, Tensor]:
 def with_anchors(checkpoint: Mapping[str, Tensor], anchors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Tensors of a checkpoint, with anchors where it has none of its own.
 
-    Args:
-        checkpoint: By name.
-        anchors: By name, as `anchors_of` gives them.
-
-    Returns:
-        Tensors by name; what the checkpoint has, stays.
-
-    Raises:
-        InputError: If the checkpoint has anchors that these are not: of another shape, or other ones where training
-            leaves them as they are.
+    Anchors of another shape, or other ones where training leaves them as they are, are an `InputError`.
     """
     for name, made in anchors.items():
         own = checkpoint.get(name)
@@ -122,16 +104,7 @@ def with_anchors(checkpoint: Mapping[str, Tensor], anchors: Mapping[str, Tensor]
 def clustered(points: Floats, clusters: int, what: str) -> Floats:
     """Centres of clusters (k-means, Lloyd 1982, from spread starts, Arthur and Vassilvitskii 2007).
 
-    Args:
-        points: (N, ...) metres.
-        clusters: How many.
-        what: They are, for the seed and for messages.
-
-    Returns:
-        (clusters, ...), the same for the same points.
-
-    Raises:
-        InputError: If there are fewer different points than clusters.
+    (clusters, ...) of (N, ...) metres, the same for the same points; `what` they are is for the seed and for messages.
     """
     flat = points.reshape(len(points), math.prod(points.shape[1:]))
     different = len(np.unique(flat, axis=0)) if len(flat) else 0

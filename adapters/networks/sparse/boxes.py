@@ -20,16 +20,7 @@ FACE = 0.45
 
 
 def carry_boxes(boxes: Tensor, motion: RigidMotion, seconds: Tensor | float) -> Tensor:
-    """Boxes of a remembered frame, seen from the present one.
-
-    Args:
-        boxes: (..., 11).
-        motion: From that frame to the present one.
-        seconds: For how long they move on with their velocities.
-
-    Returns:
-        (..., 11).
-    """
+    """Boxes of a remembered frame, (..., 11), seen from the present one after `seconds` at their velocities."""
     centre = motion.move(boxes[..., 0:3] + boxes[..., 8:11] * seconds)
     heading = motion.turn(boxes[..., 6:8].flip(-1)).flip(-1)
     return torch.cat([centre, boxes[..., 3:6], heading, motion.turn(boxes[..., 8:11])], -1)
@@ -76,14 +67,9 @@ class BoxPoints(nn.Module):
         self.learnable_fc = nn.Linear(channels, learned_points * 3)
 
     def forward(self, features: Tensor, boxes: Tensor) -> Tensor:
-        """Place the points.
+        """Points of boxes, (..., N, P, 3) metres: the centre, six near the faces, then those that are learned.
 
-        Args:
-            features: (..., N, C).
-            boxes: (..., N, 11).
-
-        Returns:
-            (..., N, P, 3) metres: the centre, six near the faces, then those that are learned.
+        From features of (..., N, C) and boxes of (..., N, 11).
         """
         learned = self.learnable_fc(features).float().unflatten(-1, (-1, 3)).sigmoid() - 0.5
         shares = torch.cat([self.fix_scale.expand(*boxes.shape[:-1], -1, -1), learned], -2)
@@ -123,16 +109,9 @@ class BoxRefinement(nn.Module):
     def forward(
         self, features: Tensor, boxes: Tensor, embeddings: Tensor, interval_s: Tensor | float
     ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Refine.
+        """Refined (..., N, 11) boxes, (..., N, classes) logits and (..., N, 2) qualities.
 
-        Args:
-            features: (..., N, C).
-            boxes: (..., N, 11).
-            embeddings: (..., N, C) of the boxes.
-            interval_s: By which changes of velocity are divided.
-
-        Returns:
-            (..., N, 11) boxes, (..., N, classes) logits, (..., N, 2) qualities.
+        Features and embeddings are (..., N, C); changes of velocity are divided by `interval_s`.
         """
         tokens = features + embeddings
         changes = self.layers(tokens).float()

@@ -9,17 +9,7 @@ from adapters.networks.layers.positional import sine_features
 
 
 def normalised_layers(inputs: int, channels: int, linears: int, norms: int) -> list[nn.Module]:
-    """Groups of linear layers, each followed by a ReLU, with a normalisation after every group.
-
-    Args:
-        inputs: Width of the input.
-        channels: Width of all else.
-        linears: Linear layers of a group.
-        norms: Groups.
-
-    Returns:
-        The layers in order.
-    """
+    """Groups of linear layers, each followed by a ReLU, with a normalisation after every group."""
     layers: list[nn.Module] = []
     for _ in range(norms):
         for _ in range(linears):
@@ -62,13 +52,7 @@ def correction_branch(channels: int, outputs: int) -> nn.Sequential:
 
 
 class FeedForward(nn.Module):
-    """Two linear layers beside a third, all of them on the normalised input.
-
-    Args:
-        inputs: Width of the input.
-        channels: Width of the result.
-        hidden: Width in between.
-    """
+    """Two linear layers beside a third, all of them on the normalised input."""
 
     def __init__(self, inputs: int, channels: int, hidden: int) -> None:
         super().__init__()
@@ -98,8 +82,6 @@ def decoupled_attention(
 
     Args:
         layer: A `ResidualAttention` of twice the width of the features.
-        widen: From features to values.
-        narrow: From the result, embeddings included, to features.
         query: Features and embeddings, (..., Q, C) each.
         key: The same of what is looked at, (..., K, C); without it queries look at each other, and then their values
             are not features that `widen` made wide but the queries as they are.
@@ -116,13 +98,5 @@ def decoupled_attention(
 
 
 def sine_of_points(points: Tensor, features: int) -> Tensor:
-    """Sines and cosines of the coordinates.
-
-    Args:
-        points: (..., 2) x, y in metres, which count as turns.
-        features: How many in all; half are for each coordinate.
-
-    Returns:
-        (..., features), those of y first.
-    """
+    """Sines and cosines, (..., features) with those of y first, of (..., 2) x, y in metres, which count as turns."""
     return sine_features(2 * math.pi * points.flip(-1), features // 2).flatten(-2)

@@ -20,7 +20,7 @@ def image_length_fits(pixels: int) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class SparseConfig:
-    """What fixes the names and the shapes of a network's parameters, and how it remembers.
+    """Sizes that fix names and shapes of a network's parameters, and how it remembers.
 
     The two planners have the same sizes; which one it is, the class of the network says.
 
@@ -42,8 +42,6 @@ class SparseConfig:
         lines: Map queries.
         remembered_lines: Of these, how many the next frame gets.
         points_per_line: Points of a map element.
-        agent_classes: Kinds of agents.
-        map_classes: Kinds of map elements.
         learned_points: Points of a box at which images are sampled, besides its centre and six near its faces.
         samples_per_height: Points at each height of a map point at which images are sampled.
         queue_frames: Frames that the planner looks back on, the present one included.
@@ -54,8 +52,6 @@ class SparseConfig:
         steps: Planned steps of 0.5 s.
         agent_steps: Forecast steps of 0.5 s, at least `steps`.
         commands: Driving commands.
-        reported_boxes: Boxes that are reported.
-        reported_lines: Map elements that are reported.
         speed_from_poses: Whether the planner reads how fast the ego drives from where it was in the frame before; the
             published ones take what they said about it themselves then, and need a long training to know it.
         plan_sees_front: Numbers that the plan takes from the finest feature map of the front camera beside what the ego
@@ -116,7 +112,7 @@ class SparseConfig:
 
     @property
     def image_format(self) -> ImageFormat:
-        """How images of 1600 x 900 become those of a network: scaled to its width, cut off at the top.
+        """Format of a network's images: 1600 x 900 scaled to its width, cut off at the top.
 
         It is `adapters.camera_inputs.SPARSE_DRIVE_IMAGE` for the published sizes. The miniatures see the whole images
         instead, brought to their size.

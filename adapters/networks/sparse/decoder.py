@@ -29,7 +29,7 @@ DECAY: Final = 0.6
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """What a stage of the decoder says about N instances.
+    """Predictions of a stage of the decoder for N instances.
 
     Attributes:
         anchors: (N, D) refined places.
@@ -109,7 +109,7 @@ class HandleScale(nn.Module):
 
 
 class InstanceBank(nn.Module):
-    """Where instances start, and what their features are then."""
+    """Bank of instances: their first places and features."""
 
     def __init__(self, instances: int, numbers: int, channels: int, handled: bool) -> None:
         super().__init__()
@@ -125,11 +125,6 @@ class SparseDecoder(nn.Module, ABC):
     """Instances look at the past, at each other and at images, and are refined, stage after stage.
 
     Where the cameras are of B key frames side by side, all tensors have a leading B.
-
-    Attributes:
-        remembered: How many instances the next frame gets.
-        operations: What each of `layers` does.
-        layers: Under the names of the published checkpoints.
     """
 
     instance_bank: InstanceBank
@@ -153,17 +148,10 @@ class SparseDecoder(nn.Module, ABC):
     def forward(
         self, cameras: CameraFeatures, past: Remembered | None, motion: RigidMotion | None
     ) -> tuple[Decoded, Remembered]:
-        """Decode a key frame.
+        """Instances of a key frame, and what to remember of them.
 
         Gradients stop between stages, at the places of instances: each stage learns how to correct what it is given.
-
-        Args:
-            cameras: What they saw.
-            past: What is remembered.
-            motion: From the remembered frame to this one; absent where nothing is remembered.
-
-        Returns:
-            The instances, and what to remember of them.
+        `motion` is from the remembered frame to this one; absent where nothing is remembered.
         """
         frames = cameras.projections.shape[:-3]
         anchors: Tensor = self.instance_bank.anchor.expand(*frames, -1, -1)
@@ -198,15 +186,10 @@ class SparseDecoder(nn.Module, ABC):
         return decoded, self.remember(decoded, fresh)
 
     def remember(self, decoded: Decoded, past: Remembered | None, rows: Tensor | None = None) -> Remembered:
-        """What to leave for the next frame.
+        """The (K,) `rows` of instances for the next frame, by default the most certain ones.
 
-        Args:
-            decoded: The instances of this frame.
-            past: What the first of them were remembered with; absent where no instance is from an earlier frame.
-            rows: (K,) which instances; the most certain ones by default.
-
-        Returns:
-            These, with a confidence that falls slowly where an instance is not seen; nothing is learned through them.
+        Their confidence falls slowly where an instance is not seen; nothing is learned through them. `past` is what
+        the first of them were remembered with; absent where no instance is from an earlier frame.
         """
         confidence = decoded.scores.detach()
         if past:

@@ -87,10 +87,9 @@ class TimeEmbedding(nn.Module):
 
 @dataclass(frozen=True, slots=True)
 class PlanContext:
-    """What plans look at; with a leading B where there are several key frames.
+    """Context that plans look at; with a leading B where there are several key frames.
 
     Attributes:
-        cameras: What they saw.
         ego: (..., 1, C) embedding of the box of the ego.
         watched: Features and embeddings of agents, and of the ego in the last row.
         anchors: (..., M, C) tokens of the anchors that the plans started from.
@@ -140,15 +139,7 @@ class DiffusionPlanner(Planner):
         self.diff_layers: nn.ModuleList
 
     def forward(self, scene: Scene, noise: Tensor) -> PlannerPredictions:
-        """Plan a key frame.
-
-        Args:
-            scene: The frame.
-            noise: (modes, steps, 2) standard normal numbers.
-
-        Returns:
-            Forecasts and plans.
-        """
+        """Forecasts and plans of a key frame, from (modes, steps, 2) standard normal noise."""
         queue = self.instance_queue(scene.past, scene.motion, scene.agents, scene.ids, scene.front)
         found = self.interact(scene, queue)
         ego, front = self.with_front(found.tokens[-1:], scene.finest_front, scene.front_before)
@@ -172,16 +163,10 @@ class DiffusionPlanner(Planner):
         )
 
     def denoise(self, context: PlanContext, anchors: Tensor, noise: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        """Put noise on anchors and clean them again.
+        """Put noise on anchors, (..., M, steps, 2) positions in metres, and clean them again.
 
-        Args:
-            context: What plans look at.
-            anchors: (..., M, steps, 2) positions, metres.
-            noise: (..., M, steps, 2) standard normal numbers.
-
-        Returns:
-            (..., M) logits; (..., M, steps, 2) metres from step to step; and what came on the way, by name. Gradients
-            stop between the blocks.
+        (..., M) logits; (..., M, steps, 2) metres from step to step; and what came on the way, by name. Gradients stop
+        between the blocks.
         """
         clean = normalised(anchors.diff(dim=-2, prepend=torch.zeros_like(anchors[..., :1, :])))
         sample = noised(clean, noise)
@@ -202,17 +187,9 @@ class DiffusionPlanner(Planner):
     def clean(
         self, block: int, tokens: Tensor, offsets: Tensor, time: Tensor, context: PlanContext
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """One block of layers.
+        """Tokens, logits and offsets after one block of layers.
 
-        Args:
-            block: Which.
-            tokens: (..., M, C) of the plans.
-            offsets: (..., M, steps, 2) metres from step to step.
-            time: (C,) embedding.
-            context: What the plans look at.
-
-        Returns:
-            Tokens, logits and offsets.
+        Tokens are (..., M, C), offsets (..., M, steps, 2) metres from step to step, the embedding of the time (C,).
         """
         first = block * LAYERS_OF_A_BLOCK
         path, each_other, norm, agents, agents_norm, anchors, anchors_norm, feed, feed_norm, modulate, refine = list(

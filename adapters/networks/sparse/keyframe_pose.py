@@ -17,9 +17,7 @@ class KeyframePose:
     """When and where.
 
     Attributes:
-        timestamp_s: Of the key frame, seconds.
         global_T_lidar: (4, 4) float64 on the processor, lidar frame to world.
-        scene_token: Of the scene that the frame belongs to.
     """
 
     timestamp_s: float
@@ -29,7 +27,7 @@ class KeyframePose:
 
 @dataclass(frozen=True, slots=True)
 class RigidMotion:
-    """From remembered frames to present ones, of one clip or of several side by side.
+    """Motion from remembered frames to present ones, of one clip or of several side by side.
 
     Attributes:
         now_T_then: (..., 4, 4) float32, lidar frame of the remembered frame to that of the present one.
@@ -63,17 +61,16 @@ class RigidMotion:
 
 @dataclass(frozen=True, slots=True)
 class KeyframeMotion(RigidMotion):
-    """From a remembered frame to the present one, with one matrix.
+    """Motion from a remembered frame to the present one, with one matrix.
 
-    Attributes:
-        seconds: In between; rounded to single precision, and negative if frames come out of order.
+    `seconds` is rounded to single precision, and negative if frames come out of order.
     """
 
     seconds: float
 
     @classmethod
     def between(cls, then: KeyframePose, now: KeyframePose, device: torch.device) -> "KeyframeMotion":
-        """What lies between two poses; the matrix is put on the device."""
+        """Motion between two poses; the matrix is put on the device."""
         # World coordinates are large, so the product is in double precision.
         matrix = torch.linalg.inv(now.global_T_lidar) @ then.global_T_lidar
         return cls(matrix.float().to(device), float(np.float32(now.timestamp_s - then.timestamp_s)))

@@ -23,14 +23,7 @@ def carry_lines(lines: Tensor, motion: RigidMotion) -> Tensor:
 
 
 def at_heights(ground: Tensor) -> Tensor:
-    """Give heights to points on the ground.
-
-    Args:
-        ground: (..., H, S, 2) x, y in metres, S points for each of `HEIGHTS_M`.
-
-    Returns:
-        (..., H, S, 3) metres.
-    """
+    """Points on the ground, (..., H, S, 2) x, y in metres, with each of `HEIGHTS_M`: (..., H, S, 3)."""
     heights = GROUND_Z_M + ground.new_tensor(HEIGHTS_M)[:, None, None]
     return torch.cat([ground, heights.expand(*ground.shape[:-1], 1)], -1)
 
@@ -57,14 +50,9 @@ class LinePoints(nn.Module):
         self.learnable_fc = nn.Linear(channels, points * len(HEIGHTS_M) * samples * 2)
 
     def forward(self, features: Tensor, lines: Tensor) -> Tensor:
-        """Place the points.
+        """Points of map elements, (..., N, P * heights * samples, 3) metres.
 
-        Args:
-            features: (..., N, C).
-            lines: (..., N, 2 P).
-
-        Returns:
-            (..., N, P * heights * samples, 3) metres.
+        From features of (..., N, C) and lines of (..., N, 2 P).
         """
         offsets = self.learnable_fc(features).float().view(*features.shape[:-1], *self.shape)
         ground = lines.view(*lines.shape[:-1], self.shape[0], 1, 1, 2) + offsets
@@ -100,16 +88,9 @@ class LineRefinement(nn.Module):
     def forward(
         self, features: Tensor, lines: Tensor, embeddings: Tensor, interval_s: Tensor | float
     ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Refine; time does not matter to lines.
+        """Refined (..., N, 2 P) lines, (..., N, classes) logits and no quality; time does not matter to lines.
 
-        Args:
-            features: (..., N, C).
-            lines: (..., N, 2 P).
-            embeddings: (..., N, C) of the lines.
-            interval_s: Not used.
-
-        Returns:
-            (..., N, 2 P) lines, (..., N, classes) logits, and nothing about their quality.
+        Features and embeddings are (..., N, C).
         """
         refined = self.layers(features + embeddings).float() + lines
         return refined, self.cls_layers(features).float(), None

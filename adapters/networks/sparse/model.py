@@ -31,7 +31,6 @@ class SparseInputs:
     Attributes:
         images: (6, 3, H, W), normalised; front, front right, front left, back, back left, back right.
         projections: (6, 4, 4), lidar frame in metres to pixels of the images.
-        timestamp_s: When, seconds.
         global_T_lidar: (4, 4) float64, lidar frame to world.
         command: 0 right, 1 left, 2 straight.
         scene_token: Of the scene; whether a change of it forgets the past, the configuration says.
@@ -47,15 +46,7 @@ class SparseInputs:
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """What a frame leaves for the next one.
-
-    Attributes:
-        pose: When and where that was.
-        agents: The most certain ones.
-        lines: The most certain ones.
-        tracks: Numbers of these agents.
-        queue: What the planner remembers.
-    """
+    """Memory that a frame leaves for the next one: the most certain agents and lines, and the queue of the planner."""
 
     pose: KeyframePose
     agents: Remembered
@@ -97,19 +88,11 @@ class SparseHead(nn.Module):
         noise: Tensor,
         past: Memory | None,
     ) -> tuple[SparsePredictions, Memory]:
-        """Predict one key frame.
+        """Predictions for one key frame, and the memory for the next one.
 
-        Args:
-            cameras: What they saw.
-            front: (1, C, h, w) coarsest feature map of the front camera.
-            finest_front: (1, C, h, w) its finest one, or what the plan's own eyes make of it.
-            pose: When and where.
-            command: 0 right, 1 left, 2 straight.
-            noise: (modes, steps, 2) for the diffusion planner.
-            past: What the frame before left.
-
-        Returns:
-            Everything that was computed, and what to leave for the next frame.
+        `front` is the (1, C, h, w) coarsest feature map of the front camera, `finest_front` its finest one, or what
+        the plan's own eyes make of it; `command` 0 right, 1 left, 2 straight; `noise` (modes, steps, 2) for the
+        diffusion planner.
         """
         motion = KeyframeMotion.between(past.pose, pose, front.device) if past else None
         agents, kept_agents = self.det_head(cameras, past.agents if past else None, motion)
@@ -135,15 +118,9 @@ class SparseHead(nn.Module):
 
 
 class SparseNetwork(nn.Module):
-    """The base of both networks and what it remembers; call it under ``torch.inference_mode()``, frame after frame.
+    """Base of both networks, with the memory of the last frame; call it under ``torch.inference_mode()``.
 
-    Args:
-        config: Its sizes.
-        planner: Of the network.
-        seed: Of the noise, for frames that come without.
-
-    Attributes:
-        memory: What the last frame left.
+    Frames come one after the other. `seed` is of the noise, for frames that come without.
     """
 
     def __init__(self, config: SparseConfig, planner: RegressionPlanner | DiffusionPlanner, seed: int) -> None:
@@ -164,26 +141,13 @@ class SparseNetwork(nn.Module):
         self.memory = None
 
     def forward(self, inputs: SparseInputs, noise: Tensor | None = None) -> SparseOutputs:
-        """Plan one key frame.
-
-        Args:
-            inputs: Frames come in the order of time.
-            noise: As in `predict`.
-
-        Returns:
-            What is reported for it.
-        """
+        """Outputs for one key frame; frames come in the order of time."""
         return select(self.config, self.predict(inputs, noise), inputs.command)
 
     def predict(self, inputs: SparseInputs, noise: Tensor | None = None) -> SparsePredictions:
-        """The same before selection, and remember it.
+        """Predictions for one key frame before selection; it is remembered.
 
-        Args:
-            inputs: One key frame.
-            noise: (modes, steps, 2) standard normal numbers of the diffusion planner; `frame_noise` by default.
-
-        Returns:
-            Everything that the network computed.
+        `noise` is (modes, steps, 2) standard normal numbers of the diffusion planner; `frame_noise` by default.
         """
         config, images = self.config, inputs.images
         wanted = (config.cameras, 3, config.image_height_px, config.image_width_px)
@@ -204,14 +168,9 @@ class SparseNetwork(nn.Module):
         return predictions
 
     def finest_front(self, finest: Tensor, images: Tensor) -> Tensor:
-        """What plans look at of the front cameras.
+        """Maps of the front cameras that plans look at, (B, C, h, w).
 
-        Args:
-            finest: (B * cameras, C, h, w) finest feature maps of all cameras.
-            images: (B * cameras, 3, H, W), normalised.
-
-        Returns:
-            (B, C, h, w).
+        From (B * cameras, C, h, w) finest feature maps of all cameras, and normalised (B * cameras, 3, H, W) images.
         """
         return seen_ahead(self.front_eyes, finest, images, self.config.cameras)
 
@@ -226,23 +185,14 @@ class SparseNetwork(nn.Module):
 
 
 class SparseDrive(SparseNetwork):
-    """SparseDrive (Sun et al., 2024), stage 2.
-
-    Args:
-        config: Its sizes.
-    """
+    """SparseDrive (Sun et al., 2024), stage 2."""
 
     def __init__(self, config: SparseConfig) -> None:
         super().__init__(config, RegressionPlanner(config), 0)
 
 
 class DiffusionDrive(SparseNetwork):
-    """DiffusionDrive for nuScenes (Liao et al., CVPR 2025), stage 2.
-
-    Args:
-        config: Its sizes.
-        seed: Of the noise, for frames that come without.
-    """
+    """DiffusionDrive for nuScenes (Liao et al., CVPR 2025), stage 2."""
 
     def __init__(self, config: SparseConfig, seed: int = 0) -> None:
         super().__init__(config, DiffusionPlanner(config, config.levels), seed)

@@ -28,19 +28,11 @@ LAYERS_OF_A_BLOCK = 7
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What a planner is given of a key frame.
+    """Scene of a key frame, as a planner is given it.
 
-    Attributes:
-        agents: From the decoder of boxes.
-        lines: From the decoder of map elements.
-        ids: (N,) numbers of the agents.
-        cameras: What they saw.
-        front: (1, C, h, w) coarsest feature map of the front camera.
-        finest_front: (1, C, h, w) its finest one.
-        command: 0 right, 1 left, 2 straight.
-        box_encoder: Embeds boxes.
-        past: What the planner left in the frame before.
-        motion: From that frame to this one.
+    `ids` are (N,) numbers of the agents; `front` is the (1, C, h, w) coarsest feature map of the front camera,
+    `finest_front` its finest one; `command` 0 right, 1 left, 2 straight; `past` and `motion` are from the frame
+    before.
     """
 
     agents: Decoded
@@ -64,13 +56,10 @@ class Scene:
 
 @dataclass(frozen=True, slots=True)
 class Interaction:
-    """Tokens after everybody has looked at everybody.
+    """Tokens after agents and the ego have looked at each other.
 
-    Attributes:
-        features: (N + 1, C) of the agents and, in the last row, of the ego.
-        embeddings: (N + 1, C) of their boxes.
-        watched: Features and embeddings, (W + 1, C) each, of the most certain agents and of the ego as they were
-            before.
+    `features` and `embeddings` of boxes are (N + 1, C), the ego in the last row; `watched` are (W + 1, C) each, of the
+    most certain agents and of the ego as they were before.
     """
 
     features: Tensor
@@ -85,7 +74,7 @@ class Interaction:
 
 @dataclass(frozen=True, slots=True)
 class PlannerPredictions:
-    """What a planner says; M modes, T agent steps, S planned steps; lidar frame, metres from step to step.
+    """Predictions of a planner; M modes, T agent steps, S planned steps; lidar frame, metres from step to step.
 
     Attributes:
         motion_logits: (N, M) of agents.
@@ -93,8 +82,6 @@ class PlannerPredictions:
         plan_logits: (commands, M).
         plan_offsets: (commands, M, S, 2).
         status: (10,) of the ego.
-        queue: Agents and the ego over the last frames.
-        memory: What to leave for the next frame.
         denoising: What the diffusion planner did; empty for the other one.
         front: (1, numbers) what the plan took from the front camera's finest map; ``None`` if it does not look there.
     """
@@ -142,12 +129,10 @@ def interaction_layers(config: SparseConfig, plans: bool) -> nn.ModuleList:
 
 
 class Planner(nn.Module):
-    """The base of both planners.
+    """Base of both planners.
 
-    Args:
-        config: Of the network.
-        layers: Lists of layers under their published names, which differ between the planners; the first one is from
-            `interaction_layers`.
+    `layers` are lists under their published names, which differ between the planners; the first one is from
+    `interaction_layers`.
     """
 
     def __init__(self, config: SparseConfig, layers: Mapping[str, nn.ModuleList]) -> None:
@@ -185,15 +170,7 @@ class Planner(nn.Module):
         return last
 
     def interact(self, scene: Scene, queue: Queue) -> Interaction:
-        """Agents and the ego look at their past, at the most certain agents and at the map.
-
-        Args:
-            scene: A key frame.
-            queue: Agents and the ego over the last frames, this one included.
-
-        Returns:
-            Their tokens.
-        """
+        """Agents and the ego look at their past, at the most certain agents and at the map."""
         agents, lines = scene.agents, scene.lines
         features = torch.cat([agents.features, queue.ego_features[-1]])
         embeddings = torch.cat([agents.embeddings, scene.box_encoder(queue.ego_boxes[-1])])
@@ -218,18 +195,11 @@ class Planner(nn.Module):
         watched: tuple[Tensor, Tensor],
         lanes: tuple[Tensor, Tensor],
     ) -> Tensor:
-        """Features after agents and the ego have looked at the rest; with a leading B where there are more key frames.
+        """Features, (..., N + 1, C), after agents and the ego have looked at the rest.
 
-        Args:
-            features: (..., N + 1, C).
-            embeddings: (..., N + 1, C).
-            past: Features and embeddings of the last L frames, (..., N + 1, L, C) each.
-            allowed: (..., N + 1, 1, L) which of these frames everybody may look at.
-            watched: Features and embeddings of those that all others look at.
-            lanes: The same of map elements.
-
-        Returns:
-            (..., N + 1, C).
+        A leading B where there are more key frames. `past` are features and embeddings of the last L frames, (..., N +
+        1, L, C) each, and `allowed`, (..., N + 1, 1, L), which of these frames each may look at; `watched` and `lanes`
+        are features and embeddings of agents and map elements.
         """
         lines, places = lanes
         layers = list(self.interaction)[:-1]
@@ -255,14 +225,9 @@ class Planner(nn.Module):
         return decoupled_attention(layer, self.fc_before, self.fc_after, query, key, allowed)
 
     def forecast(self, agents: Decoded, tokens: Tensor) -> tuple[Tensor, Tensor]:
-        """Forecast agents.
+        """Forecasts of N agents: (N, modes) logits and (N, modes, steps, 2) metres from step to step, lidar frame.
 
-        Args:
-            agents: N of them.
-            tokens: (N, C) features and embeddings added.
-
-        Returns:
-            (N, modes) logits and (N, modes, steps, 2) metres from step to step, lidar frame.
+        From (N, C) features and embeddings added.
         """
         ends = self.turned_anchors(agents)[:, :, -1]
         queries = self.motion_anchor_encoder(sine_of_points(ends, self.config.channels)) + tokens[:, None]
@@ -278,15 +243,11 @@ class Planner(nn.Module):
         return torch.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
 
     def with_front(self, ego: Tensor, finest: Tensor, before: Tensor | None) -> tuple[Tensor, Tensor | None]:
-        """Tokens of the egos with what their plans take from the front camera.
+        """Tokens of the egos with what their plans take from the front camera, and that, (B, numbers).
 
-        Args:
-            ego: (1, C), or (B, 1, C) of several key frames.
-            finest: (B, C, h, w) finest feature maps of the front cameras.
-            before: (B, numbers) what the key frames before have left of theirs (`FrontReader.left`).
-
-        Returns:
-            The tokens, and (B, numbers) what was taken; ``None`` where plans do not look there.
+        `ego` is (1, C), or (B, 1, C) of several key frames; `finest` (B, C, h, w) feature maps of the front cameras;
+        `before` (B, numbers) that the key frames before have left (`FrontReader.left`). ``None`` where plans do not
+        look there.
         """
         if self.front_reader is None:
             return ego, None
@@ -302,7 +263,7 @@ class Planner(nn.Module):
     def remember(
         self, scene: Scene, queue: Queue, ego_feature: Tensor, status: Tensor, front: Tensor | None
     ) -> QueueMemory:
-        """What to leave for the next frame; `ego_feature` (1, C) takes the place of the newest one in the queue."""
+        """Memory for the next frame; `ego_feature` (1, C) takes the place of the newest one in the queue."""
         return QueueMemory(
             queue.features,
             queue.boxes,

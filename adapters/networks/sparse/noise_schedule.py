@@ -20,7 +20,7 @@ FORWARD_SPAN_M: Final = 8.1
 
 
 def signal_shares() -> list[float]:
-    """For every step, the share of the variance that is signal (Ho et al., 2020, with betas linear in their roots)."""
+    """Share of the variance that is signal, for every step (Ho et al., 2020, with betas linear in their roots)."""
     betas = torch.linspace(math.sqrt(1e-4), math.sqrt(2e-2), STEPS, dtype=torch.float32) ** 2
     shares: list[float] = (1 - betas).cumprod(0).tolist()
     return shares
@@ -50,15 +50,9 @@ def noised(clean: Tensor, noise: Tensor) -> Tensor:
 
 
 def previous_sample(sample: Tensor, clean: Tensor, timestep: int) -> Tensor:
-    """One step of the way back without new noise (DDIM, Song et al., 2021).
+    """Sample one step before, without new noise (DDIM, Song et al., 2021).
 
-    Args:
-        sample: What the step started with.
-        clean: What the network takes to be the plan without noise; cut to -1 ... 1.
-        timestep: Of `sample`.
-
-    Returns:
-        The sample one step before.
+    `clean` is what the network takes to be the plan without noise; it is cut to -1 ... 1.
     """
     share = SIGNAL_SHARES[timestep]
     before = SIGNAL_SHARES[timestep - 1] if timestep > 0 else 1.0

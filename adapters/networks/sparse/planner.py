@@ -25,7 +25,7 @@ class SparsePlanner(NativePlanner[SparseNetwork]):
 
     @property
     def seed(self) -> int:
-        """Of the noise that DiffusionDrive plans from; SparseDrive has none."""
+        """Seed of the noise that DiffusionDrive plans from; SparseDrive has none."""
         return self._network.seed
 
     def _own_settings(self) -> dict[str, Any]:
@@ -35,7 +35,7 @@ class SparsePlanner(NativePlanner[SparseNetwork]):
         return _plan(self._network(self.inputs(observation)), int(observation.command), self._reporting)
 
     def inputs(self, observation: Observation) -> SparseInputs:
-        """What the network is given for a sample; errors as in `plan`."""
+        """Inputs of the network for a sample; errors as in `plan`."""
         images = camera_images(observation, self._format, self._normalisation)
         return SparseInputs(
             images=torch.from_numpy(images).to(self._device),
@@ -48,14 +48,7 @@ class SparsePlanner(NativePlanner[SparseNetwork]):
 
 
 def example_frame(config: SparseConfig) -> SparseInputs:
-    """Made-up inputs of one key frame, the same every time.
-
-    Args:
-        config: Sizes of the network.
-
-    Returns:
-        Inputs on the processor.
-    """
+    """Made-up inputs of one key frame, the same every time."""
     form = config.image_format
     return SparseInputs(
         images=torch.from_numpy(example_images(form)),

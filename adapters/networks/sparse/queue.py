@@ -28,7 +28,7 @@ VELOCITY_Y = 9
 
 @dataclass(frozen=True, slots=True)
 class QueueMemory:
-    """What a frame leaves for the next one; L frames, the oldest first, in the lidar frame of the newest.
+    """Memory of the queue for the next frame; L frames, the oldest first, in the lidar frame of the newest.
 
     Attributes:
         features: (L, N, C) of agents.
@@ -38,7 +38,6 @@ class QueueMemory:
         confidence: (N,) 0 to 1, in the newest frame.
         ego_features: (L, 1, C); the newest is that after the planner has looked around.
         ego_boxes: (L, 1, 11).
-        ego_period: As `periods`.
         status: (10,) of the ego, as predicted.
         front: (1, numbers) what plans leave of the numbers that they took from the front camera, if they look there.
     """
@@ -107,17 +106,9 @@ class InstanceQueue(nn.Module):
     def forward(
         self, past: QueueMemory | None, motion: KeyframeMotion | None, agents: Decoded, ids: Tensor, front: Tensor
     ) -> Queue:
-        """Add a frame.
+        """Agents and the ego over the last frames, this one included.
 
-        Args:
-            past: What the frame before left.
-            motion: From that frame to this one.
-            agents: Of this frame.
-            ids: (N,) numbers of the agents.
-            front: (1, C, h, w) coarsest feature map of the front camera.
-
-        Returns:
-            Agents and the ego over the last frames.
+        `ids` are (N,) numbers of the agents, `front` the (1, C, h, w) coarsest feature map of the front camera.
         """
         feature = self.ego_feature_encoder(front).flatten(1)[None]
         box = self.ego_anchor.float()[None]

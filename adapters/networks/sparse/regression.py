@@ -13,15 +13,7 @@ class RegressionPlanner(Planner):
         super().__init__(config, {"layers": interaction_layers(config, plans=True)})
 
     def forward(self, scene: Scene, noise: Tensor | None = None) -> PlannerPredictions:
-        """Plan a key frame.
-
-        Args:
-            scene: The frame.
-            noise: Not used; the other planner has some.
-
-        Returns:
-            Forecasts and plans.
-        """
+        """Forecasts and plans of a key frame; only the other planner has noise."""
         queue = self.instance_queue(scene.past, scene.motion, scene.agents, scene.ids, scene.front)
         found = self.interact(scene, queue)
         ego, front = self.with_front(found.tokens[-1:], scene.finest_front, scene.front_before)

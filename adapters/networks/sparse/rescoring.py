@@ -22,16 +22,10 @@ BOX: Final = 7
 
 
 def colliding(plans: Tensor, boxes: Tensor, scores: Tensor, forecasts: Tensor) -> Tensor:
-    """Which plans collide.
+    """Collisions of plans, (M,) booleans.
 
-    Args:
-        plans: (M, S, 2) positions, metres, lidar frame.
-        boxes: (N, 11) agents.
-        scores: (N,) 0 to 1.
-        forecasts: (N, S, 2) positions of the agents, metres, lidar frame.
-
-    Returns:
-        (M,) booleans.
+    `plans` are (M, S, 2) positions and `forecasts` of agents (N, S, 2), metres, lidar frame; `boxes` are (N, 11) and
+    `scores` (N,) 0 to 1.
     """
     ego, agents = ego_boxes(plans), agent_boxes(boxes, scores, forecasts)
     ego, agents = ego.expand(len(agents), -1, -1, -1).clone(), agents[:, None].expand(-1, len(plans), -1, -1)
@@ -73,9 +67,6 @@ def _shift_as_published(ego: Tensor) -> None:
     It means to move every ego box forward, but counts along the wrong axis: all seven numbers of two boxes, those of
     the first plan at the first two steps for the first agent, are changed by the cosine and the sine of the numbers of
     a third one. Published figures were made like this.
-
-    Args:
-        ego: (N, M, S, 7) boxes, changed in place.
     """
     rows = ego.view(-1, BOX)
     sixth = 6
@@ -85,15 +76,7 @@ def _shift_as_published(ego: Tensor) -> None:
 
 
 def corner_inside(boxes: Tensor, others: Tensor) -> Tensor:
-    """Whether a corner of the other box lies in a box or on its edge, seen from above.
-
-    Args:
-        boxes: (..., 7).
-        others: (..., 7).
-
-    Returns:
-        (...) booleans.
-    """
+    """Whether, (...), a corner of the other box lies in a box or on its edge, seen from above; boxes are (..., 7)."""
     # The published code has corners in double precision.
     boxes, others = boxes.double(), others.double()
     signs = boxes.new_tensor([(1, 1), (1, -1), (-1, -1), (-1, 1)]) / 2

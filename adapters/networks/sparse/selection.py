@@ -19,14 +19,7 @@ REFUSED: Final = -999.0
 
 @dataclass(frozen=True, slots=True)
 class SparsePredictions:
-    """Everything that a sparse network computed for one key frame, before selection.
-
-    Attributes:
-        agents: From the decoder of boxes.
-        lines: From the decoder of map elements.
-        track_ids: (N,) int64 numbers of the agents.
-        planner: Forecasts and plans.
-    """
+    """Everything that a sparse network computed for one key frame, before selection; `track_ids` are (N,) int64."""
 
     agents: Decoded
     lines: Decoded
@@ -36,7 +29,7 @@ class SparsePredictions:
 
 @dataclass(frozen=True, slots=True)
 class SparseOutputs:
-    """What is reported for one key frame; lidar frame, x right, y forward, metres and radians.
+    """Outputs for one key frame; lidar frame, x right, y forward, metres and radians.
 
     Attributes:
         plan: (6, 2) positions of the lidar origin 0.5 s to 3 s ahead: of the given command, and of its modes the most
@@ -88,13 +81,7 @@ class SelectedBoxes:
 
 @dataclass(frozen=True, slots=True)
 class SelectedLines:
-    """The L map elements that are reported.
-
-    Attributes:
-        points: (L, P, 2) metres.
-        scores: (L,) 0 to 1, falling.
-        labels: (L,).
-    """
+    """The L map elements that are reported: (L, P, 2) points in metres, with scores of 0 to 1, falling."""
 
     points: Tensor
     scores: Tensor
@@ -103,13 +90,7 @@ class SelectedLines:
 
 @dataclass(frozen=True, slots=True)
 class SelectedPlan:
-    """The plan, and what it was chosen from.
-
-    Attributes:
-        plan: (S, 2) metres.
-        modes: (commands, M, S, 2) metres.
-        scores: (commands, M) 0 to 1.
-    """
+    """The plan, (S, 2) metres, and what it was chosen from: (commands, M, S, 2), with scores of 0 to 1."""
 
     plan: Tensor
     modes: Tensor
@@ -117,16 +98,7 @@ class SelectedPlan:
 
 
 def select(config: SparseConfig, predictions: SparsePredictions, command: int) -> SparseOutputs:
-    """What is reported for a key frame.
-
-    Args:
-        config: Of the network.
-        predictions: Of the frame.
-        command: Whose plan counts: 0 right, 1 left, 2 straight.
-
-    Returns:
-        Plan, boxes, forecasts and map.
-    """
+    """Outputs for a key frame; `command` (0 right, 1 left, 2 straight) says whose plan counts."""
     found, lines = select_boxes(config, predictions.agents), select_lines(config, predictions.lines)
     chosen = select_plan(config, predictions, command)
     x, y, z, along, across, height, heading, *velocity = decode_boxes(predictions.agents.anchors)[found.rows].unbind(-1)
@@ -168,7 +140,7 @@ def select_lines(config: SparseConfig, lines: Decoded) -> SelectedLines:
 
 
 def select_plan(config: SparseConfig, predictions: SparsePredictions, command: int) -> SelectedPlan:
-    """The most likely plan for the command that hits nobody; if all of them hit somebody, the most likely one."""
+    """The most likely plan for the command that hits no agent; if all of them hit one, the most likely one."""
     planner, agents = predictions.planner, predictions.agents
     modes = planner.plan_offsets.cumsum(-2)
     likely = planner.motion_logits.argmax(-1)

@@ -8,11 +8,9 @@ from torch import Tensor
 
 @dataclass(frozen=True, slots=True)
 class Tracks:
-    """Who is who, after a frame.
+    """Numbers of the (K,) remembered instances, the most certain one first, and of the next new one.
 
-    Attributes:
-        ids: (K,) int64, numbers of the instances that are remembered, the most certain one first.
-        next_id: () int64, what the next new instance is called; no number is used twice.
+    No number is used twice.
     """
 
     ids: Tensor
@@ -20,16 +18,10 @@ class Tracks:
 
 
 def number_instances(past: Tracks | None, fresh: bool, rows: Tensor, instances: int) -> tuple[Tensor, Tracks]:
-    """Give every instance of a frame a number.
+    """Numbers, (instances,) int64, for every instance of a frame, and the tracks to leave.
 
-    Args:
-        past: What an earlier frame left.
-        fresh: Whether the first instances of this frame are those of the earlier one.
-        rows: (K,) instances that the next frame gets.
-        instances: How many there are in all.
-
-    Returns:
-        (instances,) int64 numbers, and what to leave.
+    `fresh` says whether the first instances of this frame are those of the earlier one; `rows` are the (K,) instances
+    that the next frame gets.
     """
     known = past.ids if past and fresh else rows.new_zeros(0)
     first = past.next_id if past else rows.new_zeros(())

@@ -19,7 +19,7 @@ PAST_STEPS = 8
 
 @dataclass(frozen=True, slots=True)
 class Detections:
-    """What the K layers of the decoder predict for Q queries.
+    """Predictions of the K layers of the decoder for Q queries.
 
     Attributes:
         states: (K, Q, C).
@@ -68,15 +68,9 @@ class DetectionHead(nn.Module):
         )
 
     def detect(self, bev: Tensor, queries: Tensor, reference_logits: Tensor) -> Detections:
-        """Boxes of queries.
+        """Boxes of (Q, 2 C) queries, positions and then contents, in a bird's-eye view of (cells, C), after each layer.
 
-        Args:
-            bev: (cells, C).
-            queries: (Q, 2 C) positions and then contents.
-            reference_logits: (Q, 3) of where they look first.
-
-        Returns:
-            States, classes and boxes after each layer.
+        `reference_logits` are (Q, 3) of where they look first.
         """
         positions, contents = queries.chunk(2, -1)
         references, shapes = reference_logits.float().sigmoid(), (self.config.grid.shape,)

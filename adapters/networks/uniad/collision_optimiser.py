@@ -26,14 +26,9 @@ through the optional package casadi."""
 
 @dataclass(frozen=True, slots=True)
 class MovedPlan:
-    """A plan and how it came about.
+    """A moved plan, (T, 2) metres, with the (T,) costs of its points and of the given ones.
 
-    Attributes:
-        points: (T, 2) metres.
-        costs: (T,) of the points.
-        costs_before: (T,) of the given plan.
-        cells: (T,) how many occupied cells counted.
-        solver: Which solver.
+    `cells` are (T,) how many occupied cells counted.
     """
 
     points: Floats
@@ -44,18 +39,10 @@ class MovedPlan:
 
 
 def move_plan(plan: Floats, occupied: Bools, solver: Solver = "newton") -> MovedPlan:
-    """Move a plan away from occupied cells.
+    """Move a plan, (T, 2) metres in the lidar frame 0.5 s apart from 0.5 s on, away from occupied cells.
 
-    Args:
-        plan: (T, 2) metres in the lidar frame, 0.5 s apart, the first 0.5 s ahead.
-        occupied: (S, rows, columns) occupancy now and every 0.5 s after; the last one counts for what is later.
-        solver: What finds the minimum.
-
-    Returns:
-        The moved plan.
-
-    Raises:
-        InputError: If casadi is asked for and absent, or if the plan is not finite.
+    `occupied` is (S, rows, columns) occupancy now and every 0.5 s after; the last one counts for what is later. An
+    `InputError` says that casadi is asked for and absent, or that the plan is not finite.
     """
     if not np.isfinite(plan).all():
         raise InputError("UniAD's plan has numbers that are not finite; check the weights and the images")
@@ -78,15 +65,10 @@ def move_plan(plan: Floats, occupied: Bools, solver: Solver = "newton") -> Moved
 
 
 def nearby_cells(point: Floats, occupied: Bools) -> Floats:
-    """Occupied cells near a point.
+    """Centres of occupied cells near a point, (N, 2) x, y in whole metres; `occupied` is centred on the lidar.
 
-    Args:
-        point: (2,) x, y metres.
-        occupied: (rows, columns), centred on the lidar.
-
-    Returns:
-        (N, 2) x, y in metres of their centres, without what is after the decimal point: the published code keeps them
-        as whole numbers, so four cells or more lie on one another and all count.
+    What is after the decimal point is cut off: the published code keeps them as whole numbers, so four cells or more
+    lie on one another and all count.
     """
     row, column = np.nonzero(occupied)
     rows, columns = occupied.shape

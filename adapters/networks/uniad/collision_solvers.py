@@ -48,18 +48,12 @@ def derivatives(point: Floats, reference: Floats, cells: Floats) -> tuple[Floats
 
 
 def newton_points(plan: Floats, cells: list[Floats]) -> Floats:
-    """The minimum at the end of the path that IPOPT takes, without IPOPT.
+    """Minimum at the end of the path that IPOPT takes, without IPOPT: (T, 2) metres, from (N, 2) cells for each point.
 
     The program has no constraints, so that little of the interior-point method (Waechter and Biegler, 2006) is left:
     Newton steps for all points at once, a multiple of the unit matrix added where the second derivatives have a
     negative eigenvalue, and steps that are halved until the cost falls. The points share the multiple and the halving.
-
-    Args:
-        plan: (T, 2) metres.
-        cells: For each point, (N, 2).
-
-    Returns:
-        (T, 2) metres; no cost is higher in sum than at the start.
+    No cost is higher in sum than at the start.
     """
     points, last = plan.astype(np.float64), 0.0
 
@@ -98,15 +92,10 @@ def _lift(lowest: float, last: float) -> float:
 
 
 def lowest_point(reference: Floats, cells: Floats) -> Floats:
-    """Where the cost is lowest.
+    """Point of the lowest cost, (2,), for a reference and (N, 2) cells.
 
-    Args:
-        reference: (2,) where the point is before.
-        cells: (N, 2).
-
-    Returns:
-        (2,). The lowest point is not farther away than the square root of the cost at the start, so a grid over that
-        disc is searched, and the trust-region Newton method follows its lowest dents down.
+    It is not farther away than the square root of the cost at the start, so a grid over that disc is searched, and the
+    trust-region Newton method follows its lowest dents down.
     """
     reference = np.asarray(reference, np.float64)
     if len(cells) == 0:
@@ -131,16 +120,10 @@ def lowest_point(reference: Floats, cells: Floats) -> Floats:
 
 
 def descend(reference: Floats, cells: Floats, start: Floats | None = None) -> Floats:
-    """Follow the cost down to the nearest minimum.
+    """Follow the cost down to the nearest minimum, (2,), from `start` or else the reference.
 
-    Args:
-        reference: (2,) where the point is before.
-        cells: (N, 2).
-        start: (2,) where to begin; `reference` by default.
-
-    Returns:
-        (2,), by Newton's method in a trust region whose radius grows and shrinks with how well the quadratic model
-        foretold the last step.
+    By Newton's method in a trust region whose radius grows and shrinks with how well the quadratic model foretold the
+    last step.
     """
     point, radius = np.asarray(reference if start is None else start, np.float64), 0.5
     if len(cells) == 0:
@@ -184,14 +167,7 @@ def _trusted_step(gradient: Floats, curvature: Floats, radius: float) -> Floats:
 
 
 def require_casadi() -> Any:
-    """The optional package.
-
-    Returns:
-        The module.
-
-    Raises:
-        InputError: If it is not installed.
-    """
+    """Module casadi, an optional package; an `InputError` where it is not installed."""
     try:
         return import_module("casadi")
     except ImportError as error:
@@ -204,15 +180,7 @@ def require_casadi() -> Any:
 def official_points(plan: Floats, cells: list[Floats]) -> Floats:
     """The minimum that IPOPT arrives at from the plan, all points at once, as in the published planner.
 
-    Args:
-        plan: (T, 2) metres.
-        cells: For each point, (N, 2).
-
-    Returns:
-        (T, 2) metres.
-
-    Raises:
-        InputError: If casadi is not installed, or IPOPT finds no minimum.
+    (T, 2) metres, from (N, 2) cells for each point. IPOPT that finds no minimum is an `InputError`.
     """
     casadi = require_casadi()
     program = casadi.Opti()

@@ -22,17 +22,13 @@ class UniADConfig(BEVConfig):
     Attributes:
         occupancy_feedforward_channels: Hidden width of the feed-forward blocks in the decoder of the occupancy head.
         queries: Agent queries beside the one of the ego.
-        map_queries: Queries for map elements.
-        map_layers: Layers of the map head's encoder, and of its decoder.
         map_levels: Feature maps for which the map head's attention has parameters; it is given one map
             (`adapters.networks.uniad.map_attention`).
         thing_mask_layers: Blocks that make the masks of map elements.
         stuff_mask_layers: Blocks that make the mask of the drivable area.
-        motion_layers: Layers of the forecast.
         motion_groups: Groups of kinds of agents with anchors of their own.
         forecast_steps: Forecast steps of 0.5 s.
         occupancy_steps: The present and steps of 0.5 s after it.
-        plan_layers: Layers of the planner.
         plan_steps: Planned steps of 0.5 s.
         backbone_outputs: Stages (0 to 3) that feed the feature pyramid.
         backbone_style: Which convolution of a block of the image network strides, as in
@@ -45,7 +41,6 @@ class UniADConfig(BEVConfig):
         asleep_score: A track that is less certain is not reported.
         tracks_apart: Tracks whose boxes' centres are nearer to each other than this share of the shorter one's length
             follow the same thing, and one of them ends, or is not born. 0: they all live, as published.
-        image_format: Its images.
         motion_across_scenes: Whether the first key frame of a scene is told the motion from wherever the ego was last
             (in the very first, from the origin), as the published network is; else that it has not moved.
         plan_sees_front: Numbers that the plan takes from the finest feature map of the front camera beside the
@@ -148,14 +143,10 @@ class UniADConfig(BEVConfig):
 
     @classmethod
     def base_of(cls, shapes: Mapping[str, Sequence[int]]) -> Self:
-        """The published network that fits a checkpoint.
+        """The published network that fits a checkpoint, with the levels that its map head has parameters for.
 
-        Args:
-            shapes: Of its tensors by name. Where the map head's are absent or odd, the result is the usual network, and
-                whoever loads the tensors will say what does not fit.
-
-        Returns:
-            The configuration, with the levels that the map head's attention has parameters for.
+        `shapes` are those of its tensors by name. Where the map head's are absent or odd, the result is the usual
+        network, and the loading of the tensors will say what does not fit.
         """
         base = cls.base()
         offsets = shapes.get(MAP_OFFSETS, ())

@@ -41,7 +41,7 @@ class UniADInputs:
 
 @dataclass(frozen=True, slots=True)
 class UniADOutputs:
-    """What is reported for one key frame; lidar frame, x right, y forward, metres and radians.
+    """Outputs for one key frame; lidar frame, x right, y forward, metres and radians.
 
     Attributes:
         plan: (6, 2) float32 positions of the lidar origin 0.5 s to 3 s ahead.

@@ -24,18 +24,11 @@ class WalkedAttention(DeformableAttention):
     def forward(
         self, tokens: Tensor, positions: Tensor, references: Tensor, features: Tensor, shapes: Shapes
     ) -> Tensor:
-        """Attend.
+        """Tokens, (Q, C), that have looked at (S, C) cells of the only map.
 
-        Args:
-            tokens: (Q, C).
-            positions: (Q, C), added for the prediction of the pattern only.
-            references: (Q, 2) x, y, or (Q, 4) x, y, width, height, 0 to 1 over the map. Offsets are in cells in the one
-                case, and in shares of half the size in the other.
-            features: (S, C) cells of the map.
-            shapes: Rows and columns of the only map.
-
-        Returns:
-            (Q, C).
+        `references` are (Q, 2) x, y, or (Q, 4) x, y, width, height, 0 to 1 over the map. Offsets are in cells in the
+        one case, and in shares of half the size in the other. `positions` are added for the prediction of the pattern
+        only.
         """
         ((rows, columns),) = shapes
         count, asking = len(tokens), -(-len(tokens) // self.levels)
@@ -61,12 +54,7 @@ class WalkedAttention(DeformableAttention):
 class MapEncoderLayer(nn.Module):
     """Deformable attention of a map to itself, then a feed-forward block; each is normalised after its addition.
 
-    Args:
-        channels: Width of the tokens.
-        heads: Divides `channels`.
-        hidden: Width of the feed-forward block.
-        levels: For which there are parameters.
-        points: Looks per head and level.
+    `levels` are those for which there are parameters, `points` looks per head and level.
     """
 
     def __init__(self, channels: int, heads: int, hidden: int, levels: int, points: int) -> None:
@@ -112,13 +100,7 @@ class LayerStack(nn.Module):
 class MapTransformer(nn.Module):
     """An encoder of the bird's-eye view for the map, and a decoder of map elements with rectangles.
 
-    Args:
-        channels: Width of the tokens.
-        heads: Divides `channels`.
-        hidden: Width of the feed-forward blocks.
-        levels: For which there are parameters.
-        points: Looks per head and level.
-        layers: Of each.
+    `levels` are those for which there are parameters, `points` looks per head and level, `layers` those of each.
     """
 
     def __init__(self, channels: int, heads: int, hidden: int, levels: int, points: int, layers: int) -> None:
@@ -139,16 +121,10 @@ class MapTransformer(nn.Module):
     def decode(
         self, queries: Tensor, cells: Tensor, shape: tuple[int, int], branches: nn.ModuleList
     ) -> tuple[Tensor, Tensor]:
-        """Map elements.
+        """Map elements: for K layers, (K, M, C) states and (K, M, 4) rectangles.
 
-        Args:
-            queries: (M, 2 C) positions and then contents.
-            cells: (cells, C).
-            shape: Rows and columns of the map.
-            branches: For each layer, (M, C) to (M, 4) corrections.
-
-        Returns:
-            For K layers, (K, M, C) states and (K, M, 4) rectangles: centre x, y, width, height, 0 to 1 over the map.
+        Rectangles are centre x, y, width, height, 0 to 1 over the map. `queries` are (M, 2 C) positions and then
+        contents, `cells` (cells, C); `branches` take (M, C) to (M, 4) corrections, one for each layer.
         """
         positions, tokens = queries.chunk(2, -1)
         references = self.reference_points(positions).float().sigmoid()

@@ -83,14 +83,7 @@ class MapHead(nn.Module):
         self.stuff_mask_head = MaskDecoder(channels, config.heads, config.stuff_mask_layers, attend_each_other=True)
 
     def forward(self, bev: Tensor) -> MapElements:
-        """Find map elements.
-
-        Args:
-            bev: (cells, C).
-
-        Returns:
-            The elements.
-        """
+        """Map elements in a bird's-eye view of (cells, C)."""
         shape, queries = self.config.grid.shape, self.query_embedding.weight
         cells = self.transformer.encode(bev, self.positions.to(bev.dtype), self.centres, shape)
         states, rectangles = self.transformer.decode(queries, cells, shape, self.reg_branches)
@@ -98,14 +91,7 @@ class MapHead(nn.Module):
         return MapElements(cells, states[-1], queries[:, : self.config.channels], torch.stack(logits), rectangles)
 
     def masks(self, elements: MapElements) -> MapMasks:
-        """Masks of the most certain map elements; the plan does not need them.
-
-        Args:
-            elements: All that were found.
-
-        Returns:
-            The masks.
-        """
+        """Masks of the most certain map elements; the plan does not need them."""
         scores, labels, chosen = strongest(elements.class_logits[-1], self.config.max_lines)
         # Unlike the queries of elements, this one has its contents first.
         contents, positions = self.stuff_query.weight.chunk(2, -1)

@@ -32,7 +32,7 @@ class SelfAttention(nn.Module):
 
 
 class MaskLogits(nn.Module):
-    """How much each query is in each cell: a mixture of attention logits over the heads."""
+    """Share of each query in each cell: a mixture of attention logits over the heads."""
 
     def __init__(self, channels: int, heads: int) -> None:
         super().__init__()
@@ -116,14 +116,7 @@ class MaskBlock(nn.Module):
 
 
 class MaskDecoder(nn.Module):
-    """A stack of `MaskBlock` and mask values after it.
-
-    Args:
-        channels: Width of the tokens.
-        heads: Divides `channels`.
-        layers: How many blocks.
-        attend_each_other: Whether queries attend to each other.
-    """
+    """A stack of `MaskBlock` and mask values after it."""
 
     def __init__(self, channels: int, heads: int, layers: int, *, attend_each_other: bool) -> None:
         super().__init__()
@@ -131,15 +124,9 @@ class MaskDecoder(nn.Module):
         self.attnen = MaskLogits(channels, heads)
 
     def forward(self, tokens: Tensor, positions: Tensor | None, cells: Tensor) -> Tensor:
-        """Make masks.
+        """Masks, (M, cells) at least 0, from (M, C) tokens and (cells, C).
 
-        Args:
-            tokens: (M, C).
-            positions: (M, C), added before every block and at the end, where there are some.
-            cells: (cells, C).
-
-        Returns:
-            (M, cells) at least 0.
+        `positions` are added before every block and at the end, where there are some.
         """
         for block in self.blocks:
             tokens = block(tokens if positions is None else tokens + positions, cells)
@@ -167,14 +154,9 @@ class RoadMap:
 
 
 def ranked(values: Tensor, scores: Tensor) -> tuple[Tensor, Tensor]:
-    """How good masks are.
+    """Ranks of (N, rows, columns) masks: (N,) scores, falling, and (N,) the masks they belong to.
 
-    Args:
-        values: (N, rows, columns).
-        scores: (N,) 0 to 1.
-
-    Returns:
-        (N,) scores that count the mean value inside too, falling, and (N,) whose they are.
+    Scores, 0 to 1, count the mean value inside too.
     """
     inside = values > INSIDE
     quality = (values * inside).flatten(1).sum(1) / (inside.flatten(1).sum(1).float() + 1)
@@ -185,19 +167,10 @@ def ranked(values: Tensor, scores: Tensor) -> tuple[Tensor, Tensor]:
 def paste_masks(
     values: Tensor, scores: Tensor, order: Tensor, labels: Tensor, drivable_values: Tensor, classes: int
 ) -> RoadMap:
-    """Paste masks one after the other.
+    """Map of masks pasted one after the other, by falling scores as `ranked` gives them.
 
-    Args:
-        values: (N, rows, columns).
-        scores: (N,) falling, from `ranked`.
-        order: (N,) whose scores they are.
-        labels: (N,) below `classes`, in the order of `values`.
-        drivable_values: (rows, columns).
-        classes: How many kinds of elements there are.
-
-    Returns:
-        The map. Elements with low scores are not in it, nor are those whose place is taken. As in the published code,
-        elements of class 0 take no place: others are pasted over them.
+    Elements with low scores are not in it, nor are those whose place is taken. As in the published code, elements of
+    class 0 take no place: others are pasted over them. `values` are (N, rows, columns), `labels` in their order.
     """
     inside = values > INSIDE
     lanes = torch.zeros(classes, *values.shape[1:], dtype=torch.bool, device=values.device)

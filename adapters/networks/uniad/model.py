@@ -37,7 +37,7 @@ VEHICLE_CLASSES = (0, 1, 2, 3, 4, 6, 7)
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """What a frame leaves for the next one of its scene."""
+    """Memory of a frame for the next one of its scene."""
 
     scene_token: str
     bev: Tensor
@@ -57,10 +57,8 @@ class UniAD(nn.Module):
     """The network and what it remembers; call it under ``torch.inference_mode()``, frame after frame.
 
     Args:
-        config: Its sizes.
         anchors: (4, 6, 12, 2) of ``motion_anchor_infos_mode6.pkl``; `MotionHead.load_anchors` sets them later.
         solver: What moves plans away from occupied cells; ``None`` leaves them where they are.
-        masks: Whether masks of the map are made; the plan does not need them.
         stores_anchors: Whether the anchors are part of the state dict; official checkpoints come without.
     """
 
@@ -113,16 +111,9 @@ class UniAD(nn.Module):
         self._next_id = torch.zeros((), dtype=torch.int64)
 
     def forward(self, inputs: UniADInputs) -> UniADOutputs:
-        """Plan one key frame.
+        """Outputs for one key frame; frames of a scene come in the order of time.
 
-        Args:
-            inputs: Frames of a scene come in the order of time.
-
-        Returns:
-            What is reported for it.
-
-        Raises:
-            InputError: If there are no motion anchors, or casadi is asked for and absent.
+        An `InputError` says that there are no motion anchors, or that casadi is asked for and absent.
         """
         predictions = self.predict(inputs)
         tracks, before = predictions.tracks, predictions.plan.positions_m
@@ -162,14 +153,7 @@ class UniAD(nn.Module):
         return paste_masks(masks.values, scores, order, masks.labels, masks.drivable_values, classes)
 
     def predict(self, inputs: UniADInputs) -> UniADPredictions:
-        """Everything up to the plan, and remember it.
-
-        Args:
-            inputs: One key frame.
-
-        Returns:
-            All that the network computed.
-        """
+        """Predictions for one key frame up to the plan; it is remembered."""
         memory = self._memory if self._memory and self._memory.scene_token == inputs.scene_token else None
         device = inputs.images.device
         pose = Pose.of(inputs.l2g_r_mat, inputs.l2g_t, inputs.timestamp, device)
@@ -228,7 +212,7 @@ class UniAD(nn.Module):
         )
 
     def ego_motion(self, inputs: UniADInputs) -> EgoMotion:
-        """How the ego moved since the last frame, whichever scene that was of if the network was trained so."""
+        """Motion of the ego since the last frame, whichever scene that was of if the network was trained so."""
         config = self.config
         follows = self._memory is not None and self._memory.scene_token == inputs.scene_token
         known = follows or config.motion_across_scenes

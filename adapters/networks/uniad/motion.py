@@ -41,15 +41,7 @@ class Forecasts:
 
 
 def turned(offsets: Tensor, angles: Tensor) -> Tensor:
-    """Offsets turned counter-clockwise.
-
-    Args:
-        offsets: (A, ..., 2) metres.
-        angles: (A,) radians.
-
-    Returns:
-        (A, ..., 2).
-    """
+    """Offsets, (A, ..., 2) metres, turned counter-clockwise by (A,) radians."""
     shape = (-1, *[1] * (offsets.dim() - 2))
     cosine, sine = angles.cos().view(shape), angles.sin().view(shape)
     x, y = offsets.unbind(-1)
@@ -68,11 +60,9 @@ class _Goals:
 class MotionHead(nn.Module):
     """Forecasts of all reported agents and of the ego.
 
-    Args:
-        config: Sizes.
-        anchors: (groups, modes, steps, 2) typical forecasts in the frames of agents, metres. They are not among the
-            parameters of published checkpoints; see `load_anchors`.
-        stores_anchors: Whether they are part of the state dict, and therefore of what is loaded; zeros before.
+    `anchors` are (groups, modes, steps, 2) typical forecasts in the frames of agents, metres. They are not among the
+    parameters of published checkpoints; see `load_anchors`. With `stores_anchors` they are part of the state dict, and
+    therefore of what is loaded; zeros before.
     """
 
     anchors: Tensor
@@ -104,14 +94,7 @@ class MotionHead(nn.Module):
             self.load_anchors(anchors)
 
     def load_anchors(self, anchors: Tensor) -> None:
-        """Set the anchors.
-
-        Args:
-            anchors: (groups, modes, steps, 2) metres.
-
-        Raises:
-            InputError: If they have another shape or are not finite.
-        """
+        """Set the anchors, finite numbers of (groups, modes, steps, 2) metres."""
         if anchors.shape != self.anchors.shape or not bool(anchors.isfinite().all()):
             raise InputError(
                 f"motion anchors must be finite and have the shape {list(self.anchors.shape)}, not "
@@ -121,19 +104,7 @@ class MotionHead(nn.Module):
         self._has_anchors = True
 
     def forward(self, agents: Boxes, elements: MapElements, bev: Tensor) -> Forecasts:
-        """Forecast.
-
-        Args:
-            agents: A agents, the ego last.
-            elements: Of the map.
-            bev: (cells, C).
-
-        Returns:
-            The forecasts.
-
-        Raises:
-            InputError: If there are no anchors.
-        """
+        """Forecasts of A agents, the ego last, in a bird's-eye view of (cells, C)."""
         if not self._has_anchors:
             raise InputError(
                 "UniAD has no motion anchors, which are not in its checkpoint; import motion_anchor_infos_mode6.pkl too"

@@ -13,7 +13,7 @@ def embedding_layer(channels: int) -> nn.Sequential:
 
 
 def fusion_layer(inputs: int, channels: int) -> nn.Sequential:
-    """From `inputs` numbers to `channels`, over twice as many."""
+    """Layers from `inputs` numbers to `channels`, over twice as many."""
     return nn.Sequential(nn.Linear(inputs, 2 * channels), nn.ReLU(), nn.Linear(2 * channels, channels))
 
 
@@ -44,14 +44,7 @@ class IntentionInteraction(nn.Module):
 
 
 class GoalAttention(nn.Module):
-    """Deformable attention around the end of a forecast, with a pattern for each of its steps.
-
-    Args:
-        channels: Width of the tokens.
-        heads: Divides `channels`.
-        steps: Patterns.
-        points: Looks per head and step.
-    """
+    """Deformable attention around the end of a forecast, with a pattern for each of its steps."""
 
     def __init__(self, channels: int, heads: int, steps: int, points: int) -> None:
         super().__init__()
@@ -62,18 +55,7 @@ class GoalAttention(nn.Module):
         self.output_proj = nn.Sequential(nn.Linear(steps * channels, channels), nn.LayerNorm(channels), nn.ReLU())
 
     def forward(self, tokens: Tensor, positions: Tensor, goals: Tensor, bev: Tensor, shape: tuple[int, int]) -> Tensor:
-        """Attend.
-
-        Args:
-            tokens: (Q, C).
-            positions: (Q, C).
-            goals: (Q, 2) x, y, 0 to 1 over the bird's-eye view.
-            bev: (cells, C).
-            shape: Rows and columns.
-
-        Returns:
-            (Q, C).
-        """
+        """Tokens, (Q, C), that have looked at (cells, C) around goals: (Q, 2) x, y, 0 to 1 over the bird's-eye view."""
         query, looks = tokens + positions, (len(tokens), self.heads, self.steps, 1, self.points)
         offsets = self.sampling_offsets(query).view(*looks, 2)
         weights = self.attention_weights(query).view(looks).float().softmax(-1)

@@ -36,12 +36,7 @@ class Occupancy:
 
 
 class MLP(nn.Module):
-    """Linear layers of one width with rectifiers between.
-
-    Args:
-        channels: Width.
-        layers: How many.
-    """
+    """Linear layers of one width with rectifiers between."""
 
     def __init__(self, channels: int, layers: int) -> None:
         super().__init__()
@@ -246,17 +241,10 @@ class OccupancyHead(nn.Module):
     def forward(
         self, bev: Tensor, mode_queries: Tensor, states: Tensor, positions: Tensor, scores: Tensor
     ) -> Occupancy:
-        """Predict occupancy.
+        """Occupancy by V vehicles; all is free where there is none.
 
-        Args:
-            bev: (cells, C).
-            mode_queries: (V, modes, C) forecast states of the vehicles.
-            states: (V, C) their tracks.
-            positions: (V, C) their encoded places.
-            scores: (V,) of their tracks.
-
-        Returns:
-            The occupancy; all is free where there is no vehicle.
+        `mode_queries` are their (V, modes, C) forecast states, `states` their (V, C) tracks, `positions` their (V, C)
+        encoded places, `scores` (V,) those of their tracks.
         """
         if len(states) == 0:
             steps, side = self.config.occupancy_steps, self.places.shape[1]

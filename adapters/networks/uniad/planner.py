@@ -38,7 +38,7 @@ class UniADPlanner(NativePlanner[UniAD]):
 
     @property
     def config(self) -> UniADConfig:
-        """Of the network."""
+        """Configuration of the network."""
         return self._network.config
 
     def reset(self, scene: SceneInfo) -> None:
@@ -47,17 +47,7 @@ class UniADPlanner(NativePlanner[UniAD]):
         self.seen = None
 
     def inputs(self, observation: Observation) -> UniADInputs:
-        """What the network is given for a sample.
-
-        Args:
-            observation: The sample.
-
-        Returns:
-            Images on the planner's device, the rest on the processor.
-
-        Raises:
-            InputError: If an image is missing or broken.
-        """
+        """Inputs of the network for a sample: images on the planner's device, the rest on the processor."""
         images = camera_images(observation, self._format, self._normalisation)
         global_T_lidar = torch.from_numpy(lidar_pose(observation))
         return UniADInputs(
@@ -77,14 +67,7 @@ class UniADPlanner(NativePlanner[UniAD]):
 
 
 def example_frame(config: UniADConfig) -> UniADInputs:
-    """Made-up inputs of one key frame, the same every time.
-
-    Args:
-        config: Sizes of the network.
-
-    Returns:
-        Inputs on the processor.
-    """
+    """Made-up inputs of one key frame, the same every time."""
     image_format = config.image_format
     return UniADInputs(
         images=torch.from_numpy(example_images(image_format)),

@@ -64,19 +64,11 @@ class PlanningHead(nn.Module):
         finest_front: Tensor,
         can_bus: Tensor,
     ) -> UniADPlan:
-        """Plan.
+        """Plan of a key frame in a bird's-eye view of (cells, C).
 
-        Args:
-            bev: (cells, C).
-            bev_positions: (cells, C).
-            mode_queries: (modes, C) forecast states of the ego.
-            state: (C,) its track.
-            command: 0 right, 1 left, 2 straight.
-            finest_front: (1, C, h, w) finest feature map of the front camera.
-            can_bus: (18,) float32, as `adapters.networks.layers.ego_motion.EgoMotion` has it.
-
-        Returns:
-            The plan.
+        `mode_queries` are (modes, C) forecast states of the ego, `state` (C,) its track; `command` is 0 right, 1 left,
+        2 straight; `finest_front` the (1, C, h, w) finest feature map of the front camera; `can_bus` (18,) float32, as
+        `adapters.networks.layers.ego_motion.EgoMotion` has it.
         """
         front: Tensor | None = None
         told: list[Tensor] = []

@@ -14,12 +14,7 @@ SAVE_EVERY = 3
 
 
 class MemoryBank(nn.Module):
-    """Every instance attends to its own remembered states, then its state is remembered at times.
-
-    Args:
-        channels: Width of the states.
-        heads: Divides `channels`.
-    """
+    """Every instance attends to its own remembered states, then its state is remembered at times."""
 
     def __init__(self, channels: int, heads: int) -> None:
         super().__init__()
@@ -56,12 +51,7 @@ class MemoryBank(nn.Module):
 
 
 class QueryInteraction(nn.Module):
-    """Tracks look at each other, and their queries for the next key frame follow.
-
-    Args:
-        channels: Width of the states.
-        heads: Divides `channels`.
-    """
+    """Tracks look at each other, and their queries for the next key frame follow."""
 
     def __init__(self, channels: int, heads: int) -> None:
         super().__init__()

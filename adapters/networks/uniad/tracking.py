@@ -53,16 +53,7 @@ class Instances:
 
     @classmethod
     def fresh(cls, config: UniADConfig, queries: Tensor, reference_logits: Tensor) -> "Instances":
-        """Queries of which nothing is known.
-
-        Args:
-            config: Of the network.
-            queries: (Q, 2 C).
-            reference_logits: (Q, 3).
-
-        Returns:
-            The instances.
-        """
+        """Queries, (Q, 2 C) with (Q, 3) reference logits, of which nothing is known."""
         count, device = len(queries), queries.device
 
         def zeros(*shape: int) -> Tensor:
@@ -94,13 +85,9 @@ class Instances:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where and when a key frame is.
+    """Pose of a key frame.
 
-    Attributes:
-        rotation: (3, 3) float32, for rows: global = lidar @ rotation + translation.
-        inverse: Of the rotation.
-        translation: (3,) float32 metres.
-        time_s: Seconds of any clock.
+    `rotation` is (3, 3) float32, for rows: global = lidar @ rotation + translation, in metres; `time_s` of any clock.
     """
 
     rotation: Tensor
@@ -110,7 +97,7 @@ class Pose:
 
     @classmethod
     def of(cls, rotation: Tensor, translation: Tensor, time_s: float, device: torch.device) -> "Pose":
-        """From tensors on the processor, with one transfer to the device and no wait for it."""
+        """Pose from tensors on the processor, with one transfer to the device and no wait for it."""
         single = rotation.detach().to("cpu", torch.float32)
         rows = [single, torch.linalg.inv(single), translation.detach().to("cpu", torch.float32)[None]]
         packed = torch.cat(rows).to(device)
@@ -118,17 +105,7 @@ class Pose:
 
 
 def moved_references(tracks: Instances, then: Pose, now: Pose, config: UniADConfig) -> Tensor:
-    """Where tracks would be now at the speed they had.
-
-    Args:
-        tracks: T tracks of an earlier key frame.
-        then: Of that frame.
-        now: Of the present one.
-        config: Gives the perception range.
-
-    Returns:
-        (T, 3) logits of shares of the perception range around the present lidar.
-    """
+    """Places of T tracks now at the speed they had: (T, 3) logits of shares of the range around the present lidar."""
     low, high = config.perception_range_m[:3], config.perception_range_m[3:]
     places = metres(tracks.reference_logits.sigmoid(), low, high)
     step = F.pad(tracks.box_codes[:, 8:10], (0, 1)) * (now.time_s - then.time_s)
@@ -148,17 +125,9 @@ def _rows_times(rows: Tensor, matrix: Tensor) -> Tensor:
 def updated(
     instances: Instances, detections: Detections, fresh: int, next_id: Tensor, config: UniADConfig
 ) -> tuple[Instances, Tensor]:
-    """Instances after the decoder: births, naps and ends of tracks.
+    """Instances after the decoder, and the next id: births, naps and ends of tracks.
 
-    Args:
-        instances: Before it.
-        detections: Of these.
-        fresh: How many are fresh; the last of them is the ego.
-        next_id: () int64, the first id that has not been given.
-        config: Says how certain a track is, and how far apart from others.
-
-    Returns:
-        The instances, and the next id.
+    Of the `fresh` first instances the last is the ego; `next_id` is the first id that has not been given.
     """
     logits = detections.class_logits[-1]
     scores = logits.sigmoid().amax(-1)
@@ -223,15 +192,9 @@ class Boxes:
 
 
 def headings(yaws: Tensor, config: UniADConfig) -> Tensor:
-    """Headings of boxes, counter-clockwise from the x axis, from their yaws in the network's convention.
+    """Headings of boxes, counter-clockwise from the x axis, -pi to pi, from yaws in the network's convention.
 
-    Args:
-        yaws: Of any shape, radians. The published weights were trained with that of mmdet3d before version 1.0:
-            -heading - pi/2.
-        config: Says which convention.
-
-    Returns:
-        The same shape, -pi to pi.
+    The published weights were trained with that of mmdet3d before version 1.0: -heading - pi/2.
     """
     turned = yaws + math.pi / 2 if config.counterclockwise_yaw else math.pi / 2 - yaws
     return torch.remainder(turned, 2 * math.pi) - math.pi
@@ -256,7 +219,7 @@ def strongest_boxes(instances: Instances, config: UniADConfig) -> Boxes:
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """What a key frame reports and what it hands on, as indices.
+    """Indices of the instances that a key frame reports and hands on.
 
     Attributes:
         reported: (N,) instances whose boxes are reported: tracks that are awake and near, falling scores.
@@ -270,16 +233,7 @@ class Chosen:
 
 
 def chosen_tracks(instances: Instances, vehicle_classes: Tensor, config: UniADConfig) -> Chosen:
-    """Choose, with one wait for the device: how many there are of each must be known to go on.
-
-    Args:
-        instances: After `updated`.
-        vehicle_classes: (classes,) booleans.
-        config: Of the network.
-
-    Returns:
-        The choice.
-    """
+    """Choose, with one wait for the device: how many there are of each must be known to go on."""
     living = instances.track_ids >= 0
     awake = living & (instances.scores >= config.asleep_score)
     scores, strongest = torch.where(awake, instances.scores, -1.0).topk(min(config.max_boxes, len(awake)))
@@ -300,5 +254,5 @@ def _near(box_codes: Tensor, config: UniADConfig) -> Tensor:
 
 
 def _trues(mask: Tensor, count: int) -> Tensor:
-    """Where a mask is true, if it is known how often."""
+    """Places where a mask is true, if it is known how often."""
     return (~mask).to(torch.uint8).argsort(stable=True)[:count]

@@ -13,8 +13,6 @@ class VADConfig(BEVConfig):
     """Sizes of VAD, beside those of all networks with a bird's-eye view.
 
     Attributes:
-        agents: Agent queries.
-        map_instances: Map queries.
         points_per_line: Points of a map element.
         steps: Planned and forecast steps of 0.5 s.
         backbone_outputs: Stages (0 to 3) that feed the feature pyramid.
@@ -49,7 +47,7 @@ class VADConfig(BEVConfig):
 
     @property
     def image_format(self) -> ImageFormat:
-        """What images the network reads."""
+        """Format of the images that the network reads."""
         return ImageFormat.scaled(self.image_scale) if self.image_size is None else ImageFormat(*self.image_size)
 
     @classmethod

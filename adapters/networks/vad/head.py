@@ -74,19 +74,10 @@ class VADHead(nn.Module):
         finest_front: Tensor,
         front_before: Tensor | None = None,
     ) -> VADPredictions:
-        """Predict one key frame.
+        """Predictions for one key frame; all but the last two arguments as in `VADTransformer.encode`.
 
-        Args:
-            maps: As in `VADTransformer.encode`, as are all but the last.
-            images: Likewise.
-            projections: Likewise.
-            motion: Likewise.
-            previous: Likewise.
-            finest_front: (1, C, h, w) feature map of the front camera that the plan looks at.
-            front_before: (1, numbers) what the frames before have left of what their plans took from the front camera.
-
-        Returns:
-            Everything that is computed.
+        `finest_front` is the (1, C, h, w) feature map of the front camera that the plan looks at, `front_before` (1,
+        numbers) what the frames before have left of what their plans took from the front camera.
         """
         bev = self.transformer.encode(
             self.bev_embedding.weight, self.positional_encoding(), maps, images, projections, motion, previous
@@ -178,17 +169,10 @@ class VADHead(nn.Module):
     def _forecast(
         self, agents: Tensor, places: Tensor, lanes: Tensor, lane_places: Tensor, lane_seen: Tensor
     ) -> Tensor:
-        """Features of every mode of every agent, from all modes of all agents and from the lanes nearby.
+        """Features of every mode of every agent, (A, modes, 2 C), from all modes of all agents and the lanes nearby.
 
-        Args:
-            agents: (A, C).
-            places: (A, 2) as shares.
-            lanes: (M, C).
-            lane_places: (M, 2) as shares.
-            lane_seen: (M,) whether a lane counts at all.
-
-        Returns:
-            (A, modes, 2 C).
+        `agents` are (A, C) and `lanes` (M, C), their places (A, 2) and (M, 2) as shares; `lane_seen` (M,) says whether
+        a lane counts at all.
         """
         tokens = (agents[:, None] + self.motion_mode_query.weight).flatten(0, 1)
         positions = _linear(self.pos_mlp_sa, places).repeat_interleave(self.config.modes, 0)

@@ -38,13 +38,9 @@ class VADInputs:
 
 @dataclass(frozen=True, slots=True)
 class _Memory:
-    """What a frame leaves for the next one.
+    """Memory of a frame for the next one.
 
-    Attributes:
-        scene_token: Of its scene.
-        can_bus: Its vector (float64, absolute).
-        bev: Its bird's-eye view.
-        front: Of what its plan took from the front camera, if it looks there (`FrontReader.left`).
+    `can_bus` is its vector (float64, absolute), `front` what `FrontReader.left` leaves.
     """
 
     scene_token: str
@@ -54,11 +50,7 @@ class _Memory:
 
 
 class VAD(nn.Module):
-    """The network and what it remembers; call it under ``torch.inference_mode()``, frame after frame.
-
-    Args:
-        config: Its sizes.
-    """
+    """The network and what it remembers; call it under ``torch.inference_mode()``, frame after frame."""
 
     def __init__(self, config: VADConfig) -> None:
         super().__init__()
@@ -76,28 +68,14 @@ class VAD(nn.Module):
         self._memory = None
 
     def forward(self, inputs: VADInputs) -> VADOutputs:
-        """Plan one key frame.
-
-        Args:
-            inputs: Frames of a scene come in the order of time.
-
-        Returns:
-            What is reported for it.
-        """
+        """Outputs for one key frame; frames of a scene come in the order of time."""
         return select(self.config, self.predict(inputs), inputs.command)
 
     def predict(self, inputs: VADInputs) -> VADPredictions:
-        """The same before selection, and remember it.
+        """Predictions for one key frame before selection; it is remembered.
 
-        Args:
-            inputs: One key frame.
-
-        Returns:
-            Everything that the network computed.
-
-        Raises:
-            InputError: If camera matrices or motion have NaN or infinity in them. A camera with such a matrix would see
-                nothing, and nobody would notice.
+        Camera matrices or motion with NaN or infinity are an `InputError`: a camera with such a matrix would see
+        nothing, unnoticed.
         """
         if not (inputs.lidar2img.isfinite().all() and inputs.can_bus.isfinite().all()):
             raise InputError(
@@ -125,19 +103,14 @@ class VAD(nn.Module):
         return predictions
 
     def finest_front(self, finest: Tensor, images: Tensor) -> Tensor:
-        """What the plan looks at of the front camera.
+        """Map of the front camera that the plan looks at, (1, C, h, w).
 
-        Args:
-            finest: (cameras, C, h, w) finest feature maps of all cameras.
-            images: (cameras, 3, H, W), normalised.
-
-        Returns:
-            (1, C, h, w).
+        From (cameras, C, h, w) finest feature maps of all cameras, and normalised (cameras, 3, H, W) images.
         """
         return seen_ahead(self.front_eyes, finest, images, self.config.cameras)
 
     def ego_motion(self, inputs: VADInputs) -> EgoMotion:
-        """How the ego moved since the frame that is remembered: zero if it is of another scene, or there is none."""
+        """Motion of the ego since the frame that is remembered: zero if it is of another scene, or there is none."""
         memory = self._memory if self._memory and self._memory.scene_token == inputs.scene_token else None
         previous = memory.can_bus if memory else None
         return EgoMotion.between(previous, inputs.can_bus, self.config.grid, self.config.rotation_centre)

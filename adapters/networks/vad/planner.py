@@ -30,14 +30,7 @@ class VADPlanner(NativePlanner[VAD]):
 
 
 def example_frame(config: VADConfig) -> VADInputs:
-    """Made-up inputs of one key frame, the same every time.
-
-    Args:
-        config: Sizes of the network.
-
-    Returns:
-        Inputs on the processor.
-    """
+    """Made-up inputs of one key frame, the same every time."""
     image_format = config.image_format
     return VADInputs(
         images=torch.from_numpy(example_images(image_format)),

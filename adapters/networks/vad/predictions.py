@@ -50,7 +50,7 @@ class VADPredictions:
 
 @dataclass(frozen=True, slots=True)
 class VADSights:
-    """What forecasts and the plan of one key frame are made from.
+    """Inputs of the forecasts and the plan of one key frame.
 
     Attributes:
         agent_states: (A, C) after the last layer.

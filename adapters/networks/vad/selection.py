@@ -20,7 +20,7 @@ HIGHEST_M = 10.0
 
 @dataclass(frozen=True, slots=True)
 class VADOutputs:
-    """What is reported for one key frame; lidar frame, x right, y forward, metres and radians.
+    """Outputs for one key frame; lidar frame, x right, y forward, metres and radians.
 
     Attributes:
         plan: (6, 2) positions of the lidar origin 0.5 s to 3 s ahead, for the given command.
@@ -56,7 +56,6 @@ class SelectedBoxes:
         boxes: (N, 9) centre x, y, z of the bottom, width, length, height, yaw, velocity x, y. The heading is
             -yaw - pi/2: this is the yaw of mmdet3d before version 1.0.
         scores: (N,) 0 to 1, falling.
-        labels: (N,).
         agents: (N,) which query each is from.
     """
 
@@ -68,13 +67,9 @@ class SelectedBoxes:
 
 @dataclass(frozen=True, slots=True)
 class SelectedLines:
-    """L map elements.
+    """The L reported map elements: (L, P, 2) points in metres, with scores of 0 to 1, falling.
 
-    Attributes:
-        corners: (L, 4) least x, y and greatest x, y, metres.
-        points: (L, P, 2) metres.
-        scores: (L,) 0 to 1, falling.
-        labels: (L,).
+    `corners` are (L, 4) least x, y and greatest x, y, metres.
     """
 
     corners: Tensor
@@ -84,16 +79,7 @@ class SelectedLines:
 
 
 def select(config: VADConfig, predictions: VADPredictions, command: int) -> VADOutputs:
-    """What is reported for a key frame.
-
-    Args:
-        config: Of the network.
-        predictions: Of the frame.
-        command: Whose plan counts: 0 right, 1 left, 2 straight.
-
-    Returns:
-        Plan, boxes, forecasts and map.
-    """
+    """Outputs for a key frame; `command` (0 right, 1 left, 2 straight) says whose plan counts."""
     plans = predictions.plan_offsets.cumsum(1)
     found, lines = select_boxes(config, predictions), select_lines(config, predictions)
     yaw = found.boxes[:, 6:7]

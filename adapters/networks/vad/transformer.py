@@ -22,15 +22,10 @@ class VADTransformer(BEVTransformer):
         self.can_bus_mlp = can_bus_network(config.channels)
 
     def decode_agents(self, queries: Tensor, bev: Tensor, branches: nn.ModuleList) -> Decoded:
-        """Agents in a bird's-eye view.
+        """Agents in a bird's-eye view of (cells, C): their states and x, y, z.
 
-        Args:
-            queries: (A, 2 C), positions and then contents.
-            bev: (cells, C).
-            branches: For each layer, (A, C) to (A, 10) corrections.
-
-        Returns:
-            States and x, y, z of the agents.
+        `queries` are (A, 2 C), positions and then contents; `branches` take (A, C) to (A, 10) corrections, one for
+        each layer.
         """
         positions, contents = queries.chunk(2, -1)
         references = self.reference_points(positions).float().sigmoid()

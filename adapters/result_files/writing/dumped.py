@@ -19,14 +19,7 @@ from benchmark.records.run import RunRecord
 
 @dataclass(frozen=True)
 class DumpedPlans:
-    """Plans to be written.
-
-    Attributes:
-        samples: Samples of the split.
-        scenes: Scenes that ran.
-        plans: Plan of each sample that has one, by its row, in the order of rows.
-        steps: Waypoints that all plans have.
-    """
+    """Plans to be written, by row and in the order of rows; all have the same `steps`, waypoints."""
 
     samples: RecordedSamples
     scenes: tuple[str, ...]
@@ -35,15 +28,7 @@ class DumpedPlans:
 
     @classmethod
     def of_record(cls, record: RunRecord, samples: RecordedSamples) -> "DumpedPlans":
-        """The plans of a record.
-
-        Args:
-            record: The record.
-            samples: Samples of its split.
-
-        Raises:
-            InputError: If no sample has a plan.
-        """
+        """The plans of a record; one without any is an `InputError`."""
         plans = {
             samples.row_of[row.sample_token]: Plan(np.array(row.plan.waypoints), PlanFrame(row.plan.frame))
             for row in record.rows

@@ -29,14 +29,7 @@ WRITERS: Final[Mapping[str, Callable[[Path, DumpedPlans], Path]]] = {
 
 
 def require_writable(name: str) -> None:
-    """Refuse what ``--dump-results`` does not take.
-
-    Args:
-        name: A format.
-
-    Raises:
-        InputError: If there is no such format, or one that carries no plans.
-    """
+    """Refuse a format that ``--dump-results`` does not take: there is none of that name, or it carries no plans."""
     if name == NO_PLANS:
         raise InputError(f"{NO_PLANS} holds metrics of LAW and no plan, so none can be written into it; choose another")
     if name not in WRITERS:

@@ -28,9 +28,7 @@ _CLASS_OF: Final = {kind: name for name, kind in STORAGES.items() if name != "BF
 class PickledTensor:
     """An array that is pickled as the tensor of the same numbers.
 
-    Args:
-        values: Of any shape; single precision unless ``kind`` says otherwise.
-        kind: Number type as numpy names it.
+    Single precision unless `kind`, a number type as numpy names it, says otherwise.
     """
 
     def __init__(self, values: ArrayLike, kind: str = "<f4") -> None:
@@ -60,7 +58,7 @@ class _Storage:
 
 class _StoragePickler(pickle.Pickler):
     def persistent_id(self, obj: Any) -> Any:
-        """What stands for the storage."""
+        """Tuple that stands for the storage."""
         if not isinstance(obj, _Storage):
             return None
         import torch
@@ -81,15 +79,6 @@ def _storage_bytes(storage: _Storage) -> bytes:
 
 
 def write_pickle(path: Path, value: Any, protocol: int = _PROTOCOL) -> Path:
-    """Write a pickle.
-
-    Args:
-        path: The file.
-        value: Plain values, arrays and `PickledTensor`.
-        protocol: Of the pickle.
-
-    Returns:
-        The path.
-    """
+    """Write a pickle of plain values, arrays and `PickledTensor`."""
     write_bytes(path, pickle.dumps(value, protocol))
     return path

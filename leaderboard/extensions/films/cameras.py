@@ -14,13 +14,7 @@ class CameraPictures:
     """Pictures of one sheet, each read once and held until the next one."""
 
     def __init__(self, stored: StoredSheet, width_px: int, height_px: int) -> None:
-        """Take a size.
-
-        Args:
-            stored: The scene.
-            width_px: Width that there is for all cameras.
-            height_px: Height that there is.
-        """
+        """Pictures within the width and height that there is for all cameras."""
         self._stored = stored
         cells = stored.sheet.cameras
         self._whole = (
@@ -36,11 +30,7 @@ class CameraPictures:
         return round(self._whole[0] * self._scale), round(self._whole[1] * self._scale)
 
     def at(self, frame: int) -> Picture:
-        """(h, w, 3) RGB of all cameras at a frame, or at the last one before it that has a picture.
-
-        Raises:
-            InputError: If the picture cannot be read or has not the size that the sheet says.
-        """
+        """(h, w, 3) RGB of all cameras at a frame, or at the last one before it that has a picture."""
         past = [each for each in self._stored.sheet.pictures if each <= frame]
         shown = max(past, default=-1)
         if self._kept is None or self._kept[0] != shown:

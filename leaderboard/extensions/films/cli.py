@@ -138,16 +138,8 @@ def film_command(options: FilmOptions) -> None:
 def planners_shown(names: Sequence[str], records: Sequence[Path], everywhere: Path) -> list[str]:
     """Planners as records name them: a full model that ran as its miniature, or a short name, is that which ran.
 
-    Args:
-        names: Planner names as ``--model`` takes them, or as tables show them.
-        records: Folders of the run records that will be shown.
-        everywhere: Folder of all run records, to say what there is instead.
-
-    Returns:
-        The names that the records have; a name stays as it is where they have none of it.
-
-    Raises:
-        InputError: If neither a planner nor a record has such a name, or there are no records at all.
+    A name stays as it is where the records have none of it. `everywhere` holds all run records, to say what there is
+    instead.
     """
     from adapters.checkpoints.stand_in import miniature_of
     from adapters.models import MODELS
@@ -177,7 +169,7 @@ def planners_shown(names: Sequence[str], records: Sequence[Path], everywhere: Pa
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """Which drives are filmed; see `write_drive_films`."""
+    """Drives that are filmed; see `write_drive_films`."""
 
     data: str
     split: str
@@ -252,7 +244,7 @@ def write_drive_films(
 
 
 def _sensor(record: "DriveRecord") -> "Sensor | None":
-    """What drew for the planner; ``None`` where nothing did, or another version of it than there is now."""
+    """Sensor that drew for the planner; ``None`` where none did, or another version of it than there is now."""
     from generation.render.sensor import SCHEMATIC, SchematicSensor
 
     measured = record.facts.measured

@@ -66,17 +66,7 @@ class DriveFilm:
     """One drive's film."""
 
     def __init__(self, driven: DrivenSheet, record: DriveRecord, name: str, settings: FilmSettings) -> None:
-        """Find what is to be shown.
-
-        Args:
-            driven: The drive.
-            record: The record that it is of.
-            name: The planner, as tables name it.
-            settings: How the film is made.
-
-        Raises:
-            InputError: If there are no pictures for the layout, or the drive ends before the film begins.
-        """
+        """Find what is to be shown; a drive that ends before the film begins is an `InputError`."""
         self.driven, self.record, self.name, self.settings = driven, record, name, settings
         self.layout = _possible_layout(driven, settings.layout)
         self._sheet, self._style = driven.stored.sheet, planner_style(0)
@@ -94,7 +84,7 @@ class DriveFilm:
         self.frames: tuple[int, ...] = (*frames, *((last,) * held))
 
     def __len__(self) -> int:
-        """How many frames it has."""
+        """Number of frames."""
         return len(self.frames)
 
     def __iter__(self) -> Iterator[Picture]:
@@ -180,7 +170,7 @@ class DriveFilm:
         return round(y) + 16
 
     def _state(self, frame: int) -> tuple[str, bool]:
-        """What the ego does now, and whether it is in a contact."""
+        """Present state of the ego, and whether it is in a contact."""
         contact = self.driven.contact
         if contact is not None and self.driven.seconds[frame] >= contact.seconds - 1e-6:
             return "contact", True
@@ -199,12 +189,12 @@ class DriveFilm:
         return self.settings.candidates and bool(self.driven.considered)
 
     def _pursuit(self, frame: int) -> list[str]:
-        """What the adversary does now, where what it considered is shown."""
+        """Present pursuit of the adversary, where what it considered is shown."""
         now = self.driven.considered_at(frame) if self._shows_considered else None
         return [] if now is None else [f"adversary: {DID[now.did]}"]
 
     def _outcome(self, frame: int) -> list[str]:
-        """Who touched the ego so far, and how it ended, once it has."""
+        """Contacts of the ego so far, and how the drive ended, once it has."""
         row, driven = self.driven.row, self.driven
         over = frame >= driven.last
         since = driven.seconds[frame] - driven.seconds[driven.begins]

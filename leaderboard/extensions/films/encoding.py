@@ -17,11 +17,7 @@ _WEBP_QUALITY: Final = 62
 
 
 def webm(frames: Iterable[Picture], fps: float, quality: int = FINE) -> bytes:
-    """VP9 in WebM of frames, each (h, w, 3) RGB of the same even size; the quality is `FINE` or `COMPACT`.
-
-    Raises:
-        InputError: If PyAV is not installed.
-    """
+    """VP9 in WebM of frames, each (h, w, 3) RGB of the same even size; the quality is `FINE` or `COMPACT`."""
     av = _pyav()
     rate = Fraction(fps).limit_denominator(1000)
     target = io.BytesIO()

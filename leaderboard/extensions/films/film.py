@@ -30,7 +30,7 @@ _LATE_S: Final = 1e-6
 
 
 class FilmLayout(StrEnum):
-    """What a frame shows beside the planners' samples."""
+    """Parts of a frame beside the planners' samples."""
 
     BOTH = "both"
     CAMERAS = "cameras"
@@ -39,7 +39,7 @@ class FilmLayout(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class FilmSettings:
-    """How a film is made.
+    """Settings of a film.
 
     Attributes:
         layout: What a frame shows.
@@ -92,15 +92,8 @@ def composed(
 ) -> Picture:
     """One frame: a title, cameras and below them a panel on the left, the view from above on the right.
 
-    Args:
-        layout: What is shown.
-        cameras: Pictures of the cameras; ``None`` where the layout has none.
-        title: Draws into the title's part.
-        above: Gives the view from above at a width and a height, pixels.
-        panel: Draws into what is left.
-
-    Returns:
-        (height, width, 3) RGB.
+    (height, width, 3) RGB; `cameras` are ``None`` where the layout has none, `above` gives the view from above at a
+    width and a height in pixels.
     """
     image: Picture = np.empty((HEIGHT_PX, WIDTH_PX, 3), np.uint8)
     cv2.rectangle(image, (0, 0), (WIDTH_PX, HEIGHT_PX), PANEL, -1)
@@ -146,17 +139,10 @@ class Film:
     def __init__(
         self, stored: StoredSheet, records: Sequence[RunRecord], models: Sequence[str], settings: FilmSettings
     ) -> None:
-        """Find what is to be shown.
+        """Find what is to be shown: plans of `models`, as tables name them.
 
-        Args:
-            stored: The scene.
-            records: Run records that have the planners' plans.
-            models: Planners to show, as tables name them.
-            settings: How the film is made.
-
-        Raises:
-            InputError: If a planner has no plans for the scene, there are too many, the scene has no pictures for the
-                layout, or ends before the film begins.
+        An `InputError` says that a planner has no plans for the scene, that there are too many, or that the scene has
+        no pictures for the layout, or ends before the film begins.
         """
         if len(set(models)) > MOST_PLANNERS:
             raise InputError(
@@ -171,7 +157,7 @@ class Film:
         self._cameras = CameraPictures(stored, *CAMERAS_PX[self.layout]) if self.layout in CAMERAS_PX else None
 
     def __len__(self) -> int:
-        """How many frames it has."""
+        """Number of frames."""
         return len(self.frames)
 
     def __iter__(self) -> Iterator[Picture]:
@@ -232,11 +218,7 @@ def _possible_layout(stored: StoredSheet, layout: FilmLayout) -> FilmLayout:
 
 
 def film_frames(scene: str, above: SceneFromAbove, settings: FilmSettings) -> tuple[int, ...]:
-    """The frame that is shown at each moment of a film: the last one that has been.
-
-    Raises:
-        InputError: If the scene ends before the film begins.
-    """
+    """The frame that is shown at each moment of a film: the last one that has been."""
     seconds = above.seconds
     end = float(seconds[-1]) if settings.end_s is None else min(settings.end_s, float(seconds[-1]))
     if settings.begin_s > seconds[-1]:

@@ -25,7 +25,7 @@ Watch = Callable[[Iterable[Picture], int, str], Iterable[Picture]]
 
 
 class FilmFormat(StrEnum):
-    """What is written."""
+    """Format of a film."""
 
     WEBM = "webm"
     PNG = "png"
@@ -43,11 +43,7 @@ def planner_folder(root: Path, data: str, split: str) -> Path:
 
 
 def sheet_folders(root: Path, data: str, split: str, scenes: Sequence[str] | None) -> list[Path]:
-    """Folders of the sheets of some scenes, by scene; of all that have one by default.
-
-    Raises:
-        InputError: If a scene has no sheet.
-    """
+    """Folders of the sheets of some scenes, by scene; of all that have one by default."""
     data_name = data_set_name(data)
     make = f"make it with: challenger-bench sheets --data {data} --split {split} --out {root.parent}"
     if scenes is None:
@@ -63,7 +59,7 @@ def sheet_folders(root: Path, data: str, split: str, scenes: Sequence[str] | Non
 
 
 def _others(root: Path) -> str:
-    """What there are sheets of instead."""
+    """Sheets that there are instead, in words."""
     found = sorted(f"{path.parent.name} of {path.parent.parent.name}" for path in root.glob(f"*/*/{SPLIT_FILE}"))
     return f"there are those of split {', '.join(found)}; name one with --data and --split, or " if found else ""
 
@@ -122,22 +118,8 @@ def write_film(
 ) -> Path:
     """Write one scene's film.
 
-    Args:
-        folder: Of the scene's sheet.
-        records: Run records that have the planners' plans.
-        models: Planners to show, as tables name them.
-        to: Folder to write to.
-        form: What is written: ``<scene>.webm``, ``<scene>.webp``, or a folder ``<scene>`` of PNG files that are
-            numbered from 0.
-        settings: How the film is made.
-        watch: Shows how far the work is.
-
-    Returns:
-        What was written.
-
-    Raises:
-        InputError: If something that the film shows is missing or damaged, the film is too long for its format, WebM
-            cannot be written here, or the folder of PNG files has other frames.
+    ``<scene>.webm``, ``<scene>.webp``, or a folder ``<scene>`` of PNG files that are numbered from 0; one of other
+    frames is an `InputError`, as is a film that is too long for its format.
     """
     if form is FilmFormat.WEBM:
         require_webm()
@@ -156,23 +138,9 @@ def write_drive_film(
     *,
     watch: Watch = lambda frames, _total, _label: frames,
 ) -> Path:
-    """Write one drive's film.
+    """Write one drive's film, as `write_film` does.
 
-    Args:
-        driven: The drive.
-        record: The record that it is of.
-        name: The planner, as tables name it.
-        to: Folder to write to.
-        form: What is written.
-        settings: How the film is made.
-        watch: Shows how far the work is.
-
-    Returns:
-        What was written: ``<scene>-<planner>-<engine>-<agents>-<sensor>``, then the latency and the run where there
-        are any, as `write_film` names it.
-
-    Raises:
-        InputError: As of `write_film`, or if there are no pictures for the layout.
+    ``<scene>-<planner>-<engine>-<agents>-<sensor>``, then the latency and the run where there are any.
     """
     film, facts = DriveFilm(driven, record, name, settings), record.facts
     parts = [driven.row.scene, name, facts.measured.engine, facts.measured.agents, facts.measured.sensor]
@@ -187,11 +155,7 @@ def write_drive_film(
 def write_frames(
     film: Film | DriveFilm, target: Path, form: FilmFormat, fps: float, *, watch: Watch, label: str
 ) -> Path:
-    """Write the frames of a film to a target, given without a suffix.
-
-    Raises:
-        InputError: If the film is too long for its format, or a folder of PNG files has other frames.
-    """
+    """Write the frames of a film to a target, given without a suffix."""
     frames = watch(film, len(film), label)
     if form is FilmFormat.PNG:
         return _write_frames(target, frames, len(film))

@@ -45,13 +45,7 @@ class Panel:
     """Draws the panel of one film."""
 
     def __init__(self, sheet: Sheet, tracks: Sequence[PlannerTrack], *, from_above: bool) -> None:
-        """Take what does not change.
-
-        Args:
-            sheet: The scene.
-            tracks: Planners.
-            from_above: Whether the frame shows the scene from above, which has more to explain.
-        """
+        """Take what does not change; a frame that shows the scene from above has more to explain."""
         self._sheet, self._tracks, self._from_above = sheet, tracks, from_above
         self._miniatures = any(track.miniature for track in tracks)
         self._gap_m: Floats = adversary_gap(sheet)
@@ -107,7 +101,7 @@ class Panel:
         return top + 30
 
     def _draw_gap(self, image: Picture, frame: int, area: Cells) -> None:
-        """How far the recorded ego is from the nearest adversary, over the whole scene; now is marked."""
+        """Draw the distance of the recorded ego from the nearest adversary, over the whole scene; now is marked."""
         now = self._gap_m[frame]
         said = f"{now:.1f} m" if np.isfinite(now) else "no adversary in the scene"
         words = f"gap between recorded ego and adversary: {said}"
@@ -159,7 +153,7 @@ def _bar_px(sheet: Sheet, width_px: int) -> int:
 
 
 def _cell_edges(sheet: Sheet, left: int, width_px: int) -> list[int]:
-    """Where samples begin, and where the last one ends."""
+    """Edges at which samples begin, and at which the last one ends."""
     count = len(sheet.keyframes)
     return [left + round(width_px * number / max(count, 1)) for number in range(count + 1)]
 

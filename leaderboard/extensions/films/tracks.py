@@ -21,18 +21,13 @@ from benchmark.report.words import split_of
 
 @dataclass(frozen=True, slots=True)
 class Tally:
-    """What a planner's counted samples came to.
-
-    Attributes:
-        counted: How many there are.
-        touches: How many collide, by whom they touch first; none is left out.
-    """
+    """Counted samples of a planner, and how many collide, by whom they touch first; none is left out."""
 
     counted: int
     touches: Mapping[Whom, int]
 
     def words(self, *, adversaries: bool) -> str:
-        """For example ``3 of 14 hit it, 2 another``, a dash where the record does not say whom.
+        """Words, for example ``3 of 14 hit it, 2 another``; a dash where the record does not say whom.
 
         ``adversaries``: whether there are some in the scene, beside whose contacts stand those with others.
         """
@@ -46,15 +41,9 @@ class Tally:
 
 @dataclass(frozen=True, slots=True)
 class PlannerTrack:
-    """One planner in one scene.
+    """One planner in one scene: its plan at each sample that it was asked at, by frame, with (T,) times of frames.
 
-    Attributes:
-        name: Of the planner.
-        style: How it is drawn.
-        protocol: Who judges it.
-        miniature: Whether it is a small network that ranks nothing.
-        plans: Its plan at each sample that it was asked at, by frame.
-        seconds: (T,) time of each frame.
+    `miniature` says whether it is a small network that ranks nothing.
     """
 
     name: str
@@ -73,7 +62,7 @@ class PlannerTrack:
         return replace(self.plans[last], age_s=float(self.seconds[frame] - self.seconds[last]))
 
     def so_far(self, frame: int) -> Tally:
-        """What the samples up to a frame came to."""
+        """Tally of the samples up to a frame."""
         counted = [plan.verdict for each, plan in self.plans.items() if each <= frame and plan.verdict.counted]
         return Tally(len(counted), Counter(verdict.whom for verdict in counted if verdict.collides))
 
@@ -81,20 +70,11 @@ class PlannerTrack:
 def planner_tracks(
     sheet: Sheet, records: Sequence[RunRecord], models: Sequence[str], protocol: str
 ) -> tuple[PlannerTrack, ...]:
-    """Find planners' plans for a scene.
+    """Tracks of planners in a scene, in the order in which they are named.
 
-    Args:
-        sheet: The scene.
-        records: Any run records.
-        models: Planners, as tables name them.
-        protocol: Who judges; ``native`` is each planner's own.
-
-    Returns:
-        One track for each planner, in the order in which they are named. Other modes and forecasts are drawn of the
-        first one only: those of several planners cannot be told apart.
-
-    Raises:
-        InputError: If a planner has no record of the scene or several, or the record is of other data than the sheet.
+    ``native`` judges each by its own protocol. Other modes and forecasts are drawn of the first one only: those of
+    several planners cannot be told apart. A planner without a record of the scene, or with several, or with one of
+    other data than the sheet, is an `InputError`.
     """
     tracks = []
     for place, name in enumerate(dict.fromkeys(models)):

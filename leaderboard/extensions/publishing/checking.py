@@ -71,7 +71,7 @@ def _found(files: dict[str, Path], may_show: Collection[str], house: House) -> I
 
 
 def _words(file: str, text: str, house: House) -> Iterator[Found]:
-    """What tells of the house in a text, each word of a file a few times."""
+    """Findings of words that tell of the house in a text, each word of a file a few times."""
     often: Counter[tuple[Kind, str]] = Counter()
     for line, kind, word in house.in_text(text):
         often[kind, word] += 1
@@ -83,7 +83,7 @@ def _words(file: str, text: str, house: House) -> Iterator[Found]:
 
 
 def _followed(file: str, text: str, there: dict[str, int]) -> Iterator[Found]:
-    """What a browser would follow from a text."""
+    """Findings of addresses that a browser would follow from a text."""
     kind = Path(file).suffix.lower()
     if kind in (".html", ".htm", ".svg"):
         yield from in_page(file, text, there, is_whole=kind != ".svg")

@@ -37,7 +37,7 @@ _INSIDE: Final = ("data", "blob", "mailto")
 
 
 class _Page(HTMLParser):
-    """What a page loads, what it links, and its security policy."""
+    """Addresses that a page loads and links, and its security policy."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -78,7 +78,7 @@ def in_page(file: str, text: str, there: Mapping[str, int], *, is_whole: bool = 
 
 
 def in_style(file: str, text: str, there: Mapping[str, int]) -> Iterator[Found]:
-    """What a style sheet loads that does not work elsewhere; as `in_page`."""
+    """Findings of addresses that a style sheet loads and that do not work elsewhere; as `in_page`."""
     for match in _STYLE_URL.finditer(text):
         yield from _loaded(file, _line(text, match.start()), match[1] or match[2], there)
 
@@ -113,7 +113,7 @@ def names(there: Mapping[str, int]) -> Iterator[Found]:
 
 
 def _loaded(file: str, line: int, address: str, there: Mapping[str, int]) -> Iterator[Found]:
-    """What is wrong with an address that is followed from a file."""
+    """Findings of an address that is followed from a file."""
     parts = urlsplit(address)
     if parts.scheme in _INSIDE:
         return

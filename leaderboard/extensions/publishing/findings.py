@@ -10,11 +10,8 @@ Kind = Literal["path", "host", "user", "secret", "picture", "request", "link", "
 class Found:
     """One thing that should not leave the house, or that does not work elsewhere.
 
-    Attributes:
-        file: Path below the folder, ``/`` between parts; empty where it is about several.
-        line: Its line, from 1; 0 where there are no lines.
-        kind: What it is.
-        says: What was found, in a few words.
+    `file` is below the folder, ``/`` between parts; empty where it is about several. Lines count from 1; 0 where there
+    are none.
     """
 
     file: str
@@ -23,10 +20,10 @@ class Found:
     says: str
 
     def sentence(self) -> str:
-        """For a terminal."""
+        """Sentence for a terminal."""
         where = f"{self.file}:{self.line}: " if self.line else f"{self.file}: " if self.file else ""
         return f"{self.kind}: {where}{self.says}"
 
     def as_json(self) -> dict[str, str | int]:
-        """For machines."""
+        """JSON for machines."""
         return asdict(self)

@@ -58,12 +58,9 @@ _SECRET: Final = (
 
 @dataclass(frozen=True, slots=True)
 class House:
-    """What would tell of this machine.
+    """House: names that would tell of this machine.
 
-    Attributes:
-        folders: First parts of absolute paths.
-        hosts: Names of the machine.
-        users: Names of whoever is logged in.
+    `folders` are first parts of absolute paths, `users` those logged in.
     """
 
     folders: tuple[str, ...]
@@ -93,7 +90,7 @@ class House:
                 yield 1 + bisect_left(ends, match.start()), kind, match.group()[:_LONGEST_SHOWN]
 
     def in_binary(self, content: bytes) -> Iterator[tuple[Kind, str]]:
-        """The same, less lines, of a picture or another file without lines, where random bytes make short words."""
+        """Findings, without lines, in a picture or another file without lines, where random bytes make short words."""
         text = "\n".join(run.decode("ascii") for run in _READABLE.findall(content))
         for kind, pattern in self._anywhere(_SHORTEST_IN_BINARY):
             for match in pattern.finditer(text):
@@ -101,7 +98,7 @@ class House:
                     yield kind, match.group()[:_LONGEST_SHOWN]
 
     def _anywhere(self, shortest: int) -> Iterator[tuple[Kind, re.Pattern[str]]]:
-        """What is looked for in pictures too: it hardly comes about by chance."""
+        """Patterns looked for in pictures too: they hardly come about by chance."""
         folders = "|".join(map(re.escape, self.folders))
         # Not the path of an address, nor a part of a longer or a relative path.
         yield "path", re.compile(rf"{_NOT_WITHIN}/(?:{folders})(?:/[\w.@+=,~%-]+)+")

@@ -17,16 +17,10 @@ _NAMED: Final = 3
 def pictures_of_recordings(
     root: str, read: Mapping[str, str], there: Collection[str], may_show: Collection[str]
 ) -> Iterator[Found]:
-    """Pictures of cameras that nobody said may be shown.
+    """Findings of camera pictures that are not said to be showable, one for each data set, split and renderer.
 
-    Args:
-        root: Path of the site below the folder, with a slash at its end, or empty.
-        read: Texts of its scripts by path below the folder.
-        there: All files.
-        may_show: Data sets whose pictures may be shown.
-
-    Yields:
-        One finding for each data set, split and renderer; or that it cannot be told.
+    Or that it cannot be told. `root` is the path of the site below the folder, with a slash at its end, or empty;
+    `read` are texts of its scripts by path below the folder.
     """
     taken = {
         file.removeprefix(f"{root}media/").partition("/")[0]

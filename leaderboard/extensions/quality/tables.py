@@ -98,7 +98,7 @@ def _rows(record: QualityRecord) -> Iterator[Values]:
 
 
 def _what_was_seen(records: Sequence[QualityRecord]) -> list[str]:
-    """What makes rows differ beside the split: size and format of frames, parts of splits, few scenes."""
+    """Notes on differences of rows beside the split: size and format of frames, parts of splits, few scenes."""
     notes = []
     seen = {record.facts.split: _frames(record) for record in records}
     if len(set(seen.values())) > 1:
@@ -129,7 +129,7 @@ def _frame_rate(definition: dict[str, object]) -> str:
 
 
 def _one_each(records: Sequence[QualityRecord]) -> list[QualityRecord]:
-    """For each split the record with most scenes, in the order of the paper."""
+    """Record with most scenes of each split, in the order of the paper."""
     best: dict[str, QualityRecord] = {}
     for record in sorted(records, key=lambda record: (-len(record.facts.scenes), record.directory.as_posix())):
         best.setdefault(record.facts.split, record)

@@ -16,10 +16,9 @@ from adapters.networks.sparse.keyframe_pose import KeyframeMotion, KeyframePose,
 
 @dataclass(frozen=True, slots=True)
 class KeyframeMotions(RigidMotion):
-    """From the key frames before to the present ones, with (B, 1, 4, 4) matrices.
+    """Motions from the key frames before to the present ones, with (B, 1, 4, 4) matrices.
 
-    Attributes:
-        seconds: (B, 1, 1), all of them fresh; the usual interval in the place of none (`KeyframeMotion.interval_s`).
+    `seconds` are (B, 1, 1), all of them fresh; the usual interval in the place of none (`KeyframeMotion.interval_s`).
     """
 
     seconds: Tensor

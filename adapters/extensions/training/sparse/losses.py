@@ -53,7 +53,7 @@ SPEED: Final = 0.3
 
 
 def matches_of_boxes(stage: Stage, targets: Targets) -> Matches:
-    """Which predictions of a stage stand for which boxes; arguments as in `stage_of_boxes`."""
+    """Pairs of predictions of a stage and boxes; arguments as in `stage_of_boxes`."""
     boxes, logits = stage.anchors.flatten(0, 1), stage.logits.flatten(0, 1)
     weights = boxes.new_tensor(BOX_WEIGHTS)
     distance = torch.cdist(boxes.detach() * weights, targets.boxes * weights, p=1)
@@ -64,12 +64,7 @@ def matches_of_boxes(stage: Stage, targets: Targets) -> Matches:
 def stage_of_boxes(stage: Stage, targets: Targets) -> tuple[dict[str, Tensor], Matches]:
     """Losses of one stage of the decoder of boxes, of F key frames in the order of the targets.
 
-    Args:
-        stage: Its predictions.
-        targets: What is wanted.
-
-    Returns:
-        Losses by name, and which rows of the flattened predictions were matched.
+    The matches are of rows of the flattened predictions.
     """
     boxes, logits = stage.anchors.flatten(0, 1), stage.logits.flatten(0, 1)
     assert stage.qualities is not None
@@ -92,15 +87,9 @@ def stage_of_boxes(stage: Stage, targets: Targets) -> tuple[dict[str, Tensor], M
 
 
 def nearest_predictions(boxes: Tensor, targets: Targets, queries: int) -> Matches:
-    """The predictions of the same key frame that are nearest to each annotated box.
+    """Pairs of each annotated box and the nearest predictions of the same key frame, several for each.
 
-    Args:
-        boxes: (F * queries, 11) predictions.
-        targets: What is wanted.
-        queries: Predictions of a key frame.
-
-    Returns:
-        The pairs; several for each annotated box.
+    `boxes` are (F * queries, 11).
     """
     owner = torch.repeat_interleave(torch.tensor(targets.box_counts))
     rows = (owner.to(boxes.device) * queries)[:, None] + torch.arange(queries, device=boxes.device)
@@ -135,15 +124,9 @@ def summed(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
 def decoder_losses(
     agents: Sequence[Decoded], lines: Sequence[Decoded], targets: Targets
 ) -> tuple[dict[str, Tensor], Matches]:
-    """Losses of both decoders.
+    """Losses of both decoders, means over the stages, and the matches of the last stage of boxes.
 
-    Args:
-        agents: Of B key frames each, one after the other.
-        lines: Of the same.
-        targets: In the same order.
-
-    Returns:
-        Losses by name, means over the stages, and the matches of the last stage of boxes.
+    Of B key frames each, one after the other, targets in the same order.
     """
     boxes = [stage_of_boxes(stage, targets) for stage in _joined(agents)]
     found = summed([losses for losses, _ in boxes]) | summed(
@@ -169,17 +152,10 @@ def _joined(decoded: Sequence[Decoded]) -> list[Stage]:
 def forecast_losses(
     logits: Tensor, offsets: Tensor, anchors: Tensor, wanted: Tensor, valid: Tensor
 ) -> dict[str, Tensor]:
-    """Of the modes of an agent the one whose anchor is nearest learns the way, and all learn which one that was.
+    """Losses of forecasts: of an agent's modes the one whose anchor is nearest learns the way, and all which it was.
 
-    Args:
-        logits: (K, M).
-        offsets: (K, M, T, 2) metres from step to step.
-        anchors: (K, M, T, 2) positions of the anchors, from where the agent is.
-        wanted: (K, T, 2) positions, from where the agent is.
-        valid: (K, T) bool.
-
-    Returns:
-        Losses by name.
+    `logits` are (K, M), `offsets` (K, M, T, 2) metres from step to step, `anchors` and `wanted` positions from where
+    the agent is, (K, M, T, 2) and (K, T, 2).
     """
     counted = valid.any(-1)
     logits, paths, wanted, valid = logits[counted], offsets[counted].cumsum(2), wanted[counted], valid[counted]
@@ -197,16 +173,9 @@ def forecast_losses(
 
 
 def plan_losses(logits: Tensor, offsets: Tensor, anchors: Tensor, targets: Targets) -> dict[str, Tensor]:
-    """Of the plans for the given command the one whose anchor is nearest learns the way, and all learn which it was.
+    """Losses of plans for the given command: the one of the nearest anchor learns the way, and all which it was.
 
-    Args:
-        logits: (F, M).
-        offsets: (F, M, S, 2) metres from step to step.
-        anchors: (F, M, S, 2) positions of the anchors.
-        targets: What is wanted.
-
-    Returns:
-        Losses by name.
+    `logits` are (F, M), `offsets` (F, M, S, 2) metres from step to step, `anchors` (F, M, S, 2) positions.
     """
     paths, valid = offsets.cumsum(2), targets.plans_valid
     best = winners(anchors, targets.plans, valid)

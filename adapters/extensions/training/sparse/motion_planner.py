@@ -31,14 +31,14 @@ class LearnedQueue:
     periods: Tensor
 
     def allowed(self) -> Tensor:
-        """(B, N + 1, 1, L) which frames everybody may look at."""
+        """Frames that each agent may look at, (B, N + 1, 1, L)."""
         age = torch.arange(len(self.features), 0, -1, device=self.periods.device)
         return (age <= self.periods[..., None])[:, :, None]
 
 
 @dataclass(frozen=True, slots=True)
 class QueueLeft:
-    """What key frames leave for the next ones; nothing is learned through it.
+    """Memory that key frames leave for the next ones; nothing is learned through it.
 
     Attributes:
         queue: With the ego as it was after it had looked around.
@@ -57,14 +57,13 @@ class QueueLeft:
 
 @dataclass(frozen=True, slots=True)
 class Interacted:
-    """Tokens of B key frames after everybody has looked at everybody.
+    """Tokens of B key frames after agents and the ego have looked at each other.
 
     Attributes:
         tokens: (B, N + 1, C) features and embeddings added; the ego is in the last row.
         ego_embedding: (B, 1, C).
         watched: Features and embeddings, (B, W + 1, C) each, of the most certain agents and the ego as they were.
         status: (B, 10) of the ego.
-        left: For the next frames.
         front: (B, numbers) that plans took from the front cameras, if they look there.
     """
 
@@ -84,17 +83,9 @@ class Interacted:
 def queued(
     planner: Planner, agents: Decoded, front: Tensor, past: QueueLeft | None, motions: KeyframeMotions | None
 ) -> LearnedQueue:
-    """Add key frames to what is remembered.
+    """Queue with these key frames as the last.
 
-    Args:
-        planner: Whose queue it is.
-        agents: Of these frames.
-        front: (B, C, h, w) coarsest feature maps of the front cameras.
-        past: What the frames before left.
-        motions: Since then.
-
-    Returns:
-        The queue, with these frames as the last.
+    `front` are (B, C, h, w) coarsest feature maps of the front cameras.
     """
     batch = len(front)
     encoded = planner.instance_queue.ego_feature_encoder(front).flatten(1)[:, None]
@@ -146,20 +137,11 @@ def interacted(
     finest_front: Tensor,
     front_before: Tensor | None,
 ) -> Interacted:
-    """Agents and the egos look at their past, at the most certain agents and at the maps.
+    """Tokens after agents and the egos have looked at their past, at the most certain agents and at the maps.
 
-    Args:
-        planner: Whose layers.
-        box_encoder: Embeds boxes.
-        agents: Of B key frames.
-        lines: Of the same.
-        queue: With these frames as the last.
-        kept: Agents that the next frames know again.
-        finest_front: (B, C, h, w) finest feature maps of the front cameras.
-        front_before: (B, numbers) what the frames before have left of what plans took from there.
-
-    Returns:
-        Their tokens; those of the egos with what plans take from the front cameras.
+    Those of the egos with what plans take from the front cameras. `finest_front` are (B, C, h, w) feature maps of the
+    front cameras, `front_before` (B, numbers) what the frames before have left of what plans took from there; `kept`
+    are agents that the next frames know again.
     """
     config = planner.config
     features = queue.features[-1]
@@ -185,11 +167,9 @@ def interacted(
 
 @dataclass(frozen=True, slots=True)
 class Cleaned:
-    """What a block of the diffusion planner says about the plans of B key frames.
+    """Plans of B key frames after a block of the diffusion planner.
 
-    Attributes:
-        logits: (B, M).
-        offsets: (B, M, steps, 2) metres from step to step.
+    `logits` are (B, M), `offsets` (B, M, steps, 2) metres from step to step.
     """
 
     logits: Tensor
@@ -201,15 +181,8 @@ def denoised(
 ) -> list[Cleaned]:
     """Put noise on the anchored plans of the given commands and clean them again, as when the network plans.
 
-    Args:
-        planner: Whose layers.
-        views: What the cameras saw.
-        found: Tokens.
-        commands: (B,) int64.
-        noise: (B, M, steps, 2) standard normal numbers.
-
-    Returns:
-        What each block says in each step of the way back, the last one last. Gradients stop between the steps.
+    Of each block in each step of the way back, the last one last; gradients stop between the steps. `noise` are (B, M,
+    steps, 2) standard normal numbers.
     """
     starts = planner.plan_queries(found.ego[:, None])[torch.arange(len(commands), device=commands.device), commands]
     context = PlanContext(views, found.ego_embedding, found.watched, starts)

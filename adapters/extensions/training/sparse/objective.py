@@ -36,13 +36,7 @@ FROZEN: Final = ("img_backbone.conv1", "img_backbone.bn1", "img_backbone.layer1"
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What a network says about B key frames.
-
-    Attributes:
-        perceived: Boxes and map elements, and what they were found in.
-        planned: Tokens of agents and the ego.
-        cleaned: Of the diffusion planner.
-    """
+    """Predictions of a network for B key frames; `cleaned` is of the diffusion planner."""
 
     perceived: Perceived
     planned: Interacted
@@ -53,13 +47,6 @@ class SparseObjective:
     """All tasks at once, frame after frame, as in the second stage of the published training.
 
     Memory goes from frame to frame, and gradients stop there.
-
-    Args:
-        network: To be trained.
-
-    Attributes:
-        network: The same.
-        clip_frames: Key frames of a clip.
     """
 
     def __init__(self, network: SparseNetwork) -> None:
@@ -77,11 +64,7 @@ class SparseObjective:
     def losses_of(self, clips: Sequence[Sequence[TrainingFrame]]) -> dict[str, Tensor]:
         """Losses of several clips at once, which costs less than one after the other.
 
-        Args:
-            clips: Of any lengths; those of one length are seen together.
-
-        Returns:
-            Weighted scalars by name, means over the key frames.
+        Weighted scalars by name, means over the key frames; clips of one length are seen together.
         """
         frames = sum(map(len, clips))
         alike: dict[int, list[Sequence[TrainingFrame]]] = {}
@@ -134,15 +117,10 @@ class SparseObjective:
         return decoder_losses([each.agents for each in perceived], [each.lines for each in perceived], targets)
 
     def seen(self, frames: Sequence[TrainingFrame], batch: int, targets: Targets) -> list[Seen]:
-        """What the network says, for one key frame of each clip after the other.
+        """Predictions for one key frame of each clip after the other.
 
-        Args:
-            frames: The first of each clip, then the second of each, ...
-            batch: Clips.
-            targets: Of these frames.
-
-        Returns:
-            Of all first frames, of all second ones, ...
+        `frames` are the first of each clip, then the second of each, and so are the results: of all first frames, of
+        all second ones.
         """
         head, device = self._sparse.head, targets.plans.device
         planner = head.motion_plan_head
@@ -168,7 +146,7 @@ class SparseObjective:
         return found
 
     def _perceived(self, frames: Sequence[TrainingFrame], batch: int, device: torch.device) -> Iterator[Perceived]:
-        """What is seen in one key frame of each clip after the other; arguments as of `seen`."""
+        """Perception of one key frame of each clip after the other; arguments as of `seen`."""
         network = self._sparse
         images = miniature_images(torch.stack([frame.images for frame in frames]).flatten(0, 1).to(device))
         maps = network.img_neck(network.img_backbone(images))
@@ -196,14 +174,7 @@ class SparseObjective:
 
 
 def network_inputs(frame: TrainingFrame) -> SparseInputs:
-    """What the planner would give the network for a key frame.
-
-    Args:
-        frame: The key frame.
-
-    Returns:
-        The inputs.
-    """
+    """Inputs that the planner would give the network for a key frame."""
     return SparseInputs(
         images=miniature_images(frame.images),
         projections=frame.lidar2img,

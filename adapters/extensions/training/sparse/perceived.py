@@ -18,17 +18,10 @@ from adapters.networks.sparse.model import SparseNetwork
 
 @dataclass(frozen=True, slots=True)
 class Perceived:
-    """What is seen in B key frames.
+    """Boxes and map elements seen in B key frames, and what to remember of them.
 
-    Attributes:
-        poses: When and where they were taken.
-        views: What the cameras saw.
-        agents: Boxes.
-        lines: Map elements.
-        kept_agents: What to remember of boxes.
-        kept_lines: And of map elements.
-        front: (B, C, h, w) coarsest feature maps of the front cameras.
-        finest_front: (B, C, h, w) their finest ones, or what plans look at instead.
+    `front` are (B, C, h, w) coarsest feature maps of the front cameras, `finest_front` their finest ones, or what
+    plans look at instead.
     """
 
     poses: tuple[KeyframePose, ...]
@@ -50,15 +43,8 @@ def perceived(
 ) -> Perceived:
     """See key frames of several clips side by side.
 
-    Args:
-        network: Whose eyes.
-        maps: (B * cameras, C, h, w) for each level, fine to coarse.
-        finest_front: (B, C, h, w) what plans look at of the front cameras.
-        frames: The key frames, B of them.
-        past: Of the key frames before, in the same order.
-
-    Returns:
-        What is seen.
+    `maps` are (B * cameras, C, h, w) for each level, fine to coarse, `finest_front` (B, C, h, w) what plans look at of
+    the front cameras; `past` is of the key frames before, in the same order.
     """
     config, head, device = network.config, network.head, maps[0].device
     projections = torch.stack([frame.lidar2img for frame in frames]).to(device, torch.float32)
@@ -72,14 +58,10 @@ def perceived(
 
 
 def remembered(seen: Perceived, cameras: int) -> Perceived:
-    """What a planner needs of key frames, small enough to be kept of thousands; images in half precision.
+    """Part of key frames that a planner needs, small enough to be kept of thousands; images in half precision.
 
-    Args:
-        seen: One key frame.
-        cameras: Of how many cameras what they saw is kept; none where plans do not look at images.
-
-    Returns:
-        The last stages alone, and no qualities of boxes.
+    The last stages alone, and no qualities of boxes; cameras are kept as many as asked for, none where plans do not
+    look at images.
     """
     views = replace(
         seen.views,

@@ -24,7 +24,7 @@ def front_reader(network: SparseNetwork) -> FrontReader | None:
 
 
 def front_eyes(network: SparseNetwork) -> Eyes:
-    """What that part reads the maps of."""
+    """Eyes that make the maps for the front phase."""
     if network.front_eyes is not None:
         return Eyes(network.front_eyes, own=True)
     # What finds boxes and lines reads the same maps: they stay as they are until all of it learns.

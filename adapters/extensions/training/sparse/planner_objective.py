@@ -29,9 +29,6 @@ class PlannerObjective(SparseObjective):
 
     A small network would know the frames by heart: some of what is remembered is forgotten anew in each step, and no
     plan is learned where the past that the network has when it drives is missing, as in the first frame of a clip.
-
-    Args:
-        network: To be trained.
     """
 
     def __init__(self, network: SparseNetwork) -> None:

@@ -35,16 +35,7 @@ Network = TypeVar("Network", bound=SparseNetwork)
 def untrained(config: SparseConfig, frames: Iterable[TrainingFrame], seed: int) -> SparseDrive:
     """A SparseDrive before its training: random weights, and anchors of what there is to be found.
 
-    Args:
-        config: Its sizes.
-        frames: Of the training data, a few hundred at least.
-        seed: Of the weights.
-
-    Returns:
-        The network.
-
-    Raises:
-        InputError: If too little is annotated in the frames.
+    A few hundred frames of the training data at least.
     """
     return _begun(SparseDrive, config, frames, seed)
 
@@ -69,8 +60,7 @@ def _begun(
 def initialise(network: SparseNetwork) -> None:
     """First values that keep tokens apart from layer to layer, and let them show what is in the images at once.
 
-    Args:
-        network: Its head is filled with random numbers of the current generator; anchors stay as they are.
+    Its head is filled with random numbers of the current generator; anchors stay as they are.
     """
     for name, parameter in network.head.named_parameters():
         if parameter.dim() > 1 and parameter.requires_grad and "instance_bank" not in name:
@@ -98,13 +88,9 @@ def initialise(network: SparseNetwork) -> None:
 
 
 def planned_from(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Weights of a trained SparseDrive for what DiffusionDrive has in common with it: all but the plans.
+    """Weights of a trained SparseDrive under the names of DiffusionDrive: all that they share, which is all but plans.
 
-    Args:
-        trunk: The weights, under the names of SparseDrive.
-
-    Returns:
-        The same, under the names of DiffusionDrive, with what own eyes begin with (`seen_with_own_eyes`).
+    With what own eyes begin with (`seen_with_own_eyes`).
     """
     renamed = {
         name.replace("motion_plan_head.layers.", "motion_plan_head.interact_layers."): value
@@ -119,15 +105,7 @@ def planned_from(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 def sightings_in(frames: Iterable[TrainingFrame], config: SparseConfig) -> Sightings:
-    """What there is to be found in training frames.
-
-    Args:
-        frames: The frames.
-        config: Of the network that gets the anchors.
-
-    Returns:
-        Centres of boxes and lines within reach, and futures and plans that are known to their ends.
-    """
+    """Sightings in training frames: boxes and lines within reach, futures and plans that are known to their ends."""
     boxes, lines = [np.zeros((0, 3))], [np.zeros((0, 2))]
     futures: list[list[Floats]] = [[np.zeros((0, config.agent_steps, 2))] for _ in range(config.agent_classes)]
     plans: list[list[Floats]] = [[np.zeros((0, config.steps, 2))] for _ in range(config.commands)]

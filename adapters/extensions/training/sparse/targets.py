@@ -27,17 +27,15 @@ class Targets:
     Attributes:
         boxes: (G, 11) undecoded.
         box_labels: (G,) int64.
-        box_counts: Boxes of each key frame.
         futures: (G, T, 2) positions at steps of 0.5 s, from where the box is.
         futures_valid: (G, T) bool.
         lines: (M, P, 2).
         line_labels: (M,) int64.
-        line_counts: Map elements of each key frame.
         plans: (F, S, 2) recorded positions of the ego.
         plans_valid: (F, S) bool.
         commands: (F,) int64.
         status: (F, 10) of the ego; the steering angle is 0.
-        around: Everybody, at the S steps of a plan.
+        around: All that is annotated, at the S steps of a plan.
     """
 
     boxes: Tensor
@@ -56,16 +54,7 @@ class Targets:
 
     @classmethod
     def of(cls, frames: Sequence[TrainingFrame], points_per_line: int, device: torch.device) -> Self:
-        """Gather key frames.
-
-        Args:
-            frames: In the order of the predictions.
-            points_per_line: Points of a map element.
-            device: Where to put the numbers.
-
-        Returns:
-            Their annotations.
-        """
+        """Annotations of key frames in the order of the predictions."""
         near = [frame.boxes[:, :2].norm(dim=-1) <= FARTHEST_M for frame in frames]
         boxes = torch.cat([frame.boxes[kept] for frame, kept in zip(frames, near, strict=True)])
         futures = torch.cat([frame.futures[kept] for frame, kept in zip(frames, near, strict=True)])

@@ -15,9 +15,7 @@ from adapters.networks.uniad.model import UniAD
 class HeadsObjective(UniADObjective):
     """Tracks, map, forecasts, occupancy and plan. The views are those of the network when it runs, made once.
 
-    Args:
-        network: To be trained.
-        clip_frames: Frames of a clip, all with gradients.
+    All frames of a clip have gradients.
     """
 
     def __init__(self, network: UniAD, clip_frames: int) -> None:

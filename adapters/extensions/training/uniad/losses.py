@@ -36,19 +36,10 @@ SMALLEST_DEVIATION_M, LARGEST_CORRELATION = 0.1, 0.9
 
 
 def matched_agents(detections: Detections, agents: Agents, carried: Tensor, queries: int) -> Matches:
-    """Which query stands for which agent: a track for its own, and fresh queries for all others.
+    """Pairs of queries and agents: a track for its own, and fresh queries for all others.
 
-    Args:
-        detections: Of fresh queries, the ego and tracks.
-        agents: That are annotated.
-        carried: (T,) instances of the tracks.
-        queries: How many are fresh, without the ego.
-
-    Returns:
-        The pairs; tracks whose agent has gone have none.
-
-    Raises:
-        InputError: If predictions are not finite.
+    Tracks whose agent has gone have no pair. `carried` are (T,) instances of the tracks, `queries` counts the fresh
+    ones without the ego.
     """
     same = carried[:, None] == agents.instances
     track, owned = same.nonzero().unbind(-1)
@@ -69,18 +60,7 @@ def matched_agents(detections: Detections, agents: Agents, carried: Tensor, quer
 def detection_losses(
     detections: Detections, agents: Agents, matches: Matches, ego_codes: Tensor, ego_query: int
 ) -> dict[str, Tensor]:
-    """Of all layers of the decoder of agents.
-
-    Args:
-        detections: Of all queries.
-        agents: That are annotated.
-        matches: Which query stands for which.
-        ego_codes: (1, 10) of the ego.
-        ego_query: Which query is the ego's.
-
-    Returns:
-        Scalars by name.
-    """
+    """Losses of all layers of the decoder of agents, by name; `ego_codes` are (1, 10)."""
     own = agents.labels.new_tensor([ego_query]), agents.labels.new_tensor([len(agents.labels)])
     everyone = Matches(torch.cat([matches.queries, own[0]]), torch.cat([matches.wanted, own[1]]))
     labels = torch.cat([agents.labels, agents.labels.new_tensor([EGO_LABEL])])
@@ -106,18 +86,7 @@ def _agent_class_loss(logits: Tensor, labels: Tensor, matches: Matches) -> Tenso
 
 
 def matched_elements(elements: MapElements, road: Road) -> Matches:
-    """Which query stands for which map element, by class and rectangle.
-
-    Args:
-        elements: Of the map.
-        road: What is annotated.
-
-    Returns:
-        The pairs.
-
-    Raises:
-        InputError: If predictions are not finite.
-    """
+    """Pairs of queries and map elements, by class and rectangle."""
     distance = torch.cdist(elements.rectangles[-1].detach(), road.rectangles, p=1)
     return assigned(CLASS_WEIGHT * class_cost(elements.class_logits[-1], road.labels) + 5 * distance)
 
@@ -125,18 +94,7 @@ def matched_elements(elements: MapElements, road: Road) -> Matches:
 def map_losses(
     elements: MapElements, road: Road, matches: Matches, masks: Tensor, drivable: Tensor
 ) -> dict[str, Tensor]:
-    """Of the map head.
-
-    Args:
-        elements: Of the map.
-        road: What is annotated.
-        matches: The pairs.
-        masks: (K, cells) values of the pairs' queries.
-        drivable: (1, cells) values.
-
-    Returns:
-        Scalars by name.
-    """
+    """Losses of the map head by name; `masks` are (K, cells) values of the queries, `drivable` (1, cells) ones."""
     classes = [query_class_loss(logits, road.labels, matches) for logits in elements.class_logits]
     ones = road.rectangles.new_ones(4)
     rectangles = [box_loss(found, road.rectangles, matches, ones) for found in elements.rectangles]
@@ -149,14 +107,9 @@ def map_losses(
 
 
 def mask_loss(values: Tensor, targets: Tensor) -> Tensor:
-    """Of masks whose values are not probabilities: squares, in which inside and outside count alike, and overlap.
+    """Loss of masks whose values are no probabilities: squares, in which inside and outside count alike, and overlap.
 
-    Args:
-        values: (N, cells), 0 or more.
-        targets: (N, cells), 0 or 1.
-
-    Returns:
-        A scalar.
+    `values` are (N, cells), 0 or more, `targets` 0 or 1.
     """
     if len(values) == 0:
         return values.sum()
@@ -169,16 +122,7 @@ def mask_loss(values: Tensor, targets: Tensor) -> Tensor:
 
 
 def forecast_losses(forecasts: Forecasts, wanted: Tensor, valid: Tensor) -> dict[str, Tensor]:
-    """Of all layers of the forecast.
-
-    Args:
-        forecasts: For A agents.
-        wanted: (A, steps, 2) metres from their present places.
-        valid: (A, steps).
-
-    Returns:
-        Scalars by name.
-    """
+    """Losses of all layers of the forecast; `wanted` are (A, steps, 2) metres from the present places of agents."""
     distances, modes, deviations = [], [], []
     for trajectories, log_probabilities in zip(forecasts.trajectories, forecasts.log_probabilities, strict=True):
         distance, mode = trajectory_losses(trajectories[..., :2], log_probabilities, wanted, valid)
@@ -205,15 +149,9 @@ def _deviation_loss(trajectories: Tensor, wanted: Tensor, valid: Tensor) -> Tens
 
 
 def occupancy_loss(occupancy: Occupancy, wanted: Tensor, valid: Tensor) -> Tensor:
-    """Of the occupancy and of the coarse masks that steer attention.
+    """Loss of the occupancy by V vehicles and of the coarse masks that steer attention.
 
-    Args:
-        occupancy: By V vehicles.
-        wanted: (V, T, rows, columns), 0 or 1.
-        valid: (V, T).
-
-    Returns:
-        A scalar.
+    `wanted` are (V, T, rows, columns), 0 or 1, `valid` (V, T).
     """
     logits, targets = occupancy.logits[valid], wanted[valid]
     coarse = F.adaptive_max_pool2d(targets, occupancy.mask_logits.shape[-2:])

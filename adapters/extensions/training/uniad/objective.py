@@ -74,12 +74,9 @@ MOST_OCCUPYING = 8
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What is seen in a key frame.
+    """View of a key frame: (cells, C) bird's-eye view and the (1, C, h, w) finest feature map of the front camera.
 
-    Attributes:
-        bev: (cells, C) bird's-eye view.
-        finest_front: (1, C, h, w) finest feature map of the front camera.
-        can_bus: (18,) float32, how the ego moves, as far as it is told.
+    `can_bus` is (18,) float32, how the ego moves, as far as it is told.
     """
 
     bev: Tensor
@@ -93,10 +90,8 @@ class UniADObjective:
     Attributes:
         network: What learns. It stays as in inference, without dropout and with normalisation as stored, but for the
             occupancy, whose normalisation learns what it normalises.
-        clip_frames: Frames of a clip.
         learned_frames: The last frames of a clip, through which gradients pass; earlier ones only leave a past.
         unaware: Share of clips in which the network is not told how the ego moves, so that it looks.
-        stage: What is learned.
         view_learns: Whether the bird's-eye view learns; only then has it to say what stands where.
 
     Args:
@@ -121,33 +116,15 @@ class UniADObjective:
                 parameter.requires_grad_(not sees_already and not name.startswith(FROZEN))
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
-        """Losses of a clip; the map and all that follows from it are learned from its last frame.
-
-        Args:
-            clip: Consecutive key frames of one scene.
-
-        Returns:
-            Weighted scalars by name.
-
-        Raises:
-            InputError: If predictions are not finite.
-        """
+        """Weighted losses of a clip; the map and all that follows from it are learned from its last frame."""
         turn, aware = torch.rand(2).tolist()
         return self.clip_losses(clip, 2 * math.pi * turn, aware >= self.unaware)
 
     def clip_losses(self, clip: Sequence[TrainingFrame], turn_rad: float, aware: bool) -> dict[str, Tensor]:
-        """As `losses`, with what is drawn there.
+        """Losses as of `losses`, with what is drawn there.
 
-        Args:
-            clip: Consecutive key frames of one scene.
-            turn_rad: By how much the world is turned under the ego: no image shows where north is.
-            aware: Whether the network is told how the ego moves. Its past view is aligned all the same.
-
-        Returns:
-            Weighted scalars by name.
-
-        Raises:
-            InputError: If predictions are not finite.
+        The world is turned by `turn_rad` under the ego: no image shows where north is. `aware` says whether the
+        network is told how the ego moves; its past view is aligned all the same.
         """
         network = self.network
         if network.training:
@@ -170,7 +147,7 @@ class UniADObjective:
         return max(frames - self.learned_frames, 0)
 
     def _views(self, inputs: Sequence[UniADInputs], aware: bool) -> Iterator[View]:
-        """What is seen in the frames of a clip, one after the other; the images of those with gradients together."""
+        """Views of the frames of a clip, one after the other; the images of those with gradients together."""
         network, config = self.network, self.network.config
         learned = self._first_learned(len(inputs))
         previous: Tensor | None = None
@@ -210,14 +187,14 @@ class UniADObjective:
         return memory, losses
 
     def _handed_on(self, instances: Instances, matches: Matches) -> Instances:
-        """Queries of the next frame: fresh ones, tracks of most of the agents, and tracks of nobody."""
+        """Queries of the next frame: fresh ones, tracks of most of the agents, and tracks of none."""
         network = self.network
         kept = matches.queries[torch.rand(len(matches.queries)) >= LOST]
         kept = torch.cat([kept, self._false_tracks(instances, matches)])
         return network.fresh_queries().then(network.query_interact(network.memory_bank(instances).kept(kept)))
 
     def _false_tracks(self, instances: Instances, matches: Matches) -> Tensor:
-        """Fresh queries and tracks that stand for nobody and would be tracks all the same, which are to be given up."""
+        """Fresh queries and tracks that stand for no agent and would be tracks all the same: to be given up."""
         scores = instances.scores.detach().index_fill(0, matches.queries, 0.0)
         scores[self.network.config.queries] = 0.0
         count = min(int((scores >= FALSE_FROM).sum()), MOST_FALSE)
@@ -298,15 +275,7 @@ def _followed(entering: Instances, detections: Detections, agents: Agents, match
 
 
 def plan_losses(plan: UniADPlan, frame: TrainingFrame) -> dict[str, Tensor]:
-    """Of a plan and of what it read in the front camera.
-
-    Args:
-        plan: Before it is moved away from occupied cells.
-        frame: The key frame.
-
-    Returns:
-        Weighted scalars by name.
-    """
+    """Weighted losses of a plan, before it is moved, and of what it read in the front camera."""
     points, wanted, valid = plan.positions_m, frame.ego_future, frame.ego_future_valid
     losses = {
         "plan": PLAN_WEIGHT * plan_loss(points, wanted, valid),

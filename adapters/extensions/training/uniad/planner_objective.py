@@ -17,14 +17,10 @@ from adapters.networks.uniad.model import UniAD
 
 @dataclass(frozen=True, slots=True)
 class PlannerSights:
-    """What the plan of a key frame is made from, in half precision.
+    """Inputs of the plan of a key frame, in half precision.
 
-    Attributes:
-        bev: (cells, C) bird's-eye view.
-        mode_queries: (modes, C) forecast states of the ego.
-        state: (C,) its track.
-        finest_front: (1, C, h, w) finest feature map of the front camera.
-        can_bus: (18,) float32, how the ego moves.
+    `bev` is (cells, C), `mode_queries` (modes, C) forecast states of the ego, `state` (C,) its track, `finest_front`
+    (1, C, h, w), `can_bus` (18,) float32.
     """
 
     bev: Tensor
@@ -40,12 +36,6 @@ class PlannerObjective:
     In the clips of `adapters.extensions.training.uniad.objective.UniADObjective` tracks are a few frames old, and stand
     for whom they should. A small network would know the frames by heart: some of the ego's forecast and track is
     forgotten anew in each step, the planner has its dropout, and what is read in the front camera stays as it is.
-
-    Args:
-        network: To be trained.
-
-    Attributes:
-        network: The same.
     """
 
     clip_frames = 1
@@ -98,7 +88,7 @@ class PlannerObjective:
 
 @contextmanager
 def _nothing_occupied(network: UniAD) -> Iterator[None]:
-    """Where nobody is a vehicle no occupancy is computed: it is nearly half of a frame's cost, and no plan reads it."""
+    """Leave out occupancy, which is nearly half of a frame's cost and which no plan reads: no track is a vehicle."""
     vehicles = network.vehicle_classes
     network.vehicle_classes = torch.zeros_like(vehicles)
     try:
@@ -110,5 +100,5 @@ def _nothing_occupied(network: UniAD) -> Iterator[None]:
 def _sights(
     bev: Tensor, _: Tensor, mode_queries: Tensor, state: Tensor, __: int, finest_front: Tensor, can_bus: Tensor
 ) -> PlannerSights:
-    """What `adapters.networks.uniad.planning.PlanningHead` is given; copies, so that nothing else is kept."""
+    """Inputs of `adapters.networks.uniad.planning.PlanningHead`; copies, so that nothing else is kept."""
     return PlannerSights(bev.half(), mode_queries.half(), state.half(), finest_front.half(), can_bus)

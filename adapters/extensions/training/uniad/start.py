@@ -55,16 +55,7 @@ _SHARED = tuple(
 def untrained(config: UniADConfig, frames: Sequence[TrainingFrame], seed: int) -> UniAD:
     """A network to be trained.
 
-    Args:
-        config: Its sizes.
-        frames: Of the training set, some hundreds: places of queries and anchors of forecasts are from them.
-        seed: Of all other parameters.
-
-    Returns:
-        The network; its anchors are part of its state.
-
-    Raises:
-        InputError: If there are too few agents in the frames, or all of them are too near the ends of scenes.
+    Places of queries and anchors of forecasts are from the frames, some hundreds; the anchors are part of its state.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
@@ -86,12 +77,6 @@ def seen_by_vad(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
     Both see as BEVFormer does and find boxes with the same decoder; UniAD's tracks, map, forecasts, occupancy and plan
     are its own; and so is what its plan reads in the front camera, where VAD's plan has eyes of its own for that.
-
-    Args:
-        trunk: The weights, under the names of VAD, and of its sizes; others stay as they are.
-
-    Returns:
-        Weights under the names of UniAD.
     """
     if _VAD_QUERIES not in trunk:
         return dict(trunk)

@@ -28,13 +28,9 @@ EGO_LABEL = 0
 
 
 def network_inputs(frame: TrainingFrame) -> UniADInputs:
-    """What the network is given for a training frame: what `UniADPlanner.inputs` gives it for the same sample.
+    """Inputs of the network for a training frame, as `UniADPlanner.inputs` gives them for the same sample.
 
-    Args:
-        frame: Its images have the network's size.
-
-    Returns:
-        The inputs, on the device of the frame's images.
+    On the device of the frame's images, which have the network's size.
     """
     return UniADInputs(
         images=miniature_images(frame.images),
@@ -52,13 +48,7 @@ def network_inputs(frame: TrainingFrame) -> UniADInputs:
 class Agents:
     """G annotated agents in the perception range.
 
-    Attributes:
-        codes: (G, 10) as the network predicts them.
-        labels: (G,) int64.
-        instances: (G,) int64.
-        boxes: (G, 9) as `TrainingFrame.boxes`.
-        futures: (G, 12, 3) as `TrainingFrame.futures`.
-        futures_valid: (G, 12).
+    Codes (G, 10) are as the network predicts them; `boxes`, `futures` and `futures_valid` as in `TrainingFrame`.
     """
 
     codes: Tensor
@@ -70,15 +60,7 @@ class Agents:
 
     @classmethod
     def of(cls, frame: TrainingFrame, config: UniADConfig) -> "Agents":
-        """Of a frame.
-
-        Args:
-            frame: The frame.
-            config: Gives the perception range.
-
-        Returns:
-            Those whose centres are in it.
-        """
+        """Agents of a frame whose centres are in the perception range."""
         x_low, y_low, _, x_high, y_high, _ = config.perception_range_m
         x, y = frame.boxes[:, 0], frame.boxes[:, 1]
         near = (x > x_low) & (x < x_high) & (y > y_low) & (y < y_high)
@@ -93,14 +75,9 @@ class Agents:
 
 
 def box_targets(boxes: Tensor, config: UniADConfig) -> Tensor:
-    """Codes that the network should predict; see `adapters.networks.uniad.tracking.headings`.
+    """Codes, (N, 10), that the network should predict; see `adapters.networks.uniad.tracking.headings`.
 
-    Args:
-        boxes: (N, 9) as `TrainingFrame.boxes`.
-        config: Says which yaw the network has.
-
-    Returns:
-        (N, 10).
+    `boxes` are (N, 9) as `TrainingFrame.boxes`.
     """
     yaw = boxes[:, 6:7] + math.pi / 2 if config.counterclockwise_yaw else -boxes[:, 6:7] - math.pi / 2
     return normalised_boxes(torch.cat([boxes[:, :6], yaw, boxes[:, 7:]], 1))
@@ -115,15 +92,7 @@ def ego_box(frame: TrainingFrame) -> Tensor:
 
 
 def _inside(points: Tensor, boxes: Tensor) -> Tensor:
-    """Whether points are in boxes.
-
-    Args:
-        points: (P, 2).
-        boxes: (..., 5) centre x, y, length, width, heading.
-
-    Returns:
-        (..., P).
-    """
+    """Whether, (..., P), points are in boxes of (..., 5) centre x, y, length, width, heading."""
     offset = points - boxes[..., None, :2]
     cosine, sine = boxes[..., 4:5].cos(), boxes[..., 4:5].sin()
     along = offset[..., 0] * cosine + offset[..., 1] * sine
@@ -132,15 +101,9 @@ def _inside(points: Tensor, boxes: Tensor) -> Tensor:
 
 
 def occupancy_targets(agents: Agents, which: Tensor, config: UniADConfig) -> tuple[Tensor, Tensor]:
-    """Where agents are, now and later.
+    """Cells where V agents are, now and later.
 
-    Args:
-        agents: Of a frame.
-        which: (V,) of them.
-        config: Gives the grid and the steps.
-
-    Returns:
-        (V, T, rows, columns) float32, 1 for cells whose centre is in the agent's box, and (V, T) where that is known.
+    (V, T, rows, columns) float32, 1 for cells whose centre is in the agent's box, and (V, T) where that is known.
     """
     side, steps = round(2 * config.occupancy_half_m / CELL_M), config.occupancy_steps
     axis = (torch.arange(side) + 0.5) * CELL_M - config.occupancy_half_m
@@ -171,15 +134,7 @@ class Road:
 
     @classmethod
     def of(cls, frame: TrainingFrame, config: UniADConfig) -> "Road":
-        """Of a frame.
-
-        Args:
-            frame: The frame.
-            config: Gives the view.
-
-        Returns:
-            The map.
-        """
+        """Map elements and drivable area of a frame."""
         x_low, y_low, _, x_high, y_high, _ = config.perception_range_m
         low, size = torch.tensor([x_low, y_low]), torch.tensor([x_high - x_low, y_high - y_low])
         centres = config.grid.centres() * size + low
@@ -203,35 +158,15 @@ def _distances(points: Tensor, lines: Tensor) -> Tensor:
 
 
 def query_places(frames: Iterable[TrainingFrame], config: UniADConfig) -> Tensor:
-    """Where agents are, as a place for each query.
-
-    Args:
-        frames: Of the training set.
-        config: Says how many and how far.
-
-    Returns:
-        (queries, 3) metres in the lidar frame.
-
-    Raises:
-        InputError: If there are too few agents.
-    """
+    """Places for the queries, (queries, 3) metres in the lidar frame: where agents are in the training set."""
     found = np.concatenate([Agents.of(frame, config).boxes[:, :3].numpy() for frame in frames])
     return torch.from_numpy(clustered(found.astype(np.float64), config.queries, "agents")).float()
 
 
 def motion_anchors(frames: Iterable[TrainingFrame], config: UniADConfig) -> Tensor:
-    """Typical forecasts of the groups of agents.
+    """Typical forecasts, (groups, modes, steps, 2) metres in the frames of agents, y forward, of groups of agents.
 
-    Args:
-        frames: Of the training set.
-        config: Says how many.
-
-    Returns:
-        (groups, modes, steps, 2) metres in the frames of agents, y forward; of a group that is seen too rarely, those
-        of vehicles.
-
-    Raises:
-        InputError: If there are too few vehicles.
+    Of a group that is seen too rarely, those of vehicles.
     """
     groups: list[list[Tensor]] = [[] for _ in range(config.motion_groups)]
     for frame in frames:

@@ -81,12 +81,11 @@ WEIGHTS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Disguise:
-    """What hides from a clip that the plan could be read off the ego's own motion.
+    """Disguise of a clip, so that the plan cannot be read off the ego's own motion.
 
     Attributes:
         turn_rad: The world is turned by so much; no image shows where north is.
         speed_known: Whether the network is told how the ego moves. Its past view is aligned all the same.
-        past_known: Whether the first learned frame remembers.
     """
 
     turn_rad: float
@@ -95,17 +94,13 @@ class Disguise:
 
     @classmethod
     def drawn(cls) -> "Disguise":
-        """From the random numbers of the process, which the trainer seeds for each step."""
+        """Disguise from the random numbers of the process, which the trainer seeds for each step."""
         turn, speed, past = torch.rand(3).tolist()
         return cls(2 * math.pi * turn, speed >= WITHOUT_SPEED, past >= WITHOUT_PAST)
 
 
 class VADObjective:
-    """`frames.Objective` for VAD; all but the last stages of the image network stay as they are.
-
-    Args:
-        network: Any sizes.
-    """
+    """`frames.Objective` for VAD; all but the last stages of the image network stay as they are."""
 
     clip_frames = CLIP_FRAMES
 
@@ -136,13 +131,10 @@ class VADObjective:
 
 @dataclass(frozen=True, slots=True)
 class Matched:
-    """Annotated agents of a key frame and the queries that stand for them.
+    """Annotated agents of a key frame and the queries that stand for them, after each layer of the decoder.
 
-    Attributes:
-        inside: (N,) which of the annotated ones are in the perception range.
-        wanted: (G, 10) their boxes as `adapters.extensions.training.losses.normalised_boxes`, in the network's
-            convention.
-        layers: After each layer of the decoder.
+    `inside` says, (N,), which of the annotated ones are in the perception range; `wanted` are (G, 10) their boxes as
+    `adapters.extensions.training.losses.normalised_boxes`, in the network's convention.
     """
 
     inside: Tensor
@@ -151,14 +143,7 @@ class Matched:
 
 
 def inputs_of(frame: TrainingFrame) -> VADInputs:
-    """A frame as `adapters.networks.vad.planner.VADPlanner` makes it of an observation.
-
-    Args:
-        frame: The key frame.
-
-    Returns:
-        Inputs on the processor.
-    """
+    """Inputs of a frame as `adapters.networks.vad.planner.VADPlanner` makes them; on the processor."""
     images = miniature_images(frame.images)
     return VADInputs(
         # Convolutions on processors take two thirds of the time in this order of memory.
@@ -171,16 +156,7 @@ def inputs_of(frame: TrainingFrame) -> VADInputs:
 
 
 def frame_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
-    """Losses of one key frame, not weighted.
-
-    Args:
-        network: That predicted.
-        predictions: Of the frame.
-        frame: The same frame.
-
-    Returns:
-        Scalars by the names of `WEIGHTS`.
-    """
+    """Losses of one key frame by the names of `WEIGHTS`, not weighted."""
     return {
         **_agent_losses(network, predictions, frame),
         **_map_losses(network, predictions, frame),
@@ -201,16 +177,10 @@ def predictions_of(
 def looked(
     network: VAD, inputs: VADInputs, previous: tuple[Tensor, Tensor] | None, speed_known: bool
 ) -> tuple[VADPredictions, Tensor, EgoMotion]:
-    """As `VAD.predict`, with a past that the caller holds.
+    """Predictions as of `VAD.predict`, with a past that the caller holds; the network's own is not looked at.
 
-    Args:
-        network: The network; what it remembers is not looked at.
-        inputs: One key frame.
-        previous: (18,) CAN bus vector and (cells, C) view of the frame before, ``None`` at the start of a scene.
-        speed_known: As in `Disguise`.
-
-    Returns:
-        Everything that the network computed; what the plan looks at of the front camera; and the motion as told.
+    With what the plan looks at of the front camera, and the motion as told. `previous` are the (18,) CAN bus vector
+    and (cells, C) view of the frame before, ``None`` at the start of a scene; `speed_known` as in `Disguise`.
     """
     can_bus, view = previous or (None, None)
     config = network.config
@@ -226,7 +196,7 @@ def looked(
 
 
 def matched_agents(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> Matched:
-    """Which queries stand for which annotated agents after each layer."""
+    """Pairs of queries and annotated agents after each layer."""
     low, high = (torch.tensor(network.config.perception_range_m[each : each + 2]) for each in (0, 3))
     inside = ((frame.boxes[:, :2] > low) & (frame.boxes[:, :2] < high)).all(-1)
     boxes, labels = frame.boxes[inside], frame.labels[inside]
@@ -255,17 +225,9 @@ def _agent_losses(network: VAD, predictions: VADPredictions, frame: TrainingFram
 def forecast_losses(
     network: VAD, mode_offsets: Tensor, mode_logits: Tensor, matched: Matched, frame: TrainingFrame
 ) -> dict[str, Tensor]:
-    """Of the forecasts of one key frame, not weighted.
+    """Losses of the forecasts of one key frame by name, not weighted.
 
-    Args:
-        network: Whose forecasts.
-        mode_offsets: (A, modes, steps, 2) metres from step to step.
-        mode_logits: (A, modes).
-        matched: Which queries stand for agents.
-        frame: The key frame.
-
-    Returns:
-        Scalars by name.
+    `mode_offsets` are (A, modes, steps, 2) metres from step to step, `mode_logits` (A, modes).
     """
     steps, matches = network.config.steps, matched.layers[-1]
     boxes = frame.boxes[matched.inside]
@@ -317,15 +279,10 @@ def _pace_loss(predictions: VADPredictions, frame: TrainingFrame) -> Tensor:
 
 
 def plan_losses(plan_offsets: Tensor, front: Tensor | None, frame: TrainingFrame) -> dict[str, Tensor]:
-    """Of the plan of one key frame and what it took from the front camera, not weighted.
+    """Losses of the plan of one key frame and what it took from the front camera, by name, not weighted.
 
-    Args:
-        plan_offsets: (commands, steps, 2) metres from step to step.
-        front: (1, numbers), ``None`` where it does not look there.
-        frame: The key frame.
-
-    Returns:
-        Scalars by name.
+    `plan_offsets` are (commands, steps, 2) metres from step to step; `front` is (1, numbers), ``None`` where it does
+    not look there.
     """
     offsets = plan_offsets[frame.command]
     plan = offsets.cumsum(0)

@@ -15,7 +15,7 @@ def front_reader(network: VAD) -> FrontReader | None:
 
 
 def front_eyes(network: VAD) -> Eyes:
-    """What that part reads the maps of."""
+    """Eyes that make the maps for the front phase."""
     if network.front_eyes is not None:
         return Eyes(network.front_eyes, own=True)
     return of_all_cameras(network, (COARSE,))

@@ -51,12 +51,6 @@ class PlannerObjective:
     Nine tenths of a step of `adapters.extensions.training.vad.objective.VADObjective` are images and the bird's-eye
     view. A small network would know the frames by heart: some of what is remembered is forgotten anew in each step, and
     what is read in the front camera stays as it is.
-
-    Args:
-        network: To be trained.
-
-    Attributes:
-        network: The same.
     """
 
     clip_frames = 1

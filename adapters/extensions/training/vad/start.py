@@ -45,19 +45,7 @@ EDGE_SHARE: Final = 0.02
 
 
 def untrained(config: VADConfig, frames: Sequence[TrainingFrame], seed: int) -> VAD:
-    """A small VAD before its training.
-
-    Args:
-        config: Its sizes.
-        frames: Of the training data, a few hundred at least; images are not looked at.
-        seed: Of the weights.
-
-    Returns:
-        The network.
-
-    Raises:
-        InputError: If too little is annotated in the frames.
-    """
+    """A small VAD before its training. A few hundred frames of the training data at least; images are not looked at."""
     with torch.random.fork_rng(devices=()):
         torch.manual_seed(content_seed("vad miniature", seed))
         network = VAD(config)
@@ -90,13 +78,8 @@ def _mean_plans(frames: Sequence[TrainingFrame], commands: int, steps: int) -> T
 def set_first_values(network: VAD, agents: Tensor, lines: Tensor, plans: Tensor) -> None:
     """Put the queries where things are, and start from a car, from a line straight ahead, and from the mean plan.
 
-    The published training does without; it has thirty times the steps.
-
-    Args:
-        network: With random weights; they are changed.
-        agents: (agents, 2) x, y of the agent queries, as shares of the perception range.
-        lines: (map elements, 2) the same of the middles of map elements.
-        plans: (commands, steps, 2) metres from step to step.
+    The published training does without; it has thirty times the steps. Places of `agents` and of the middles of
+    `lines` are (N, 2) shares of the perception range; `plans` (commands, steps, 2) metres from step to step.
     """
     head, config = network.pts_bbox_head, network.config
     with torch.no_grad():
@@ -141,14 +124,10 @@ def set_first_values(network: VAD, agents: Tensor, lines: Tensor, plans: Tensor)
 
 
 def begun_from(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """What a miniature of VAD starts from.
+    """Weights that a miniature of VAD starts from, under the names of VAD.
 
-    Args:
-        trunk: Weights of a trained VAD, of which all is taken (`grown`, `seen_with_own_eyes`); or of a sparse
-            miniature, of which the eyes of its plan are taken alone (`eyes_of_sparse`).
-
-    Returns:
-        Weights under the names of VAD.
+    All of those of a trained VAD (`grown`, `seen_with_own_eyes`); of a sparse miniature the eyes of its plan alone
+    (`eyes_of_sparse`).
     """
     return eyes_of_sparse(trunk, READER) or seen_with_own_eyes(grown(trunk))
 
@@ -157,13 +136,7 @@ def grown(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Weights of a miniature that reads one feature map of an image, for one that reads a finer one as well.
 
     The finer map starts as the coarse one in cells of half the size, and every look at an image is shared between the
-    two: the network begins as what it was, about.
-
-    Args:
-        trunk: The weights; others than of such a miniature stay as they are.
-
-    Returns:
-        Weights for two maps, the finer first.
+    two: the network begins as what it was, about. The finer map is first; weights of another network stay as they are.
     """
     found = dict(trunk)
     if f"{_LATERAL}.0.conv.weight" not in trunk or f"{_LATERAL}.1.conv.weight" in trunk:
