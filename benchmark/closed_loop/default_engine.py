@@ -69,12 +69,11 @@ AGENTS: Final = (*POLICIES, ADVERSARY)
 
 @dataclass(frozen=True, slots=True)
 class DefaultRides:
-    """Makes rides of the default engine.
+    """Maker of rides of the default engine.
 
     Attributes:
-        agents: Name of the policy.
         latency_us: So much later than it was made does a plan take effect.
-        adversary: Who puts an adversary among the agents, where their policy is `ADVERSARY`.
+        adversary: Puts an adversary among the agents, where their policy is `ADVERSARY`.
         until: What ends a drive before its time: any contact, or one that is the ego's fault.
     """
 
@@ -100,7 +99,7 @@ class DefaultRides:
         """The ride at its first planning instant.
 
         Raises:
-            InputError: If the scene is too short, or the policy or the latency is none.
+            InputError: If the scene is too short, or there is no such policy or latency.
         """
         course = self.course(scene, run)
         first = int(scene.keyframes[0])
@@ -136,13 +135,9 @@ class DefaultRides:
 
 @dataclass(frozen=True, slots=True)
 class DefaultRide:
-    """See `benchmark.closed_loop.riding.Ride`.
+    """Ride of the default engine: see `benchmark.closed_loop.riding.Ride`.
 
-    Attributes:
-        scene: The scene.
-        course: What does not change.
-        world: The world where driving starts, then now.
-        motion: Everything so far.
+    ``world`` is that where driving starts, then now; ``motion`` is everything so far.
     """
 
     scene: Scene

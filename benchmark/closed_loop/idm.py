@@ -33,13 +33,13 @@ _BEYOND_M: Final = 300.0
 
 @dataclass(frozen=True, slots=True)
 class IdmMemory:
-    """Where the M vehicles are that drive by themselves.
+    """State of the M vehicles that drive by themselves.
 
     Attributes:
         station: (M,) of the centre along each one's path, metres.
         speed: (M,) m/s.
-        here: (M,) who has come in and not yet reached the end of its road.
-        come: (M,) who has come in.
+        here: (M,) which have come in and not yet reached the end of their road.
+        come: (M,) which have come in.
     """
 
     station: Floats
@@ -50,16 +50,14 @@ class IdmMemory:
 
 @dataclass(frozen=True, slots=True)
 class Idm:
-    """The policy.
+    """Policy under which vehicles drive by themselves and all other agents keep their tracks.
 
     Attributes:
-        replay: Tracks of everybody.
+        replay: Tracks of all agents.
         driving: (M,) agents that drive by themselves.
         roads: M lines along which they do.
         free_speed: (M,) m/s on an empty road.
         length: (M,) of each one's road, metres.
-        name: Of the policy.
-        draws: It draws nothing.
     """
 
     replay: Replay
@@ -72,16 +70,7 @@ class Idm:
 
     @classmethod
     def of(cls, replay: Replay, categories: Sequence[str], road_map: RoadMap) -> "Idm":
-        """The policy of a scene.
-
-        Args:
-            replay: Tracks of everybody.
-            categories: N nuScenes categories.
-            road_map: Where roads go on.
-
-        Returns:
-            It.
-        """
+        """The policy of a scene; the map says where roads go on."""
         driving, paths, fastest = [], [], []
         for agent, category in enumerate(categories):
             rows = np.flatnonzero(replay.present[:, agent])

@@ -26,12 +26,11 @@ from benchmark.scene import Scene
 
 @dataclass(frozen=True, slots=True)
 class LadderOutcome:
-    """What came of one driver.
+    """Outcome of one reference driver.
 
     Attributes:
-        driver: Who drove.
         seconds: Since the start of the drive until its first contact; ``None`` where it survives.
-        agent: Index of who was touched.
+        agent: Index of the touched agent.
         kind: What hit what.
         at_fault: Whether the driver is to blame by nuPlan's rules, as if it kept to one lane.
     """
@@ -49,16 +48,7 @@ class LadderOutcome:
 
 
 def climbed(scene: Scene, course: Course, drivers: Sequence[Driver]) -> list[LadderOutcome]:
-    """Let reference drivers drive a course, each by itself.
-
-    Args:
-        scene: Its scene.
-        course: The course; its policy answers each driver.
-        drivers: Who drives.
-
-    Returns:
-        What came of each.
-    """
+    """Let reference drivers drive a course, each by itself; the course's policy answers each driver."""
     tracks = Tracks.of_scene(scene)
     start = (course.start_us - int(scene.timestamps_us[0])) / 1e6
     last = (course.end_us - int(scene.timestamps_us[0])) / 1e6

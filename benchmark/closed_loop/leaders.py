@@ -32,7 +32,6 @@ class Roads:
     """Lines along which M vehicles drive, one after the other, in whole blocks of points.
 
     Attributes:
-        paths: M lines.
         length: (M,) points of each.
         first: (M,) row at which each begins.
         line: (P, 3) x, y, heading, every half metre; a line's last point fills its last block.
@@ -77,15 +76,13 @@ class Roads:
 def leaders(roads: Roads, driving: Integers, station: Floats, here: Integers, moment: Moment) -> tuple[Floats, Floats]:
     """The nearest in each vehicle's way.
 
+    (M,) metres to it, infinite without one, and (M,) its speed along the road, m/s.
+
     Args:
         roads: Of M vehicles.
         driving: (M,) their places among the agents.
         station: (M,) metres along their roads.
         here: Those of the M that are on the road.
-        moment: Everybody now.
-
-    Returns:
-        (M,) metres to it, infinite without one, and (M,) its speed along the road, m/s.
     """
     gaps, speeds = np.full(len(driving), np.inf), np.zeros(len(driving))
     boxes, velocity, who, other = _in_sight(driving, here, moment)
@@ -143,7 +140,6 @@ def _nearest(roads: Roads, who: Integers, station: Floats, places: Floats, reach
     Only the part of a road counts that is from 20 m behind a vehicle to 200 m ahead of it; of equals the first point.
 
     Args:
-        roads: All roads.
         who: (Q,) vehicles.
         station: (Q,) where they are.
         places: (Q, 2) of others.

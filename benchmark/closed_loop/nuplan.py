@@ -41,7 +41,7 @@ class NuplanTerms:
     """Terms of one drive, 0 to 1.
 
     Attributes:
-        nc: No contact at fault: 1/2 at fault with a thing, 0 with anybody else.
+        nc: No contact at fault: 1/2 at fault with a thing, 0 with a road user.
         dac: No corner 0.3 m outside the drivable area.
         mp: At least a fifth of the recorded way.
         ddc: Not against the direction of the lanes of the route.
@@ -73,7 +73,7 @@ class NuplanTerms:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far along the route.
+    """Progress along the route.
 
     Attributes:
         metres: From the first driven instant to the last scored one.
@@ -101,18 +101,13 @@ class Progress:
 def nuplan_terms(
     part: DrivenPart, road: Road, where: Whereabouts, route: Floats, progress: Progress, contact: ScoredContact | None
 ) -> NuplanTerms:
-    """Terms of a drive.
+    """nuPlan's terms of the scored part of a drive.
 
     Args:
-        part: The scored part of it.
         road: Surfaces, with lanes among them.
         where: Where the ego is on them at each instant.
         route: (M, 2) polyline.
-        progress: Along it.
         contact: The contact that ended it.
-
-    Returns:
-        The terms.
     """
     outside = outside_m(part, road)
     off = np.flatnonzero(outside >= OFF_ROAD_M)
@@ -141,10 +136,9 @@ def no_collision(contact: ScoredContact | None) -> float:
 
 
 def comfort(states: Floats) -> float | None:
-    """1 where all six series stay inside their bounds, else 0; ``None`` of fewer than 15 instants.
+    """1 where all six series of (F, 11) states stay inside their bounds, else 0.
 
-    Args:
-        states: (F, 11).
+    ``None`` of fewer than 15 instants.
     """
     if len(states) < _COMFORT_INSTANTS:
         return None

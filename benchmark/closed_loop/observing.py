@@ -35,14 +35,15 @@ STEERING_RATIO: Final = 14.9
 
 @dataclass(frozen=True, slots=True)
 class Observer:
-    """Makes the observations of one drive. Of the recording it holds what was before the car drives, and the route.
+    """Maker of the observations of one drive.
+
+    Of the recording it holds only the past of the drive, and the route.
 
     Attributes:
-        scene: Scene name.
         lidar: Where LIDAR_TOP sits.
         start: Keyframe of the first planning instant.
         known: The recorded ego at the keyframes up to the last one at which the ego is the recorded one.
-        can: What it measured there.
+        can: Its measurements there.
         route: The recorded path.
     """
 
@@ -58,7 +59,6 @@ class Observer:
         """The observer of a drive.
 
         Args:
-            recorded: The scene.
             can: Measured motion at all keyframes.
             start: Keyframe of the first planning instant.
             primed: Planning instants at which the ego is the recorded one.
@@ -70,17 +70,13 @@ class Observer:
     def observation(
         self, motion: Motion, views: dict[str, CameraView], command: Command, can: Floats | None = None
     ) -> Observation:
-        """What the planner sees now.
+        """The planner's observation now.
+
+        Its index is the number of the keyframe in the world as driven, its token names no sample of the recording.
 
         Args:
             motion: Since the first planning instant.
-            views: Images.
-            command: Where the route goes.
             can: (9,) the engine's own row of the CAN bus, if it has one.
-
-        Returns:
-            The observation; its index is the number of the keyframe in the world as driven, its token names no sample
-            of the recording.
         """
         poses = np.concatenate([self.known.pose[: self.start], motion.ego[motion.ticks, :3]])
         index = len(poses) - 1
@@ -105,9 +101,6 @@ class Observer:
             motion: Since the first planning instant.
             index: Number of the keyframe.
             row: (9,) the engine's own row of the CAN bus, if it has one.
-
-        Returns:
-            The state.
         """
         now, primed = motion.ego[-1], index < len(self.can.motion)
         simulated = simulated_can(now) if row is None else row
@@ -130,13 +123,9 @@ class Observer:
 
 
 def simulated_can(ego: Floats) -> Floats:
-    """The CAN row of a simulated car, as nuScenes' message ``pose`` has it.
+    """(9,) CAN row of a simulated car, as nuScenes' message ``pose`` has it, from (7,) columns of a motion.
 
-    Args:
-        ego: (7,) columns of a motion.
-
-    Returns:
-        (9,) velocity, acceleration (with gravity, and towards the inside of a bend) and rotation rate of the rear axle.
+    Velocity, acceleration (with gravity, and towards the inside of a bend) and rotation rate of the rear axle.
     """
     speed, rate = float(ego[SPEED]), float(ego[YAW_RATE])
     return np.array([speed, 0.0, 0.0, float(ego[ACCELERATION]), speed * rate, GRAVITY, 0.0, 0.0, rate])

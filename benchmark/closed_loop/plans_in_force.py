@@ -20,7 +20,7 @@ _WHOLE: Final = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class PlanInForce:
-    """A plan from the moment on that it takes effect.
+    """Plan from the moment on that it takes effect.
 
     Attributes:
         made_us: Time that it was made for.
@@ -35,14 +35,10 @@ class PlanInForce:
     waypoints: Floats
 
     def targets(self, now_us: int, pose: Floats) -> Floats:
-        """Where it wants the ego.
+        """Targets of the ego: (6, 2) after 0.5, 1.0 .. 3.0 s, in the frame of the rear axle now, metres.
 
         Args:
-            now_us: Time.
             pose: (3,) rear axle now, global.
-
-        Returns:
-            (6, 2) after 0.5, 1.0 .. 3.0 s, in the frame of the rear axle now, metres.
         """
         if now_us == self.made_us:
             return np.asarray(self.waypoints[:PLAN_STEPS])
@@ -53,14 +49,9 @@ class PlanInForce:
 
 
 def held_waypoints(waypoints: Floats, count: int) -> Floats:
-    """Waypoints that go on.
+    """(count or N, 2) waypoints that go on beyond N of them.
 
-    Args:
-        waypoints: (N, 2), two or more.
-        count: How many are wanted.
-
-    Returns:
-        (count or N, 2): beyond the last, each step is as long as the one before and turns as much as that turned.
+    Beyond the last, each step is as long as the one before and turns as much as that turned.
     """
     if count <= len(waypoints):
         return waypoints

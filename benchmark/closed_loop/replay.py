@@ -20,10 +20,8 @@ class Replay:
     Attributes:
         start_us: Time of the first row.
         boxes: (R, N, 5) boxes.
-        present: (R, N) who is there; nobody is after the end of the tracks.
+        present: (R, N) which agents are there; none is after the end of the tracks.
         velocity: (R, N, 2) m/s, of the past alone.
-        name: Of the policy.
-        draws: It draws nothing.
     """
 
     start_us: int
@@ -35,17 +33,7 @@ class Replay:
 
     @classmethod
     def of(cls, tracks: Tracks, first_us: int, start_us: int, end_us: int) -> Self:
-        """Tracks from a start to an end.
-
-        Args:
-            tracks: Everybody.
-            first_us: Time of their second 0.
-            start_us: When a drive starts.
-            end_us: When it ends.
-
-        Returns:
-            The policy.
-        """
+        """Tracks from the start to the end of a drive; ``first_us`` is the time of their second 0."""
         rows = -(-(end_us - start_us) // INSTANT_US) + 1
         times = (start_us - first_us) / 1e6 + INSTANT_US / 1e6 * np.arange(rows)
         boxes, present = tracks.agents_at(times)

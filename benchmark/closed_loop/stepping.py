@@ -41,14 +41,7 @@ class UndrivablePlanError(ValueError):
 
 
 def begin(course: Course) -> World:
-    """The world at the start.
-
-    Args:
-        course: What does not change.
-
-    Returns:
-        It; who overlaps the ego here is ignored from then on.
-    """
+    """The world at the start; agents that overlap the ego here are ignored from then on."""
     memory, moved = course.policy.init(course.start_us, content_seed(course.seed, course.scene, "agents"))
     own = ego_boxes(np.array(course.start.row))
     boxes, present = moved.boxes[-1], moved.present[-1]
@@ -63,15 +56,8 @@ def goes_on(course: Course, world: World) -> bool:
 
 
 def step(course: Course, world: World, waypoints: Floats) -> World:
-    """Half a second.
-
-    Args:
-        course: What does not change.
-        world: Now.
-        waypoints: (6 to 16, 2) x forward and y left of the rear axle now, metres, 0.5 s apart.
-
-    Returns:
-        The world half a second later.
+    """The world half a second later.
+    Waypoints are (6 to 16, 2) x forward and y left of the rear axle now, metres, 0.5 s apart.
 
     Raises:
         UndrivablePlanError: If these are no such waypoints.
@@ -80,16 +66,7 @@ def step(course: Course, world: World, waypoints: Floats) -> World:
 
 
 def step_together(courses: Sequence[Course], worlds: Sequence[World], plans: Sequence[Floats]) -> list[World]:
-    """Half a second of many worlds; arguments and errors as in `step`, the same bytes as one by one.
-
-    Args:
-        courses: S of them.
-        worlds: S of them.
-        plans: S of them.
-
-    Returns:
-        S worlds.
-    """
+    """Half a second of many worlds; arguments and errors as in `step`, the same bytes as one by one."""
     in_force = [_in_force(course, world, drivable(course, plan)) for course, world, plan in zip(courses, worlds, plans)]
     egos = _driven(courses, worlds, in_force)
     moved = (
@@ -100,17 +77,10 @@ def step_together(courses: Sequence[Course], worlds: Sequence[World], plans: Seq
 
 
 def drivable(course: Course, plan: Any) -> Floats:
-    """Whether a plan is one that can be driven.
-
-    Args:
-        course: What does not change.
-        plan: Anything.
-
-    Returns:
-        (6 to 16, 2) waypoints as in `step`.
+    """(6 to 16, 2) waypoints as in `step`, of a plan that can be driven.
 
     Raises:
-        UndrivablePlanError: If it is none.
+        UndrivablePlanError: If it cannot.
     """
     try:
         waypoints = np.array(plan, np.float64)
