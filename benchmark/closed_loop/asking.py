@@ -61,6 +61,7 @@ class PlanTimeoutError(BaseException):
 @contextlib.contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
     """Interrupt code that takes longer.
+
     Code that does not return to Python is not interrupted; it is late all the same.
 
     Raises:

@@ -101,7 +101,7 @@ class Progress:
 def nuplan_terms(
     part: DrivenPart, road: Road, where: Whereabouts, route: Floats, progress: Progress, contact: ScoredContact | None
 ) -> NuplanTerms:
-    """nuPlan's terms of the scored part of a drive.
+    """Terms of nuPlan of the scored part of a drive.
 
     Args:
         road: Surfaces, with lanes among them.

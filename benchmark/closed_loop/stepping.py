@@ -57,6 +57,7 @@ def goes_on(course: Course, world: World) -> bool:
 
 def step(course: Course, world: World, waypoints: Floats) -> World:
     """The world half a second later.
+
     Waypoints are (6 to 16, 2) x forward and y left of the rear axle now, metres, 0.5 s apart.
 
     Raises:
