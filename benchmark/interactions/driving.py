@@ -35,12 +35,7 @@ LADDER: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Rung:
-    """A driver, and to whom it reacts.
-
-    Attributes:
-        driver: Who drives.
-        adversary_only: Whether it reacts to the adversary alone (it can still hit others).
-    """
+    """A driver, and whether it reacts to the adversary alone (it can still hit others)."""
 
     driver: Driver
     adversary_only: bool = False
@@ -51,10 +46,9 @@ RUNGS: Final = tuple(map(Rung, LADDER))
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What one driver does until the end of the scene, whatever it hits.
+    """Motion of one driver to the end of the scene, as if it hit nothing.
 
     Attributes:
-        rung: Who drives.
         times: (K,) seconds, every 0.1 s.
         station: (K,) metres along the path.
         speed: (K,) m/s.
@@ -75,17 +69,15 @@ class Motion:
 
 @dataclass(slots=True)
 class Situation:
-    """A scene as drivers need it.
+    """Scene as drivers need it.
 
     Attributes:
-        tracks: Everybody.
         times: (K,) instants of decision.
-        ignored: (N,) who overlaps the ego at the start.
-        path: The ego's path.
-        relations: Everybody at those instants, along the path.
+        ignored: (N,) agents that overlap the ego at the start.
+        relations: All agents at those instants, along the path.
         station: (K,) of the recorded ego.
         speed: (K,) of the recorded ego.
-        adversary: Index of the adversary, for rungs that react to it alone.
+        adversary: Its index, for rungs that react to it alone.
     """
 
     tracks: Tracks
@@ -106,29 +98,12 @@ class Situation:
 
     @classmethod
     def of(cls, tracks: Tracks, start: float | None = None, adversary: int | None = None) -> "Situation":
-        """The situation of a scene.
-
-        Args:
-            tracks: Everybody.
-            start: When drivers take over, seconds; at the first frame by default.
-            adversary: Index of the adversary.
-
-        Returns:
-            It.
-        """
+        """The situation of a scene from ``start`` on, seconds; by default from the first frame."""
         return cls(tracks, tracks.grid(start), adversary)
 
 
 def drive(situation: Situation, rungs: Sequence[Rung] = RUNGS) -> list[Motion]:
-    """Let drivers drive to the end of the scene.
-
-    Args:
-        situation: The scene.
-        rungs: Who drives.
-
-    Returns:
-        One motion each.
-    """
+    """Let drivers drive to the end of the scene."""
     simulated = [rung for rung in rungs if rung.driver in (Driver.IDM, *REACTING)]
     moved = dict(zip(simulated, _simulate(situation, simulated)))
     return [moved[rung] if rung in moved else given(situation, rung) for rung in rungs]
@@ -155,11 +130,11 @@ def _simulate(situation: Situation, rungs: Sequence[Rung]) -> list[Motion]:
 
 
 class Advancing:
-    """Drivers under way: each step needs to know everybody at its beginning, and nothing of later.
+    """Drivers under way: each step needs to know all agents at its beginning, and nothing of later.
 
     Args:
         situation: The recording that they follow until they react, and its path.
-        rungs: R who drive, all of whom decide by themselves (`REACTING`, and who keeps distance).
+        rungs: R drivers, all of which decide by themselves (`REACTING`, and those that keep distance).
     """
 
     def __init__(self, situation: Situation, rungs: Sequence[Rung]) -> None:
@@ -178,13 +153,7 @@ class Advancing:
         self._free_speed = max(SLOWEST_REACTING_M_S, float(situation.speed.max()))
 
     def step(self, step: int, seen: Situation, instant: int) -> None:
-        """Decide and drive 0.1 s.
-
-        Args:
-            step: Number of the step.
-            seen: Everybody at its beginning.
-            instant: Which of the instants of ``seen`` that is.
-        """
+        """Decide and drive 0.1 s; at the beginning of the step all agents are as ``seen`` at the instant."""
         rungs, idm = self._rungs, self._idm
         station, speed = self.station, self.speed
         around = seen.relations.around(instant, station[:, step])

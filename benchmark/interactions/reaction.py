@@ -42,7 +42,7 @@ _BUILD_UP: Final = 12.65 * STEP_S
 
 @dataclass(slots=True)
 class Reactions:
-    """What R drivers remember.
+    """Memory of R drivers.
 
     Attributes:
         drivers: R of `REACTING`.

@@ -16,17 +16,14 @@ HIDING_M: Final = 90.0
 
 
 def visible(eyes: Floats, agents: Integers, boxes: Floats, present: Bools, hides: Bools) -> Bools:
-    """Whether agents are seen.
+    """(Q,) whether agents are seen.
 
     Args:
-        eyes: (Q, 2) who looks, metres.
-        agents: (Q,) at whom.
-        boxes: (N, 5) everybody at that time.
-        present: (N,) who is there.
-        hides: (N,) who can hide a car.
-
-    Returns:
-        (Q,) verdicts.
+        eyes: (Q, 2) places that they are seen from, metres.
+        agents: (Q,) index of each.
+        boxes: (N, 5) all agents at that time.
+        present: (N,) which are there.
+        hides: (N,) which can hide a car.
     """
     seen = np.zeros(len(agents), np.bool_)
     blockers = np.flatnonzero(present & hides)
@@ -51,16 +48,7 @@ def visible(eyes: Floats, agents: Integers, boxes: Floats, present: Bools, hides
 
 
 def first_visible(tracks: Tracks, agent: int, times: Floats) -> float | None:
-    """When the recorded ego first sees an agent.
-
-    Args:
-        tracks: The recording.
-        agent: Index of the agent.
-        times: (K,) instants asked, rising.
-
-    Returns:
-        The first of them, or ``None``.
-    """
+    """First of the rising instants asked at which the recorded ego sees an agent, or ``None``."""
     boxes, present = tracks.agents_at(times)
     eyes, hides = tracks.ego_at(times)[:, :2], tracks.hides
     for instant in np.flatnonzero(present[agent]).tolist():

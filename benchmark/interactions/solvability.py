@@ -20,10 +20,9 @@ from benchmark.interactions.tracks import Tracks
 
 @dataclass(frozen=True)
 class SceneLadder:
-    """What the reference drivers make of a scene.
+    """Reference drivers in a scene.
 
     Attributes:
-        situation: The scene.
         outcomes: By driver, from the weakest statement to the most cautious.
         first_visible: When the recorded ego first sees the adversary once drivers drive, seconds; ``None`` for never.
         drivable: Where manoeuvres may go; ``None`` without a map, which a report must say.
@@ -45,13 +44,9 @@ class SceneLadder:
         """Let all drivers drive a scene.
 
         Args:
-            tracks: Everybody.
-            adversary: Index of the adversary; ``None`` where none is known, who is then never visible.
+            adversary: Its index; ``None`` where none is known, and then it is never visible.
             start: When drivers take over, seconds; at the first frame by default.
             drivable: Where manoeuvres may go; anywhere by default.
-
-        Returns:
-            The ladder.
         """
         situation = Situation.of(tracks, start, adversary)
         surroundings = Surroundings.of(situation)
@@ -62,11 +57,7 @@ class SceneLadder:
     def about(self, adversary: int) -> Self:
         """The same scene with another one as the adversary: drivers and last chance do not depend on who that is.
 
-        Args:
-            adversary: Its index.
-
-        Returns:
-            The ladder, with what was found already.
+        All that was found already is kept.
         """
         situation = self.situation
         seen = first_visible(situation.tracks, adversary, situation.times)

@@ -35,7 +35,7 @@ EGO_AHEAD, EGO_BEHIND = 1, 2
 
 @dataclass(frozen=True, slots=True)
 class OtherCar:
-    """The other car of C cases over T steps: what it does is given.
+    """The other car of C cases over T steps, whose motion is given.
 
     Attributes:
         x: (C, T) centre along the road, metres.
@@ -52,7 +52,7 @@ class OtherCar:
 
 @dataclass(frozen=True, slots=True)
 class StraightRuns:
-    """What R drivers do in C cases of T steps.
+    """Runs of R drivers in C cases of T steps.
 
     Attributes:
         speed: (C, R, T) m/s.
@@ -79,7 +79,7 @@ class StraightRuns:
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """Where the cars are at one step: all (R, C) or (C,), metres and m/s.
+    """Places of the cars at one step: all (R, C) or (C,), metres and m/s.
 
     Attributes:
         gap: Bumper to bumper, negative where they overlap lengthwise.
@@ -119,13 +119,8 @@ def drive_straight(
         start: (C, R) the ego's centre at step 0, metres.
         speed: (C,) the ego's speed at step 0, m/s.
         cruise: (C,) the speed that a driver at ease returns to.
-        other: The other car.
-        drivers: R of them.
         always_careful: Whether the careful human holds every step to be unsafe that has the other ahead, as in the
             official tables of following.
-
-    Returns:
-        The runs.
     """
     cases, steps, count = *other.x.shape, len(drivers)
     speeds, positions = np.empty((count, cases, steps)), np.empty((count, cases, steps))
