@@ -95,7 +95,7 @@ def histograms(
     mask: Mask = Mask.CURRENT_SPEED,
     edges: Mapping[str, Floats] | None = None,
 ) -> Histograms:
-    """The histograms of scenes.
+    """(20,) shares of the histograms of scenes, by name; relative ones in the version `CTG` alone.
 
     Args:
         scenes: At least one.
@@ -103,9 +103,6 @@ def histograms(
         normalisation: How scenes are put together.
         mask: Which agents count; versions without masks do not look at it.
         edges: (21,) edges by name; those of the code by default.
-
-    Returns:
-        (20,) shares by name; relative ones in the version `CTG` alone.
     """
     edges = bin_edges() if edges is None else edges
     counts = [_counts(scene, version, mask, edges) for scene in scenes]
@@ -121,15 +118,9 @@ def histograms(
 
 
 def deviations(first: Histograms, second: Histograms, edges: Mapping[str, Floats] | None = None) -> dict[str, float]:
-    """Earth mover's distances of histograms, and the means that are quoted.
+    """Earth mover's distances, by name, of histograms of generated scenes and recordings.
 
-    Args:
-        first: Of generated scenes.
-        second: Of recordings, with the same names.
-        edges: As in `histograms`.
-
-    Returns:
-        By name.
+    The means that are quoted are among them; the edges are those of `histograms`.
     """
     edges = bin_edges() if edges is None else edges
     found = {}

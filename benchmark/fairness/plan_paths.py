@@ -40,14 +40,7 @@ class PlanPaths:
 
     @classmethod
     def of(cls, ego: Floats) -> "PlanPaths":
-        """The paths of tracks.
-
-        Args:
-            ego: (P, K, 5) boxes.
-
-        Returns:
-            Their paths.
-        """
+        """The paths of tracks, (P, K, 5) boxes."""
         kept = _spaced(ego[..., :2])
         count, rows = ego.shape[1], np.arange(len(ego))[:, None]
         boxes = ego[rows, np.maximum.accumulate(np.where(kept, np.arange(count), 0), axis=1)]
