@@ -16,7 +16,7 @@ _EXPONENT = 4
 
 @dataclass(frozen=True, slots=True)
 class DriverSettings:
-    """What kind of driver.
+    """Kind of driver.
 
     Attributes:
         speed_limit: Wanted speed on a free road unless the car is faster already, m/s.
@@ -46,17 +46,13 @@ class DriverSettings:
 
 
 def idm_acceleration(speed: float, free_speed: float, gap: float, leader_speed: float, driver: DriverSettings) -> float:
-    """Acceleration of a car that follows another, or nobody.
+    """Acceleration of a car that follows a leader, or none, m/s^2, not below ``-driver.hardest_braking``.
 
     Args:
         speed: Its own, m/s.
-        free_speed: What it would drive on a free road, m/s.
+        free_speed: Its speed on a free road, m/s.
         gap: Metres from its front to the rear of the leader; infinite without one.
         leader_speed: Of the leader along the same path, m/s.
-        driver: Its driver.
-
-    Returns:
-        m/s^2, not below ``-driver.hardest_braking``.
     """
     ratio = speed / max(free_speed, 0.1)
     if ratio <= 1.0:
