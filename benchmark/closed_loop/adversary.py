@@ -46,13 +46,9 @@ class Replanning:
 
 @dataclass(frozen=True, slots=True)
 class AdversaryTrack:
-    """Way of an adversary.
+    """Way of an adversary: (F, 3) poses of its box centre from the frame ``start`` on, where it left its recording.
 
-    Attributes:
-        agent: Its index in the scene.
-        start: Frame at which it left its recording.
-        poses: (F, 3) of its box centre at the frames from there on.
-        replanned: Its planning frames.
+    ``agent`` is its index in the scene.
     """
 
     agent: int
@@ -86,7 +82,7 @@ class AdversaryMaker(Protocol):
         """As above."""
 
     def possible(self, scene: Scene) -> bool:
-        """Whether anybody in a scene can become an adversary."""
+        """Whether any vehicle in a scene can become an adversary."""
 
     def policy(
         self, scene: Scene, run: int, start_us: int, others: Callable[[int], AgentPolicy[Any]]
@@ -97,17 +93,15 @@ class AdversaryMaker(Protocol):
             scene: The scene.
             run: Which vehicle, and its seed.
             start_us: When the drive starts.
-            others: Gives the policy of everybody but the adversary, whose index it takes.
+            others: Gives the policy of all agents but the adversary, whose index it takes.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class Handover:
-    """Hand-over of an adversary from its recording.
+    """Hand-over of an adversary from its recording at the frame ``start``.
 
     Attributes:
-        agent: Its index.
-        start: Frame at which it leaves it.
         times_us: (T,) of the scene's frames.
         recorded: (T, 3) recorded poses of its box centre.
         first: The first frame of its recorded presence up to ``start``.
@@ -187,7 +181,7 @@ class GivenAdversary:
         object.__setattr__(self, "_whole", _braked(self.track.poses, self.handover.times_us, self.track.start, left))
 
     def init(self, time_us: int, key: int) -> tuple[Any, Moved]:
-        """Everybody where the others have them."""
+        """All agents where the others have them."""
         return self.others.init(time_us, key)
 
     def act(self, memory: Any, moment: Moment, key: int) -> tuple[Any, Moved]:
@@ -217,11 +211,9 @@ def _braked(poses: Floats, times_us: NDArray[np.int64], start: int, frames: int)
 
 @dataclass(frozen=True, slots=True)
 class GivenTracks:
-    """Maker of adversaries that drive given tracks: those of drives that were driven already.
+    """Maker of adversaries that drive given tracks, by scene and run: those of drives that were driven already.
 
-    Attributes:
-        tracks: By scene and run.
-        facts: Where the tracks come from.
+    ``facts`` say where the tracks come from.
     """
 
     tracks: Mapping[tuple[str, int], AdversaryTrack]

@@ -30,7 +30,7 @@ from benchmark.planning import (
 from benchmark.runs.plan_rows import FAILURES, BrokenImageError, loud, said_of
 
 DEFAULT_TIMEOUT_S: Final = 120.0
-"""For one plan; nobody drives with so old a plan, so that this ends what hangs."""
+"""For one plan; no car drives with so old a plan, so that this ends what hangs."""
 
 LONGEST_TIMEOUT_S: Final = 86_400.0
 """Timers know no infinity."""

@@ -71,10 +71,8 @@ AGENTS: Final = (*POLICIES, ADVERSARY)
 class DefaultRides:
     """Maker of rides of the default engine.
 
-    Attributes:
-        latency_us: So much later than it was made does a plan take effect.
-        adversary: Puts an adversary among the agents, where their policy is `ADVERSARY`.
-        until: What ends a drive before its time: any contact, or one that is the ego's fault.
+    A plan takes effect ``latency_us`` later than it was made for; the adversary is only put among the agents where
+    their policy is `ADVERSARY`; a drive ends at any contact, or at one that is the ego's fault.
     """
 
     agents: str = "replay"
@@ -84,11 +82,11 @@ class DefaultRides:
 
     @property
     def draws(self) -> bool:
-        """An adversary draws, nobody else does."""
+        """An adversary draws, no other agent does."""
         return self.agents == ADVERSARY
 
     def families(self, read: Callable[[], tuple[Scene, RecordedCan]]) -> tuple[str, ...]:
-        """A scene is driven as it is; not at all where nobody in it can become the adversary."""
+        """A scene is driven as it is; not at all where no vehicle in it can become the adversary."""
         return ("",) if self.adversary is None or self.adversary.possible(read()[0]) else ()
 
     def after_together(self, rides: Sequence[Ride], plans: Sequence[Plan]) -> list[Ride | UndrivablePlanError]:

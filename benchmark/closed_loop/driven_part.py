@@ -17,11 +17,9 @@ class DrivenPart:
     """F instants, 0.1 s apart, of a drive in a scene of N agents.
 
     Attributes:
-        times_us: (F,) microseconds.
         states: (F, 11) the ego in the columns of `benchmark.pdm.definition`.
-        boxes: (N, F, 5) agents.
+        boxes: (N, F, 5) agents; ``present`` is (N, F).
         velocity: (N, F, 2) over the last 0.1 s, the next one where an agent has just come, m/s.
-        present: (N, F) which agents are there.
     """
 
     scene: Scene

@@ -72,7 +72,7 @@ def driven_scene(recorded: Scene, route: Route, motion: Motion) -> Scene:
 
 
 def with_the_end_held(scene: Scene, ticks: int) -> Scene:
-    """A scene that goes on for some ticks as it ends: everybody stays where it is (HUGSIM keeps its last list so)."""
+    """A scene that goes on for some ticks as it ends: every agent stays where it is (HUGSIM keeps its last list so)."""
     frames = np.concatenate([np.arange(len(scene.timestamps_us)), np.full(ticks, len(scene.timestamps_us) - 1)])
     keys = np.concatenate([np.arange(len(scene.keyframes)), np.full(ticks, len(scene.keyframes) - 1)])
     more = scene.timestamps_us[-1] + TICK_US * np.arange(1, ticks + 1)

@@ -39,10 +39,8 @@ class Drive:
     Attributes:
         primed: Planning instants at which the ego was the recorded one.
         plans: One for each planning instant that was planned from; those of primed instants were not driven.
-        commands: Of the same instants.
-        stations: Of the same instants: metres along the route.
+            ``commands`` and ``stations`` (metres along the route) are of the same instants.
         touch: The contact that ended it.
-        failure: Why the planner failed.
         neuroncap: The engine's own score; ``None`` of engines without one, and of a failed drive.
         adversary: Where an adversary went, if there was one that answers or was given its track.
         passed: Contacts before that did not end it; they are not the ego's fault.
@@ -67,11 +65,8 @@ class Stage:
 
     Attributes:
         can: Measured motion at its keyframes.
-        run: Index of the run.
-        timeout_s: How long a plan may take.
         family: Which scenario of the scene, where it has any.
         most_plans: Ends the drive after so many plans, to see how long it takes.
-        meter: Times the planner.
     """
 
     scene: Scene
@@ -133,7 +128,7 @@ def drive_together(stages: Sequence[Stage], planners: Sequence[Planner]) -> Iter
 
 @contextlib.contextmanager
 def _keeping(errors: dict[int, InputError], place: int) -> Iterator[None]:
-    """Put what is nobody's failure aside until the others have arrived."""
+    """Put errors that are not the planner's aside until the others have arrived."""
     try:
         yield
     except InputError as error:
@@ -224,7 +219,7 @@ class _Eyes:
     meter: Meter | None
 
     def planned(self, planner: Planner, ride: Ride, command: Command) -> Plan | Failure:
-        """The plan of this instant; the privileged see the world as driven, and its future is revealed to nobody."""
+        """The plan of this instant; the privileged see the world as driven, and none sees its future."""
         views: dict[str, CameraView] = {}
         reveals = isinstance(planner, PrivilegedPlanner) and not isinstance(planner, RouteFollower)
         if reveals or not isinstance(self.look, NoLook):

@@ -2,7 +2,7 @@
 
 Mean over planning instants of NC DAC (5 TTC + 2 C) / 7, times the route completed. The terms judge the plan of each
 instant, in the world as it was driven, and are those of `benchmark.pdm` (docs/pdm.md): 3 s, polygons, comfort with its
-history. Where the drive ends, everybody stays as they are for 3 s more, as HUGSIM keeps its last list of objects.
+history. Where the drive ends, all agents stay as they are for 3 s more, as HUGSIM keeps its last list of objects.
 """
 
 from dataclasses import dataclass
@@ -27,9 +27,8 @@ COMPLETE_AT: Final = 0.9
 class HdScore:
     """HD-Score of one drive.
 
-    Attributes:
-        plans: Mean over planning instants of NC DAC (5 TTC + 2 C) / 7.
-        completed: Share of the route, 0 to 1.
+    ``plans`` is the mean over planning instants of NC DAC (5 TTC + 2 C) / 7, ``completed`` the share of the route,
+    0 to 1.
     """
 
     plans: float

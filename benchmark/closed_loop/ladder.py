@@ -1,7 +1,7 @@
 """The ladder of reference drivers in closed loop: each drives a course in which the others answer it.
 
 The drivers are those of `benchmark.interactions`: they follow the recorded path of the ego, and what they decide every
-0.1 s is what they decide in open loop; only that everybody is now where the policy of the agents has them. Each has a
+0.1 s is what they decide in open loop; only that all agents are now where the policy of the agents has them. Each has a
 world of its own. Contact is looked for every 0.05 s, as in the engine.
 """
 
@@ -28,11 +28,8 @@ from benchmark.scene import Scene
 class LadderOutcome:
     """Outcome of one reference driver.
 
-    Attributes:
-        seconds: Since the start of the drive until its first contact; ``None`` where it survives.
-        agent: Index of the touched agent.
-        kind: What hit what.
-        at_fault: Whether the driver is to blame by nuPlan's rules, as if it kept to one lane.
+    Seconds are from the start of the drive until its first contact, ``None`` where it survives; ``at_fault`` is by
+    nuPlan's rules, as if the driver kept to one lane.
     """
 
     driver: Driver
@@ -43,7 +40,7 @@ class LadderOutcome:
 
     @property
     def survives(self) -> bool:
-        """Whether nobody was touched."""
+        """Whether nothing was touched."""
         return self.seconds is None
 
 

@@ -37,8 +37,7 @@ class PlanInForce:
     def targets(self, now_us: int, pose: Floats) -> Floats:
         """Targets of the ego: (6, 2) after 0.5, 1.0 .. 3.0 s, in the frame of the rear axle now, metres.
 
-        Args:
-            pose: (3,) rear axle now, global.
+        ``pose`` is (3,) of the rear axle now, global.
         """
         if now_us == self.made_us:
             return np.asarray(self.waypoints[:PLAN_STEPS])
@@ -69,7 +68,7 @@ def held_waypoints(waypoints: Floats, count: int) -> Floats:
 
 
 def coasting(ego: Ego, now_us: int) -> PlanInForce:
-    """The plan of a car that nobody tells anything: constant speed and curvature."""
+    """The plan of a car that is given none: constant speed and curvature."""
     seconds = PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
     bend = np.tan(ego.steering) / EGO_WHEELBASE_M
     turned = ego.speed * bend * seconds

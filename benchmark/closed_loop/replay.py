@@ -53,7 +53,7 @@ class Replay:
         return np.where(self.present.any(axis=0), self.present.argmax(axis=0), len(self.present))
 
     def init(self, time_us: int, key: int) -> tuple[None, Moved]:
-        """Everybody at a time of the drive."""
+        """All agents at a time of the drive."""
         return None, self._rows(time_us, time_us)
 
     def act(self, memory: None, moment: Moment, key: int) -> tuple[None, Moved]:
@@ -61,7 +61,7 @@ class Replay:
         return None, self._rows(moment.time_us + INSTANT_US, moment.time_us + INSTANTS * INSTANT_US)
 
     def _rows(self, *times_us: int) -> Moved:
-        """Two rows; after the last one nobody is there."""
+        """Two rows; after the last one no agent is there."""
         last = len(self.boxes) - 1
         asked = [(time - self.start_us) // INSTANT_US for time in times_us]
         if asked[-1] <= last and asked[-1] == asked[0] + 1:

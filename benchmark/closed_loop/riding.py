@@ -82,14 +82,9 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """Contact of a drive.
+    """Contact of a drive with the agent of an index; boxes are (5,), the ego's as the engine has it.
 
-    Attributes:
-        agent: Index among the scene's agents.
-        ego: (5,) the ego's box as the engine has it.
-        ego_speed: Along the heading, m/s.
-        other: (5,) box of the other.
-        other_velocity: (2,) m/s.
+    ``ego_speed`` is along the heading, m/s; ``other_velocity`` (2,) m/s.
     """
 
     time_us: int

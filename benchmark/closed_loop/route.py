@@ -75,11 +75,9 @@ class Route:
         return (time_us - self.first_us) * 1e-6
 
     def place(self, point: Floats, near_m: float | None = None) -> Place:
-        """The nearest point of the path, 100 m of extension included.
+        """The nearest point of the path to an x, y, 100 m of extension included.
 
-        Args:
-            point: (2 or more,) x, y, global.
-            near_m: Station half a second ago, around which alone is looked; the whole path without it.
+        ``near_m`` is the station half a second ago, around which alone is looked; the whole path without it.
         """
         start, step, station = self._pieces()
         length = np.hypot(*step.T)

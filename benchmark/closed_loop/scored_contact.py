@@ -16,12 +16,9 @@ class ScoredContact:
     Attributes:
         seconds: Since the drive's first driven instant.
         agent: Instance identifier of the touched agent.
-        category: Its nuScenes category.
         adversary: Whether it was made to be an adversary.
-        at_fault: Whether the ego is to blame.
         impact_speed: Size of the difference of velocities, m/s.
         delta_v_ego: Change of the ego's velocity in a plastic impact, m/s.
-        delta_v_other: Change of the other's velocity, m/s.
     """
 
     seconds: float

@@ -4,9 +4,9 @@ The order inside a step is fixed:
 
 1. the plan joins those in force, `Course.latency_us` after it was made;
 2. the ego moves: five sub-steps of 0.1 s, by the plan in force at each one's beginning (`following`);
-3. the agents move, sub-step by sub-step, each seeing everybody as they are at its beginning (`Course.policy`);
+3. the agents move, sub-step by sub-step, each seeing all as they are at its beginning (`Course.policy`);
 4. contact is looked for every 0.05 s; the first one ends the drive, or the first that is the ego's fault
-   (`Course.blamed`): then whoever touches it otherwise is gone from the next planning instant on.
+   (`Course.blamed`): then an agent that touches it otherwise is gone from the next planning instant on.
 
 Many worlds can be stepped together. That is faster, and changes no byte of any.
 """
@@ -190,7 +190,7 @@ def _contacts(
 def _first_contact(
     course: Course, world: World, trace: Trace, own: Floats, velocities: Sequence[Floats], hits: Bools
 ) -> tuple[int, Contact]:
-    """The first instant at which somebody overlaps the ego, and that touch; of several, the first of the list."""
+    """The first instant at which an agent overlaps the ego, and that touch; of several, the first of the list."""
     row, agent = (int(index) for index in np.argwhere(hits)[0])
     return row, Contact(
         agent=agent,

@@ -63,15 +63,9 @@ class Course:
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Touch of the ego and an agent.
+    """Touch of the ego and an agent, at most 0.05 s after it began.
 
-    Attributes:
-        agent: Index of the agent.
-        time_us: When; at most 0.05 s after it began.
-        ego: (5,) the ego's box.
-        ego_speed: m/s.
-        other: (5,) the agent's box.
-        other_velocity: (2,) m/s.
+    Boxes are (5,), speeds m/s, the other's velocity (2,) m/s; ``agent`` is its index.
     """
 
     agent: int
@@ -99,10 +93,8 @@ class Contact:
 class Trace:
     """The last step every 0.05 s: for films and terms of comfort.
 
-    Attributes:
-        egos: (11, 6) values of `Ego`, from the state before to this one.
-        boxes: (10, N, 5) of the agents.
-        present: (10, N) which of them are there.
+    Egos are (11, 6) values of `Ego`, from the state before to this one; boxes (10, N, 5) and presence (10, N) of
+    the agents.
     """
 
     egos: Floats
@@ -116,8 +108,6 @@ class World:
 
     Attributes:
         step: Number of the state, from 0.
-        others: All agents, and when it is.
-        memory: The policy's.
         ignored: (N,) agents that overlapped the ego at the start, and never count.
         plans: Plans that are in force or will be, by when they take effect.
         contact: The touch that ends the drive.

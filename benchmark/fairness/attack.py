@@ -1,6 +1,6 @@
 """Whether an attack on a planner succeeded, in three readings, each stricter than the one before.
 
-What nobody can tell is ``None`` and enters no share: it is never a failure of the attack.
+A verdict that cannot be told is ``None`` and enters no share: it is never a failure of the attack.
 """
 
 from collections.abc import Iterable, Sequence
@@ -16,7 +16,7 @@ class Attack:
     """One run of one planner: a scene, or a plan in open loop.
 
     Attributes:
-        contact: Whether the planner touches any road user: the reading of the paper.
+        contact: Whether the planner touches any object: the reading of the paper.
         at_fault: Whether the first contact is its fault.
         attributable: Whether, besides, the careful and competent human survives the same scene (CARS, 2026).
     """

@@ -1,7 +1,7 @@
 """Judgements of the scenes of a data set: those that lie beside its tables, and those of the others, made when asked.
 
 What is read of a data set is linear between 2 Hz keyframes, so that those that are made here know less than those of
-whoever generated the scenes (`SceneJudgement.tracks`).
+the generator of the scenes (`SceneJudgement.tracks`).
 """
 
 import functools

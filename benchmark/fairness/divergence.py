@@ -45,7 +45,7 @@ class Histograms:
 
 
 def w1(sample: Floats, reference: Floats) -> float:
-    """Wasserstein-1 distance of raw samples, in the unit of the feature."""
+    """Wasserstein-1 distance of raw samples, at least one each, in the unit of the feature."""
     return float(wasserstein_distance(sample, reference))
 
 

@@ -1,4 +1,4 @@
-"""Facts of scenes for records, with judgements of those that nobody judged yet: made once, then found."""
+"""Facts of scenes for records, with judgements of those without one: made once, then found."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -15,7 +15,7 @@ from benchmark.records.statistics import Quantiles
 
 _LEVELS: Final = {"least": 0.0, "tenth": 0.1, "median": 0.5, "ninetieth": 0.9, "most": 1.0}
 _STRUCK: Final = ("rear", "stopped_ego")
-"""Kinds of contact in which somebody else drives into the ego."""
+"""Kinds of contact in which another drives into the ego."""
 _BEFORE_CONTACT: Final = {"least_ttc_s": "least time to contact, s", "tet_s": "TET, s", "tit_s2": "TIT, s^2"}
 """In a run that ends in contact they are what they are by construction."""
 _ALWAYS: Final = {
@@ -74,7 +74,7 @@ def judge_split(
 
 
 def ladder(scenes: Sequence[Sequence[SceneJudgement]]) -> tuple[LadderRow, ...]:
-    """How many scenes each driver survives."""
+    """How many scenes, of at least one, each driver survives."""
     rows = []
     for name in DRIVER_NAMES:
         runs = [said[0].drivers[name] for said in scenes]

@@ -33,7 +33,7 @@ class Faults:
     Attributes:
         beyond_limits: It asks more of car or driver than `benchmark.dynamics.bicycle.DriverLimits`.
         off_road: A corner is more than 0.3 m off the drivable area.
-        contact: It touches another road user than the ego.
+        contact: It touches another object than the ego.
         against_traffic: It heads more than 90 degrees away from the lane below its centre for more than 1 s.
         hovering: It stays within 0.5 m of the same other object for more than 0.5 s.
         teleport: It moves or turns further between two frames than any car could.
@@ -57,7 +57,7 @@ class ValidityRate:
 
     @property
     def share(self) -> float | None:
-        """Count of asked; ``None`` if nobody could be."""
+        """Count of asked; ``None`` if none was."""
         return self.count / self.of if self.of else None
 
 
@@ -117,7 +117,7 @@ def teleports(seconds: Floats, boxes: Floats) -> Bools:
 
 
 def _others(tracks: Tracks, agent: int, frames: Integers) -> tuple[Floats, Bools]:
-    """Everybody else, the recorded ego as the last one."""
+    """All others, the recorded ego as the last one."""
     others = np.concatenate([np.delete(tracks.agents, agent, axis=0)[:, frames], tracks.ego[frames][None]])
     present = np.delete(tracks.valid, agent, axis=0)[:, frames]
     return others, np.concatenate([present, np.ones((1, present.shape[1]), np.bool_)])

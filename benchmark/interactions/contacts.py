@@ -1,4 +1,4 @@
-"""Contacts of the ego with somebody: kind, who is to blame, how hard; and the time that is left before one.
+"""Contacts of the ego with another: kind, who is to blame, how hard; and the time that is left before one.
 
 ``docs/severity.md``, "A pair at one instant". Kinds and blame are nuPlan's. Ego velocities are speed times heading;
 objects that are not agents stand.
@@ -146,7 +146,7 @@ def delta_v(impact_speed: Floats, other_kg: Floats) -> tuple[Floats, Floats]:
 
 
 def fatal_probability(delta_v_m_s: Floats) -> Floats:
-    """Probability that somebody inside dies, by the fourth power of the change of velocity (Joksch 1993)."""
+    """Probability that an occupant dies, by the fourth power of the change of velocity (Joksch 1993)."""
     return np.minimum((delta_v_m_s / FATAL_M_S) ** 4, 1.0)
 
 

@@ -1,4 +1,4 @@
-"""Reference drivers along the recorded path of a scene, against everybody in it.
+"""Reference drivers along the recorded path of a scene, against all agents in it.
 
 ``docs/severity.md``, "Reference drivers". All drivers of a scene advance together, one step of 0.1 s after another;
 contacts do not change what a driver does before them, so that they are looked for afterwards, in `outcomes`.
@@ -110,7 +110,7 @@ def drive(situation: Situation, rungs: Sequence[Rung] = RUNGS) -> list[Motion]:
 
 
 def given(situation: Situation, rung: Rung) -> Motion:
-    """The motion of a driver who looks at nobody: the recording, or the speed of the start kept."""
+    """The motion of a driver that looks at no agent: the recording, or the speed of the start kept."""
     times, station, speed = situation.times, situation.station, situation.speed
     last = len(times) - 1
     free_from = last

@@ -1,7 +1,7 @@
 """The path that the ego took, as stations: what a driver follows who brakes or dawdles instead.
 
 ``docs/severity.md``, "Path". Station 0 is the first frame; 100 m before it and 200 m after the end the path goes on
-straight, so that nobody falls off; what is past the last recorded vertex is no road.
+straight, so that no driver falls off; what is past the last recorded vertex is no road.
 """
 
 from dataclasses import dataclass

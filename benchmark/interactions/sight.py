@@ -12,7 +12,7 @@ from benchmark.interactions.tracks import Integers, Tracks
 
 SIGHT_M: Final = 80.0
 HIDING_M: Final = 90.0
-"""Vehicles further from the eye hide nobody."""
+"""Vehicles further from the eye hide no other."""
 
 
 def visible(eyes: Floats, agents: Integers, boxes: Floats, present: Bools, hides: Bools) -> Bools:

@@ -1,4 +1,4 @@
-"""The ladder of a scene: who survives it, and whether anybody could.
+"""The ladder of a scene: which drivers survive it, and whether any could.
 
 ``docs/severity.md``, "What solvable means". That the recorded ego passes says nothing of a driver who reacts; that a
 careful human passes does.
@@ -66,7 +66,7 @@ class SceneLadder:
         return other
 
     def survives(self, driver: Driver) -> bool:
-        """Whether a driver hits nobody."""
+        """Whether a driver hits nothing."""
         return self.outcomes[driver].survives
 
     @cached_property
@@ -81,14 +81,14 @@ class SceneLadder:
 
     @property
     def margin_s(self) -> float | None:
-        """Time from when somebody could have reacted to the last chance; ``None`` where there is no last chance."""
+        """Time from when a driver could have reacted to the last chance; ``None`` where there is no last chance."""
         if self.last_chance.time is None or self.first_visible is None:
             return None
         return self.last_chance.time - (self.first_visible + REACTION_S)
 
     @cached_property
     def unsolvable(self) -> bool:
-        """Whether nobody could have avoided it.
+        """Whether no driver could have avoided it.
 
         No sampled manoeuvre succeeds 0.75 s after the adversary is first visible, and neither the careful human nor
         FSM survives.

@@ -1,4 +1,4 @@
-"""Recorded tracks in continuous time: where everybody is between the frames, and how fast.
+"""Recorded tracks in continuous time: where all agents are between the frames, and how fast.
 
 ``docs/severity.md``, "Time and poses". Positions are linear between frames, headings take the shortest arc; velocities
 look at the past only, so that a driver who reacts to them knows nothing of the future.
@@ -25,7 +25,7 @@ _SHORTEST_MEMORY_S: Final = 0.05
 _FORESIGHT_S: Final = 0.1
 _SHORTEST_S: Final = 1e-6
 HIDING_EXCEPTIONS: Final = ("vehicle.motorcycle", "vehicle.bicycle")
-"""Vehicles that nobody can hide behind."""
+"""Vehicles that no other can hide behind."""
 
 Integers = NDArray[np.int64]
 

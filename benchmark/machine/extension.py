@@ -1,6 +1,6 @@
 """What extensions offer to the core: one table of kinds, names and where each is defined.
 
-Nothing is imported before somebody asks for it by name, and an extension that is not installed is told by a sentence.
+Nothing is imported before it is asked for by name, and an extension that is not installed is told by a sentence.
 """
 
 import importlib

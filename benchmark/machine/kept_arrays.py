@@ -1,7 +1,7 @@
 """Arrow batches in files of the user's cache: written whole, read as a part of memory that processes share.
 
 A line of JSON says what a batch was made of and the SHA-256 of all that follows: a file of Arrow IPC, which is read as
-one only if both fit. Whatever does not is as good as none. Numbers go in and out through buffers: ``pyarrow.array`` and
+one only if both fit. One that does not is as good as none. Numbers go in and out through buffers: ``pyarrow.array`` and
 ``to_numpy`` would import pandas.
 """
 
@@ -102,7 +102,7 @@ def arrow_of(values: NDArray[Any]) -> "pa.Array":
 
 
 def numpy_of(column: "pa.Array") -> NDArray[Any]:
-    """The values of a whole column of them, whatever it has in its gaps; nobody may write to them."""
+    """The values of a whole column of them, whatever it has in its gaps; they are read-only."""
     kind, data = np.dtype(str(column.type)), column.buffers()[1]
     if kind == np.bool_:
         values = np.unpackbits(np.frombuffer(data, np.uint8), count=len(column), bitorder="little").view(np.bool_)

@@ -60,7 +60,7 @@ def peak_memory_mb(pid: int | None = None) -> float | None:
 
 
 def _gpu() -> Any:
-    """PyTorch's CUDA part, if this process uses a GPU: nobody else has anything to wait for."""
+    """PyTorch's CUDA part, if this process uses a GPU: else there is nothing to wait for."""
     torch = sys.modules.get("torch")
     return torch.cuda if torch is not None and torch.cuda.is_initialized() else None
 

@@ -1,6 +1,6 @@
 """Files that are either whole or absent, and keys made of content.
 
-Everything the project writes goes through here: a file without a name, flushed to disk, then given its name. Whoever is
+Everything the project writes goes through here: a file without a name, flushed to disk, then given its name. A process
 killed in between leaves nothing behind. JSON is read by one door (`benchmark.untrusted`), whoever wrote it.
 """
 

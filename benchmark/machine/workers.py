@@ -275,7 +275,7 @@ def _begin_worker(begun: "Synchronized[int]") -> None:
 
 
 def end_with_parent() -> None:
-    """End this process when its parent is gone, killed perhaps: nobody would ever give it work or take its result."""
+    """End this process when its parent is gone, killed perhaps: no more work would come."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -97,7 +97,7 @@ def knows_adversaries(record: RunRecord) -> bool:
 def counts_attacks(record: RunRecord) -> bool:
     """Whether attack success can be told: who the adversaries are, and how severe plans are, is known.
 
-    Where nobody says who the adversary is, every contact would be a bystander's, and success 0 %.
+    Where the adversary is not known, every contact would be a bystander's, and success 0 %.
     """
     return has_adversaries(record) and knows_adversaries(record) and says_severity(record)
 
@@ -108,7 +108,7 @@ def counted_rows(record: RunRecord) -> list[BriefRow]:
 
 
 def careful_survives(record: RunRecord, scene: str) -> bool | None:
-    """Whether the careful and competent human survives a scene; ``None`` where nobody judged it."""
+    """Whether the careful and competent human survives a scene; ``None`` where it was not judged."""
     facts = record.run.scene_facts.get(scene)
     return None if facts is None or facts.judgement is None else facts.judgement.survives.get("cc")
 

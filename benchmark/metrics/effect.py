@@ -109,8 +109,8 @@ class FirstTouches:
     """Samples of a record that count and collide, by whom their plans touch first; each sample is in one at most.
 
     Attributes:
-        adversary: (R,) an adversary; on a split without adversaries any road user.
-        others: (R,) another road user, on a split with adversaries.
+        adversary: (R,) an adversary; on a split without adversaries any object.
+        others: (R,) another object, on a split with adversaries.
         unsaid: (R,) on a split with adversaries, where the record does not say whom.
     """
 
@@ -228,7 +228,7 @@ def first_touches(record: RunRecord, protocol: str = EXACT) -> FirstTouches:
 
 
 def touched_scenes(record: RunRecord, protocol: str = EXACT) -> dict[str, bool | None]:
-    """Which scenes a planner fails by touching the adversary first; on a split without adversaries, any road user.
+    """Which scenes a planner fails by touching the adversary first; on a split without adversaries, any object.
 
     Verdicts as `benchmark.records.run.scene_failures` has them; ``None`` also where a plan collides and the record
     does not say with whom.

@@ -1,7 +1,7 @@
 """Entries of a challenge from the records of planners on them: rates, places, and what cannot be told apart.
 
 What is drawn is the recording: scenes of all entries that were made from it are in a resample together or not at all.
-A refused scene counts with all samples of its recording, and nobody collides on it, so that cheating never pays.
+A refused scene counts with all samples of its recording, and without a collision on it, so that cheating never pays.
 """
 
 from collections.abc import Mapping, Sequence

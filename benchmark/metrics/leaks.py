@@ -3,7 +3,7 @@
 A plan is compared with the recorded future on the samples that nobody could have foretold. A sample's *surprise* is how
 far the recorded future is from the nearest of eight simple continuations of the motion so far: to stand, to keep the
 speed, to keep the acceleration, to keep half of it, each straight ahead and along the recorded path itself. So what
-surprises is when somebody brakes, starts or speeds up, not where the road goes. A plan *hits* where its error is less
+surprises is when a car brakes, starts or speeds up, not where the road goes. A plan *hits* where its error is less
 than a fifth of the surprise. The limits and how often honest planners come near them: docs/extensions/submissions.md,
 ``docs/studies/leaks.md``.
 """
@@ -21,7 +21,7 @@ SURPRISE_M: Final = 0.5
 """Root mean square over the plan's steps from which a recorded future counts as a surprise, metres."""
 HIT_SHARE_OF_SURPRISE: Final = 0.2
 MOVES_M: Final = 1.0
-"""A sample on which the recorded car goes no farther says nothing: whoever stands still is right."""
+"""A sample on which the recorded car goes no farther says nothing: a plan to stand still is right."""
 BRAKES_BY_M_S: Final = 2.0
 """A car that is so much slower after 3 s has braked."""
 NOT_YET_BRAKING_M_S2: Final = -0.5
@@ -52,7 +52,7 @@ class Moment:
         recorded: (6, 2) the recorded future in the same frame.
         ahead: (2,) the direction of the car there, a unit vector.
         speeds: Recorded speed half a second ago and now, metres a second: of the two steps that lead here.
-        dangerous: Whether a car that keeps speed and direction touches a road user.
+        dangerous: Whether a car that keeps speed and direction touches an object.
     """
 
     planned: Floats

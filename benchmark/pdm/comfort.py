@@ -35,7 +35,7 @@ HISTORY_KEY_FRAMES: Final = 4
 
 
 def history_rows(key_frames: Floats) -> Floats:
-    """(B, 14, 11) states at -1.5 .. -0.2 s before a motion: linear, headings by the shortest turn, yaw rates zero.
+    """(B, 14, 11) states at -1.5 .. -0.2 s before a motion: linear, headings by the shortest turn, rates zero.
 
     Args:
         key_frames: (B, 4, 8) pose, velocity and acceleration (the first columns of a state) at -1.5, -1, -0.5 and 0 s.

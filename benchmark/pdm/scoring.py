@@ -63,7 +63,7 @@ def log_replay(traffic: Traffic, now: Floats) -> Traffic:
 
 
 def judged(states: Floats, samples: NDArray[np.int64], around: Surroundings) -> Judged:
-    """Judge (B, 31, 11) motions, each of the sample of its number."""
+    """Judge (B, 31, 11) motions; ``samples`` are (B,), the sample of each."""
     where = whereabouts(around.road, states)
     contacts = collisions(states, samples, around.traffic, where)
     misses = near_misses(states, samples, around.traffic, where)
