@@ -32,18 +32,11 @@ REFERENCE_STEERING_RAD = np.pi / 3
 
 @dataclass(frozen=True, slots=True)
 class DriverLimits:
-    """Limits of a hurried driver on dry asphalt.
+    """Limits of a hurried driver on dry asphalt, all of them positive.
 
     nuPlan's comfort bounds describe its expert drivers: 2.4 and -4.05 m/s^2 along, 4.89 m/s^2 across, 0.95 rad/s,
-    4.13 m/s^3 along and 8.37 m/s^3 in all. An adversary brakes a little harder.
-
-    Attributes:
-        braking_m_s2: Largest, positive.
-        jerk_m_s3: Largest change of acceleration per second.
-        lateral_jerk_m_s3: Largest change of lateral acceleration per second by steering.
-        steering_rate_rad_s: Largest, at the road wheels.
-        steering_rad: Largest angle of the road wheels.
-        speed_m_s: Largest that is aimed at, unless the vehicle is faster already.
+    4.13 m/s^3 along and 8.37 m/s^3 in all. An adversary brakes a little harder. The lateral jerk is that by steering,
+    steering is that of the road wheels, and the speed is aimed at unless the vehicle is faster already.
     """
 
     acceleration_m_s2: float = 2.5
@@ -59,10 +52,9 @@ class DriverLimits:
 
 @dataclass(frozen=True, slots=True)
 class MotionModel:
-    """Units and quirks of the simulation.
+    """Units and quirks of the simulation; ``dt`` is the time of one frame.
 
     Attributes:
-        dt: Time of one frame.
         tracker_wheelbase_m: Wheelbase that the tracker assumes, ``None`` for the vehicle's own.
         smooth: Cubic interpolation of waypoints, held headings and no reversing; else the reference code's.
         limits: Limits of the driver, ``None`` for the reference's steering limit alone.
@@ -89,11 +81,8 @@ class MotionModel:
 class VehicleState:
     """Motion of one vehicle now; the point is the rear axle.
 
-    Attributes:
-        pose: (3,) x, y, yaw, global.
-        speed: m/s along the heading, not negative.
-        acceleration: m/s^2 along the heading.
-        steering: Angle of the road wheels, radians.
+    The pose is (3,) x, y, yaw, global; speed is m/s along the heading, not negative; steering the angle of the road
+    wheels, radians.
     """
 
     pose: Floats
@@ -179,11 +168,8 @@ def drive_along(path: ReferencePath, motion: Floats, *, wheelbase_m: float, step
     """Track a path in its own frame, from its origin.
 
     Speeds first, because they do not depend on steering; then the steering law at all frames; then the path.
-
-    Args:
-        path: Path of B candidates.
-        motion: (3, 1 or B) speed, acceleration and steering angle now.
-        wheelbase_m: Of the bicycle; that of the tracker too unless the model says otherwise.
+    ``motion`` is (3, 1 or B) speed, acceleration and steering angle now; the wheelbase is the bicycle's, and the
+    tracker's too unless the model says otherwise.
     """
     count = path.speed.shape[1]
     drive = Drive(np.zeros((steps + 1, 6, count)), np.zeros((steps + 1, 2, count)), np.zeros((steps, 2, count)))

@@ -17,13 +17,9 @@ _LEFT_OF = {Command.LEFT: 1.0, Command.RIGHT: -1.0}
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """Line to drive along, in equal steps.
+    """Line to drive along, in equal steps, from the place of the car; (P, 2) metres, global.
 
-    Attributes:
-        points: (P, 2) metres, global, first point where the car is.
-        heading: (P,) radians.
-        arc_length: (P,) metres from the first point.
-        curvature: (P,) 1/m, unsigned.
+    Headings are radians, the arc length is metres from the first point, the curvature 1/m, unsigned; all (P,).
     """
 
     points: Floats

@@ -73,11 +73,8 @@ def reference_path(waypoints: Floats, *, dt: float, frames_per_waypoint: int, sm
 def fitted_path(position: Floats, heading: Floats, direction: Floats, *, dt: float, smooth: bool) -> ReferencePath:
     """Fit speed and curvature to poses by regularised least squares.
 
-    Args:
-        position: (F + 1, 2, B) metres.
-        heading: (F + 1, B) radians, wrapped or not.
-        direction: (F + 1, 2, B) cosine and sine of the heading.
-        smooth: As in `reference_path`: no reversing and a penalty on jerk.
+    Positions are (F + 1, 2, B) metres, headings (F + 1, B) radians, wrapped or not; ``smooth`` is as in
+    `reference_path`: no reversing and a penalty on jerk.
     """
     step = np.diff(position, axis=0)
     step *= direction[:-1]
@@ -177,10 +174,7 @@ def _directions(chord: Floats) -> Floats:
 def fitted_curvature(travel: Floats, turns: Floats, rate_penalty: float) -> Floats:
     """Curvature by least squares, radians per metre: turns are travel times curvature, with a penalty on its change.
 
-    Args:
-        travel: (F, B) metres in each frame.
-        turns: (F, B) radians in each frame.
-        rate_penalty: Weight of the squared change of curvature from frame to frame.
+    Travel is metres and turns are radians in each frame; the penalty weighs the squared change from frame to frame.
     """
     pull = travel * travel
     pull[0] += INITIAL_CURVATURE_PENALTY

@@ -29,10 +29,8 @@ class Attack:
     def of(cls, contact: bool, at_fault: bool | None, careful_survives: bool | None) -> "Attack":
         """Read one run in three ways.
 
-        Args:
-            at_fault: Whether the first contact is the planner's fault; ``None`` where it cannot be told. Without a
-                contact it is not asked.
-            careful_survives: Whether the careful human survives the scene; ``None`` where it was not judged.
+        Without a contact ``at_fault`` is not asked; ``None`` where it cannot be told. ``careful_survives`` is
+        ``None`` where the scene was not judged.
         """
         blamed = at_fault if contact else False
         return cls(contact, blamed, None if careful_survives is None else _both(blamed, careful_survives))

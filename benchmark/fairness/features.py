@@ -46,11 +46,9 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One stretch of keyframes of an agent that counts.
+    """One stretch of keyframes of an agent that counts, sampled at (S,) seconds.
 
-    Attributes:
-        times: (S,) seconds of the samples.
-        values: (S,) of each of `FEATURES`, and of `ROAD_EDGE` with a map, by name.
+    ``values`` are (S,) of each of `FEATURES`, and of `ROAD_EDGE` with a map, by name.
     """
 
     agent: int
@@ -60,12 +58,9 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class SplinedMotion:
-    """Smoothed motion of one agent at S samples.
+    """Smoothed motion of one agent at S samples: (S, 5) boxes and (S, 2) m/s.
 
-    Attributes:
-        boxes: (S, 5) its rectangles.
-        velocity: (S, 2) m/s.
-        values: The features that need no other agent, by name.
+    ``values`` are the features that need no other agent, by name.
     """
 
     boxes: Floats
@@ -130,13 +125,7 @@ def stretches(valid: Bools, centres: Floats) -> list[slice]:
 
 
 def splined(times: Floats, boxes: Floats, samples: Floats) -> SplinedMotion:
-    """Smooth the keyframes of a run and differentiate.
-
-    Args:
-        times: (K,) seconds of the keyframes.
-        boxes: (K, 5) rectangles there.
-        samples: (S,) seconds.
-    """
+    """Smooth the keyframes of a run, (K,) seconds and (K, 5) boxes, and differentiate at (S,) seconds."""
     poses = np.column_stack([boxes[:, :2], np.unwrap(boxes[:, 4])])
     smooth = savgol_filter(poses, _WINDOW, _ORDER, axis=0, mode="interp")
     curve = CubicSpline(times, smooth, bc_type="natural")

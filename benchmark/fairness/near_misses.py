@@ -39,13 +39,9 @@ class NearMisses:
 
 
 def near_misses(ego: Floats, other: Floats, present: Bools, velocity: Floats) -> NearMisses:
-    """Measure pairs.
+    """Measure pairs, (P, K, 5) boxes every 0.1 s; velocities are the other's, m/s.
 
-    Args:
-        ego: (P, K, 5) boxes every 0.1 s.
-        other: (P, K, 5) boxes.
-        present: (P, K) whether the other is there, at one instant at least.
-        velocity: (P, K, 2) of the other, m/s.
+    The other is there at one instant at least.
     """
     moving = ego_velocities(ego)
     gap = np.where(present, box_gap(ego, other), np.inf)

@@ -102,17 +102,10 @@ class PlanPaths:
 
 
 def braking_threats(ego: Floats, speed: Floats, other: Floats, present: Bools, velocity: Floats) -> Floats:
-    """Braking threat numbers of P pairs at K instants, as `benchmark.fairness.encounter` has them for one.
+    """(P, K) braking threat numbers from 0 to 10, as `benchmark.fairness.encounter` has them for one pair.
 
-    Args:
-        ego: (P, K, 5) boxes.
-        speed: (P, K) of the ego, m/s.
-        other: (P, K, 5) boxes.
-        present: (P, K) whether the other is there.
-        velocity: (P, K, 2) of the other, m/s.
-
-    Returns:
-        (P, K) numbers from 0 to 10; 0 where the other is behind, not in the way or not there.
+    0 where the other is behind, not in the way or not there. Boxes are (P, K, 5), speeds of the ego (P, K),
+    velocities of the other (P, K, 2), m/s.
     """
     paths, threats = PlanPaths.of(ego), np.zeros(present.shape)
     # The eye is on the path, where the ego's centre is projected to.

@@ -45,14 +45,9 @@ class Lanes(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _World:
-    """Agents around S samples in the lidar frame of each.
+    """N agents around S samples in the lidar frame of each: (N, 31, 5) boxes.
 
-    Attributes:
-        sample: (N,) of which sample.
-        names: N instances.
-        adversary: (N,) whether it was made to be one.
-        boxes: (N, 31, 5).
-        counts: (N, 31) which are there, without those that touch the ego in the present.
+    ``sample`` says of which; ``counts``, (N, 31), which are there, without those that touch the ego in the present.
     """
 
     sample: Integers

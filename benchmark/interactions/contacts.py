@@ -151,15 +151,7 @@ def fatal_probability(delta_v_m_s: Floats) -> Floats:
 
 
 def contact_kinds(ego: Floats, ego_speed: Floats, other: Floats, other_speed: Floats, agents: Bools) -> Integers:
-    """(...) indices into `KINDS`, whether the rectangles touch or not.
-
-    Args:
-        ego: (..., 5) boxes.
-        ego_speed: (...) m/s.
-        other: (..., 5) boxes.
-        other_speed: (...) m/s.
-        agents: (...) whether the other moves by itself.
-    """
+    """Indices into `KINDS`, whether the rectangles touch or not; ``agents`` are others that move by themselves."""
     front = ego.copy()
     front[..., 0] += 0.5 * ego[..., 2] * np.cos(ego[..., 4])
     front[..., 1] += 0.5 * ego[..., 2] * np.sin(ego[..., 4])
@@ -194,15 +186,9 @@ def at_fault(kind: ContactKind, unsure: bool) -> bool:
 
 
 def time_to_contact(first: Floats, first_velocity: Floats, second: Floats, second_velocity: Floats) -> Floats:
-    """Seconds until boxes first touch if both keep velocity and heading, infinite if they never do.
+    """Seconds until (..., 5) boxes first touch if both keep velocity and heading, infinite if they never do.
 
     Along each of the four edge normals their projections overlap for a while; they touch while all four do.
-
-    Args:
-        first: (..., 5) boxes.
-        first_velocity: (..., 2) m/s.
-        second: (..., 5) boxes.
-        second_velocity: (..., 2) m/s.
     """
     offset, velocity = second[..., :2] - first[..., :2], second_velocity - first_velocity
     turn = second[..., 4] - first[..., 4]

@@ -49,9 +49,7 @@ class Motion:
     """Motion of one driver to the end of the scene, as if it hit nothing.
 
     Attributes:
-        times: (K,) seconds, every 0.1 s.
-        station: (K,) metres along the path.
-        speed: (K,) m/s.
+        times: (K,) seconds, every 0.1 s; ``station``, metres along the path, and ``speed``, m/s, are at these times.
         unsafe: (K - 1,) steps that the driver found unsafe.
         free_from: First step in which it drives by itself; K - 1 if it is the recording to the end.
         reason: The agent that it reacted to first, if it reacted: the one that asks for the most braking of FSM, else
@@ -69,14 +67,12 @@ class Motion:
 
 @dataclass(slots=True)
 class Situation:
-    """Scene as drivers need it.
+    """Scene as drivers need it, at K instants of decision.
 
     Attributes:
-        times: (K,) instants of decision.
         ignored: (N,) agents that overlap the ego at the start.
         relations: All agents at those instants, along the path.
-        station: (K,) of the recorded ego.
-        speed: (K,) of the recorded ego.
+        station: (K,) of the recorded ego, as is ``speed``.
         adversary: Its index, for rungs that react to it alone.
     """
 
@@ -132,9 +128,8 @@ def _simulate(situation: Situation, rungs: Sequence[Rung]) -> list[Motion]:
 class Advancing:
     """Drivers under way: each step needs to know all agents at its beginning, and nothing of later.
 
-    Args:
-        situation: The recording that they follow until they react, and its path.
-        rungs: R drivers, all of which decide by themselves (`REACTING`, and those that keep distance).
+    The situation is the recording that they follow until they react, and its path; all rungs decide by themselves
+    (`REACTING`, and those that keep distance).
     """
 
     def __init__(self, situation: Situation, rungs: Sequence[Rung]) -> None:

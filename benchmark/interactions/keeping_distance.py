@@ -23,11 +23,7 @@ _EXPONENT: Final = 4
 def idm_acceleration(speed: Floats, free_speed: float | Floats, gap: Floats, leader_speed: Floats) -> Floats:
     """Acceleration of a car that keeps distance, m/s^2.
 
-    Args:
-        speed: (...) of the ego, m/s.
-        free_speed: Its speed on a free road, m/s.
-        gap: (...) metres to the leader, infinite without one.
-        leader_speed: (...) of the leader along the path, m/s.
+    Speeds are m/s, the leader's along the path; the gap is infinite without a leader.
     """
     near = np.maximum(gap, SMALLEST_GAP_M)
     closing = _wanted_while_closing(speed, leader_speed, TIME_GAP_S, ACCELERATION, COMFORTABLE_BRAKING)

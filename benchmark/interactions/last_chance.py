@@ -78,12 +78,10 @@ class LastChance:
 
 
 class Base:
-    """Ego whose contact is to be avoided.
+    """Ego whose first contact is to be avoided.
 
     Attributes:
-        situation: The scene, with that ego.
         driver: ``RECORDED`` for the ego as it is, ``CONSTANT`` for the speed of the start.
-        contact: Its first contact.
         drivable: Where manoeuvres may go; anywhere if ``None``.
     """
 
@@ -137,14 +135,10 @@ class Base:
         return LastChance(contact, start + GRID_S * low, evaluated)
 
     def avoidable_after(self, first_visible: float | None) -> bool:
-        """Whether a manoeuvre succeeds once a driver has had time to react.
+        """Whether a manoeuvre succeeds once a driver has had time to react to the adversary, seen first then or never.
 
-        Args:
-            first_visible: When the adversary is first seen, ``None`` for never.
-
-        Returns:
-            The verdict at the first tenth of a second that is 0.75 s later; true where the base is not threatened or
-            not to blame, false where it is over by then.
+        The verdict at the first tenth of a second that is 0.75 s later; true where the base is not threatened or
+        not to blame, false where it is over by then.
         """
         contact = self.contact
         if contact is None or KINDS.index(contact.kind) in BLAMELESS:

@@ -36,10 +36,7 @@ X, Y, HEADING, SPEED, STEERING = range(STATE_COLUMNS)
 class Starts:
     """O moments at which manoeuvres start.
 
-    Attributes:
-        pose: (O, 3) box centre x, y and heading of the ego.
-        speed: (O,) m/s.
-        station: (O,) metres along the path.
+    Poses are (O, 3) box centre x, y and heading of the ego; the station is metres along the path.
     """
 
     pose: Floats

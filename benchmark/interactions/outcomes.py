@@ -36,10 +36,9 @@ class Contact:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """End of a run.
+    """End of a run; ``motion`` is as if nothing had been hit.
 
     Attributes:
-        motion: The run, as if nothing had been hit.
         contact: The first contact, or ``None`` if the driver survives.
         instants: How many instants of the motion belong to the run.
         beyond_end: Whether it left the recorded path, where no road is known.
@@ -89,13 +88,9 @@ def sub_times(times: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """All agents at the instants at which contact is looked for.
+    """All agents, (N, T, 5), and the recorded ego, (T, 5), at the T instants at which contact is looked for.
 
-    Attributes:
-        times: (T,) seconds.
-        boxes: (N, T, 5) agents.
-        counts: (N, T) which are there and not ignored.
-        ego: (T, 5) the recorded ego.
+    ``counts``, (N, T), are those that are there and not ignored.
     """
 
     situation: Situation

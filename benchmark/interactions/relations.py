@@ -25,13 +25,8 @@ OUTLINE_REACH_M: Final = 15.0
 class Places:
     """Boxes in the frame of the path; all arrays (Q,) and metres.
 
-    Attributes:
-        station: Of the centre.
-        offset: Of the centre, positive on the left.
-        rear: Lowest station of the outline.
-        front: Highest station of the outline.
-        right: Lowest offset of the outline.
-        left: Highest offset of the outline.
+    ``station`` and ``offset``, positive on the left, are of the centre, the others of the outline: its lowest and
+    highest station and offset.
     """
 
     station: Floats
@@ -47,14 +42,11 @@ class Relations:
     """N agents at K instants, seen from a path.
 
     Attributes:
-        times: (K,) seconds.
-        boxes: (N, K, 5) agents.
-        present: (N, K) which are there.
+        boxes: (N, K, 5) agents; ``present`` is (N, K).
         velocity: (N, K, 2) metres a second.
         hides: (N,) which can hide a car.
         places: (N, K) arrays: by the whole path.
-        along: (N, K) velocity along the path.
-        across: (N, K) velocity to the left of it.
+        along: (N, K) velocity along the path; ``across`` is to the left of it.
     """
 
     path: EgoPath
@@ -93,15 +85,9 @@ class Relations:
     def now(
         cls, path: EgoPath, time: float, boxes: Floats, present: Bools, velocity: Floats, hides: Bools, behind_m: float
     ) -> "Relations":
-        """Relate agents to a path at the only instant of which anything is known.
+        """Relate (N, 5) agents to a path at the only instant of which anything is known.
 
-        Args:
-            time: Seconds.
-            boxes: (N, 5) agents.
-            present: (N,) which are there.
-            velocity: (N, 2) metres a second.
-            hides: (N,) which can hide a car.
-            behind_m: Station behind which no agent matters.
+        ``hides`` says which can hide a car. No agent behind the station ``behind_m`` matters.
         """
         found = placed(path, boxes[present], outlines_from=behind_m)
         filled = {name: np.zeros((len(boxes), 1)) for name in Places.__dataclass_fields__}

@@ -16,14 +16,9 @@ HIDING_M: Final = 90.0
 
 
 def visible(eyes: Floats, agents: Integers, boxes: Floats, present: Bools, hides: Bools) -> Bools:
-    """(Q,) whether agents are seen.
+    """(Q,) whether agents are seen from (Q, 2) places, among all (N, 5) boxes that are there at that time.
 
-    Args:
-        eyes: (Q, 2) places that they are seen from, metres.
-        agents: (Q,) index of each.
-        boxes: (N, 5) all agents at that time.
-        present: (N,) which are there.
-        hides: (N,) which can hide a car.
+    ``hides`` says which of them can hide a car.
     """
     seen = np.zeros(len(agents), np.bool_)
     blockers = np.flatnonzero(present & hides)

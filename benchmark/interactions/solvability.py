@@ -41,12 +41,9 @@ class SceneLadder:
         start: float | None = None,
         drivable: shapely.MultiPolygon | None = None,
     ) -> "SceneLadder":
-        """Let all drivers drive a scene.
+        """Let all drivers drive a scene from ``start`` on, by default from its first frame.
 
-        Args:
-            adversary: Its index; ``None`` where none is known, and then it is never visible.
-            start: When drivers take over, seconds; at the first frame by default.
-            drivable: Where manoeuvres may go; anywhere by default.
+        Manoeuvres may go anywhere by default. Where no adversary is known, it is never visible.
         """
         situation = Situation.of(tracks, start, adversary)
         surroundings = Surroundings.of(situation)

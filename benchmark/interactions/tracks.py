@@ -32,10 +32,9 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Tracks:
-    """One ego and N agents over F frames.
+    """One ego and N agents over F frames at rising seconds.
 
     Attributes:
-        seconds: (F,) rising times.
         ego: (F, 5) boxes.
         agents: (N, F, 5) boxes; where an agent is not there, any finite values.
         valid: (N, F) whether the agent is there.

@@ -37,8 +37,8 @@ HISTORY_KEY_FRAMES: Final = 4
 def history_rows(key_frames: Floats) -> Floats:
     """(B, 14, 11) states at -1.5 .. -0.2 s before a motion: linear, headings by the shortest turn, rates zero.
 
-    Args:
-        key_frames: (B, 4, 8) pose, velocity and acceleration (the first columns of a state) at -1.5, -1, -0.5 and 0 s.
+    They are made of (B, 4, 8) pose, velocity and acceleration (the first columns of a state) at -1.5, -1, -0.5 and
+    0 s.
     """
     values = key_frames.copy()
     values[..., HEADING] = _unwrapped(values[..., HEADING])
@@ -53,9 +53,7 @@ def history_rows(key_frames: Floats) -> Floats:
 def comfort_series(states: Floats, history: Floats) -> Floats:
     """(B, 6, 45) series that comfort is judged by, in the order of ``BOUNDS``.
 
-    Args:
-        states: (B, 31, 11) motions.
-        history: (B, 14, 11) states before.
+    Motions are (B, 31, 11), the states before them (B, 14, 11).
     """
     rows = np.concatenate([history, states], axis=1)
     felt = rows[..., ACCELERATION] + COMFORT_CENTER_AHEAD_M * (rows[..., YAW_RATE] ** 2 + rows[..., YAW_ACCELERATION])
@@ -94,10 +92,7 @@ def states_between(seconds: float) -> int | None:
 def disagreement(earlier: Floats, later: Floats, apart: int) -> Floats:
     """(B, 4) root mean square differences of two plans where both say something, in the order of ``AGREEMENT``.
 
-    Args:
-        earlier: (B, 31, 11) motions of the earlier plans.
-        later: (B, 31, 11) motions of the later plans.
-        apart: States between the starts of the two.
+    Motions are (B, 31, 11); ``apart`` are the states between the starts of the two.
     """
     differences = _plan_series(later[:, : STATES - apart]) - _plan_series(earlier[:, apart:])
     return np.asarray(np.sqrt(np.mean(differences**2, axis=-1)))

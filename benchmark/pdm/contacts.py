@@ -65,12 +65,9 @@ class _Pairs:
 
 
 def collisions(states: Floats, samples: Integers, traffic: Traffic, where: Whereabouts) -> Collisions:
-    """Judge contacts of the car with objects.
+    """Judge contacts of the car, in (B, 31, 11) motions of the samples named, with objects.
 
-    Args:
-        states: (B, 31, 11) motions.
-        samples: (B,) the sample of each.
-        traffic: Objects of all samples, without those that touch the car at the start.
+    ``traffic`` is without those that touch the car at the start.
     """
     boxes = footprints(states)
     pairs = _pairs(boxes, samples, traffic)
@@ -97,7 +94,7 @@ def collisions(states: Floats, samples: Integers, traffic: Traffic, where: Where
 def near_misses(states: Floats, samples: Integers, traffic: Traffic, where: Whereabouts) -> NearMisses:
     """Judge where the car would be 0, 0.3, 0.6 and 0.9 s after each state if it went on straight at its speed.
 
-    Arguments as in `collisions`.
+    ``traffic`` is without those that touch the car at the start.
     """
     asked = states[:, :TTC_STATES]
     speed = np.hypot(asked[..., SPEED], asked[..., SIDE_SPEED])

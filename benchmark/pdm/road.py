@@ -26,12 +26,9 @@ class Layer(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Road:
-    """Surfaces around a scene.
+    """Surfaces around a scene; ``lanes`` are lanes and connectors, ``on_route`` says which of them are on the route.
 
-    Attributes:
-        lanes: Lanes and connectors.
-        on_route: Whether each of them is on the route.
-        drivable: Road blocks, intersections, drivable areas and car parks.
+    ``drivable`` are road blocks, intersections, drivable areas and car parks.
     """
 
     lanes: tuple[Polygon, ...]

@@ -83,11 +83,8 @@ def direction_compliance(wrong_way_m: Floats) -> Floats:
 def lane_keeping(off_lane: Bools, in_intersection: Bools) -> Floats:
     """LK, (B,) 0 or 1: not more than 19 states in a row beside the route.
 
-    States in an intersection are skipped, not forgiven.
-
-    Args:
-        off_lane: (B, 31) whether the car's centre is more than 0.5 m from the route.
-        in_intersection: (B, 31) where its centre is in an intersection.
+    ``off_lane``, (B, 31), is a centre more than 0.5 m from the route. States in an intersection are skipped, not
+    forgiven.
     """
     beside = np.zeros(len(off_lane), np.int64)
     longest = beside.copy()

@@ -40,12 +40,10 @@ class Surroundings:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """B motions and all that is said of them but what needs a second one.
+    """B motions, (B, 31, 11), and all that is said of them but what needs a second one.
 
-    Attributes:
-        states: (B, 31, 11) the motions.
-        extremes: (B, 6, 2) lowest and highest value of each series of comfort.
-        scores: Sub-scores as if each were alone: EP is 1.
+    ``extremes`` are (B, 6, 2), lowest and highest value of each series of comfort. Sub-scores are as if each were
+    alone: EP is 1.
     """
 
     states: Floats
