@@ -135,10 +135,10 @@ class Base:
         return LastChance(contact, start + GRID_S * low, evaluated)
 
     def avoidable_after(self, first_visible: float | None) -> bool:
-        """Whether a manoeuvre succeeds once a driver has had time to react to the adversary, seen first then or never.
+        """Whether a manoeuvre succeeds once a driver has had time to react to the adversary.
 
-        The verdict at the first tenth of a second that is 0.75 s later; true where the base is not threatened or
-        not to blame, false where it is over by then.
+        ``first_visible`` is ``None`` for never. The verdict at the first tenth of a second that is 0.75 s later; true
+        where the base is not threatened or not to blame, false where it is over by then.
         """
         contact = self.contact
         if contact is None or KINDS.index(contact.kind) in BLAMELESS:
