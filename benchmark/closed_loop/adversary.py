@@ -33,8 +33,7 @@ class Replanning:
     """One planning frame of an adversary.
 
     Attributes:
-        frame: Of the scene.
-        score: Of what was chosen, lower is better; ``None`` where nothing was.
+        score: Of the chosen candidate, lower is better; ``None`` where none was.
         braked: Whether no candidate was allowed and it braked on its own path.
         considered: A `benchmark.records.considered.ConsideredFrame` as JSON, where it was asked for.
     """
@@ -47,13 +46,9 @@ class Replanning:
 
 @dataclass(frozen=True, slots=True)
 class AdversaryTrack:
-    """Where an adversary went.
+    """Way of an adversary: (F, 3) poses of its box centre from the frame ``start`` on, where it left its recording.
 
-    Attributes:
-        agent: Its index in the scene.
-        start: Frame at which it left its recording.
-        poses: (F, 3) of its box centre at the frames from there on.
-        replanned: Its planning frames.
+    ``agent`` is its index in the scene.
     """
 
     agent: int
@@ -87,7 +82,7 @@ class AdversaryMaker(Protocol):
         """As above."""
 
     def possible(self, scene: Scene) -> bool:
-        """Whether anybody in a scene can become an adversary."""
+        """Whether any vehicle in a scene can become an adversary."""
 
     def policy(
         self, scene: Scene, run: int, start_us: int, others: Callable[[int], AgentPolicy[Any]]
@@ -98,17 +93,15 @@ class AdversaryMaker(Protocol):
             scene: The scene.
             run: Which vehicle, and its seed.
             start_us: When the drive starts.
-            others: Gives the policy of everybody but the adversary, whose index it takes.
+            others: Gives the policy of all agents but the adversary, whose index it takes.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class Handover:
-    """Where an adversary leaves its recording.
+    """Hand-over of an adversary from its recording at the frame ``start``.
 
     Attributes:
-        agent: Its index.
-        start: Frame at which it does.
         times_us: (T,) of the scene's frames.
         recorded: (T, 3) recorded poses of its box centre.
         first: The first frame of its recorded presence up to ``start``.
@@ -133,12 +126,12 @@ class Handover:
         """The 0.1 s after a time, the adversary among the others.
 
         Args:
-            others: What everybody else does in it.
+            others: Motion of all other agents in it.
             track: (F, 3) poses from the hand-over on, as far as the 0.1 s or to the scene's last frame.
             time_us: When it begins.
 
         Returns:
-            The same but for the adversary. Until its hand-over it is one of the others, and as everybody it is gone
+            The same but for the adversary. Until its hand-over it is one of the others, and like all agents it is gone
             once the scene's frames end.
         """
         times = time_us + INSTANT_US * np.arange(1, INSTANTS + 1)
@@ -171,14 +164,9 @@ class Handover:
 
 @dataclass(frozen=True, slots=True)
 class GivenAdversary:
-    """An adversary that drives a given track, whatever the ego does.
+    """Adversary that drives a given track, independent of the ego.
 
-    Attributes:
-        others: Policy of everybody else.
-        handover: Where it leaves its recording.
-        track: What it drives; beyond its end it brakes to a stop on its heading.
-        name: Of the policy.
-        draws: It draws nothing.
+    Beyond the end of its track it brakes to a stop on its heading.
     """
 
     others: AgentPolicy[Any]
@@ -193,7 +181,7 @@ class GivenAdversary:
         object.__setattr__(self, "_whole", _braked(self.track.poses, self.handover.times_us, self.track.start, left))
 
     def init(self, time_us: int, key: int) -> tuple[Any, Moved]:
-        """Everybody where the others have them."""
+        """All agents where the others have them."""
         return self.others.init(time_us, key)
 
     def act(self, memory: Any, moment: Moment, key: int) -> tuple[Any, Moved]:
@@ -223,12 +211,9 @@ def _braked(poses: Floats, times_us: NDArray[np.int64], start: int, frames: int)
 
 @dataclass(frozen=True, slots=True)
 class GivenTracks:
-    """Makes adversaries that drive given tracks: those of drives that were driven already.
+    """Maker of adversaries that drive given tracks, by scene and run: those of drives that were driven already.
 
-    Attributes:
-        tracks: By scene and run.
-        others: Policy of the others.
-        facts: Where the tracks come from.
+    ``facts`` say where the tracks come from.
     """
 
     tracks: Mapping[tuple[str, int], AdversaryTrack]

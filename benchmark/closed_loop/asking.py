@@ -30,7 +30,7 @@ from benchmark.planning import (
 from benchmark.runs.plan_rows import FAILURES, BrokenImageError, loud, said_of
 
 DEFAULT_TIMEOUT_S: Final = 120.0
-"""For one plan; nobody drives with so old a plan, so that this ends what hangs."""
+"""For one plan; no car drives with so old a plan, so that this ends what hangs."""
 
 LONGEST_TIMEOUT_S: Final = 86_400.0
 """Timers know no infinity."""
@@ -48,12 +48,7 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Why there is no plan.
-
-    Attributes:
-        reason: In a word.
-        text: What was raised, or what is wrong.
-    """
+    """Reason why there is no plan, in a word, and the error or fault in full."""
 
     reason: Reason
     text: str
@@ -65,13 +60,12 @@ class PlanTimeoutError(BaseException):
 
 @contextlib.contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """Interrupt what takes longer.
+    """Interrupt code that takes longer.
 
-    Args:
-        seconds: How long it may take. What does not return to Python is not interrupted; it is late all the same.
+    Code that does not return to Python is not interrupted; it is late all the same.
 
     Raises:
-        PlanTimeoutError: After so long.
+        PlanTimeoutError: After so many seconds.
     """
     started = time.monotonic()
     if threading.current_thread() is not threading.main_thread():
@@ -94,20 +88,11 @@ def time_limit(seconds: float) -> Iterator[None]:
 
 
 def asked(planner: Planner, observation: Observation, timeout_s: float, meter: Meter | None = None) -> Plan | Failure:
-    """Ask for a plan.
-
-    Args:
-        planner: The planner.
-        observation: What it sees.
-        timeout_s: How long it may take.
-        meter: Times it.
-
-    Returns:
-        The plan, or why there is none.
+    """Ask for a plan; why there is none, if there is none.
 
     Raises:
         BrokenImageError: If a picture that it looks at cannot be had: not the planner's fault.
-        PlannerGoneError: If it runs elsewhere and cannot be asked: nobody's fault.
+        PlannerGoneError: If it runs elsewhere and cannot be asked: not its fault either.
     """
     views = {name: replace(view, load=loud(view.load)) for name, view in observation.views.items()}
     ego = observation.ego if reads_message_after(planner) else replace(observation.ego, can_motion_after=None)
@@ -134,18 +119,10 @@ def asked(planner: Planner, observation: Observation, timeout_s: float, meter: M
 
 
 def told(planner: Planner, tell: Callable[[], None], timeout_s: float) -> Failure | None:
-    """Tell a planner something.
-
-    Args:
-        planner: The planner.
-        tell: Calls it.
-        timeout_s: How long it may take.
-
-    Returns:
-        Why the planner failed, if it did.
+    """Tell a planner something by a call; why the planner failed, if it did.
 
     Raises:
-        PlannerGoneError: If it runs elsewhere and cannot be told: nobody's fault.
+        PlannerGoneError: If it runs elsewhere and cannot be told: not its fault.
     """
     try:
         with contextlib.redirect_stdout(sys.stderr), _limit_of(planner, timeout_s):

@@ -32,23 +32,14 @@ def unsure_of_its_lane(road: Road, where: Whereabouts) -> Bools:
 
 @dataclass(frozen=True, slots=True)
 class Blame:
-    """Whether a contact is the ego's fault. Picklable.
-
-    Attributes:
-        scene: The recorded scene, with its map.
-    """
+    """Judge of whether a contact is the ego's fault, from the recorded scene with its map. Picklable."""
 
     scene: Scene
 
     def __call__(self, contact: Contact, ego: Floats) -> bool:
-        """The verdict.
+        """Whether the ego is to blame.
 
-        Args:
-            contact: The contact.
-            ego: (6,) values of `Ego` at the first end of a sub-step that does not come before it.
-
-        Returns:
-            Whether the ego is to blame.
+        ``ego`` are (6,) values of `Ego` at the first end of a sub-step that does not come before the contact.
         """
         kind = KINDS[int(contact.pair.kinds[0])]
         return at_fault(kind, kind is ContactKind.LATERAL and self._unsure(Ego.of_row(ego)))

@@ -19,14 +19,14 @@ Memory = TypeVar("Memory")
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """Everybody at one instant.
+    """All road users at one instant.
 
     Attributes:
-        time_us: When.
+        time_us: Time of the instant.
         ego: (5,) the ego's box.
         ego_speed: m/s.
         boxes: (N, 5) of the agents; where one is not there, any finite values.
-        present: (N,) who is there.
+        present: (N,) which are there.
         velocity: (N, 2) m/s.
         plan: The ego's plan in force, for policies that are allowed to know it; ``None`` before there is any.
     """
@@ -42,11 +42,11 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """What agents do in a sub-step.
+    """Motion of the agents in a sub-step.
 
     Attributes:
         boxes: (2, N, 5) after 0.05 and 0.1 s.
-        present: (2, N) who is there.
+        present: (2, N) which are there.
         velocity: (N, 2) after 0.1 s, m/s.
     """
 
@@ -76,10 +76,10 @@ class AgentPolicy(Protocol[Memory]):
 
         Args:
             time_us: When.
-            key: What is drawn is drawn from this alone.
+            key: All random numbers are drawn from this alone.
 
         Returns:
-            Its memory, and everybody at ``time_us``, in both rows.
+            Its memory, and all agents at ``time_us``, in both rows.
         """
 
     def act(self, memory: Memory, moment: Moment, key: int) -> tuple[Memory, Moved]:
@@ -91,7 +91,7 @@ class AgentPolicy(Protocol[Memory]):
             key: Of this sub-step.
 
         Returns:
-            The memory after it, and what everybody does.
+            The memory after it, and the motion of all agents.
         """
 
 

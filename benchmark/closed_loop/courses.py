@@ -31,22 +31,15 @@ def course_of(
     latency_us: int = 0,
     blamed: Callable[[Contact, Floats], bool] | None = None,
 ) -> Course:
-    """The course of a scene.
+    """The course of a scene, which starts with the recorded motion.
 
     Args:
-        scene: Any scene.
         policy: How the others behave; their tracks by default.
         keyframe: At which the drive starts.
         duration_s: How long it lasts; to the scene's last keyframe by default.
         seed: Of everything that is drawn.
         latency_us: So much later does a plan take effect.
         blamed: As of a `Course`; ``None``: every contact ends the drive.
-
-    Returns:
-        The course, which starts with the recorded motion.
-
-    Raises:
-        InputError: If there is no such keyframe, or nothing after it.
     """
     if not 0 <= keyframe < len(scene.keyframes):
         raise InputError(f"{scene.name} has {len(scene.keyframes)} keyframes, none of number {keyframe}")

@@ -69,13 +69,10 @@ AGENTS: Final = (*POLICIES, ADVERSARY)
 
 @dataclass(frozen=True, slots=True)
 class DefaultRides:
-    """Makes rides of the default engine.
+    """Maker of rides of the default engine.
 
-    Attributes:
-        agents: Name of the policy.
-        latency_us: So much later than it was made does a plan take effect.
-        adversary: Who puts an adversary among the agents, where their policy is `ADVERSARY`.
-        until: What ends a drive before its time: any contact, or one that is the ego's fault.
+    A plan takes effect ``latency_us`` later than it was made for; the adversary is only put among the agents where
+    their policy is `ADVERSARY`; a drive ends at any contact, or at one that is the ego's fault.
     """
 
     agents: str = "replay"
@@ -85,11 +82,11 @@ class DefaultRides:
 
     @property
     def draws(self) -> bool:
-        """An adversary draws, nobody else does."""
+        """An adversary draws, no other agent does."""
         return self.agents == ADVERSARY
 
     def families(self, read: Callable[[], tuple[Scene, RecordedCan]]) -> tuple[str, ...]:
-        """A scene is driven as it is; not at all where nobody in it can become the adversary."""
+        """A scene is driven as it is; not at all where no vehicle in it can become the adversary."""
         return ("",) if self.adversary is None or self.adversary.possible(read()[0]) else ()
 
     def after_together(self, rides: Sequence[Ride], plans: Sequence[Plan]) -> list[Ride | UndrivablePlanError]:
@@ -100,7 +97,7 @@ class DefaultRides:
         """The ride at its first planning instant.
 
         Raises:
-            InputError: If the scene is too short, or the policy or the latency is none.
+            InputError: If the scene is too short, or there is no such policy or latency.
         """
         course = self.course(scene, run)
         first = int(scene.keyframes[0])
@@ -136,13 +133,9 @@ class DefaultRides:
 
 @dataclass(frozen=True, slots=True)
 class DefaultRide:
-    """See `benchmark.closed_loop.riding.Ride`.
+    """Ride of the default engine: see `benchmark.closed_loop.riding.Ride`.
 
-    Attributes:
-        scene: The scene.
-        course: What does not change.
-        world: The world where driving starts, then now.
-        motion: Everything so far.
+    ``world`` is that where driving starts, then now; ``motion`` is everything so far.
     """
 
     scene: Scene

@@ -17,12 +17,9 @@ class DrivenPart:
     """F instants, 0.1 s apart, of a drive in a scene of N agents.
 
     Attributes:
-        scene: The recorded scene.
-        times_us: (F,) microseconds.
         states: (F, 11) the ego in the columns of `benchmark.pdm.definition`.
-        boxes: (N, F, 5) agents.
+        boxes: (N, F, 5) agents; ``present`` is (N, F).
         velocity: (N, F, 2) over the last 0.1 s, the next one where an agent has just come, m/s.
-        present: (N, F) who is there.
     """
 
     scene: Scene
@@ -34,12 +31,7 @@ class DrivenPart:
 
     @classmethod
     def of(cls, scene: Scene, drive: Drive) -> "DrivenPart":
-        """The scored part of a drive.
-
-        Args:
-            scene: The recorded scene.
-            drive: One that did not fail.
-        """
+        """The scored part of a drive that did not fail."""
         motion = drive.motion
         first = int(motion.ticks[min(drive.primed, len(motion.ticks)) - 1])
         last = len(motion.times_us)

@@ -19,16 +19,14 @@ _SEEN: Final = 4
 
 
 def driven_scene(recorded: Scene, route: Route, motion: Motion) -> Scene:
-    """A scene of what has happened up to the last instant of a motion.
+    """Scene of all that has happened up to the last instant of a motion.
+
+    The recorded frames before, then the instants of the motion; planning instants are keyframes.
 
     Args:
         recorded: The scene that was driven; of it nothing after the first instant of the motion is taken but the map,
-            the cameras, who there is, and the height of the road along the recorded path.
-        route: Its recorded path.
+            the cameras, the list of agents, and the height of the road along the recorded path.
         motion: Since the first planning instant, which is a keyframe of the recording.
-
-    Returns:
-        The scene: the recorded frames before, then the instants of the motion; planning instants are keyframes.
     """
     first = int(np.searchsorted(recorded.timestamps_us, motion.times_us[0]))
     ticks = len(motion.ticks)
@@ -74,7 +72,7 @@ def driven_scene(recorded: Scene, route: Route, motion: Motion) -> Scene:
 
 
 def with_the_end_held(scene: Scene, ticks: int) -> Scene:
-    """A scene that goes on for some ticks as it ends: everybody stays where it is (HUGSIM keeps its last list so)."""
+    """A scene that goes on for some ticks as it ends: every agent stays where it is (HUGSIM keeps its last list so)."""
     frames = np.concatenate([np.arange(len(scene.timestamps_us)), np.full(ticks, len(scene.timestamps_us) - 1)])
     keys = np.concatenate([np.arange(len(scene.keyframes)), np.full(ticks, len(scene.keyframes) - 1)])
     more = scene.timestamps_us[-1] + TICK_US * np.arange(1, ticks + 1)

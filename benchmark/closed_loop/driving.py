@@ -34,17 +34,13 @@ End = Literal["contact", "end", "failed"]
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What came of one scene and one run.
+    """Outcome of one scene and one run.
 
     Attributes:
-        motion: Everything that happened.
         primed: Planning instants at which the ego was the recorded one.
         plans: One for each planning instant that was planned from; those of primed instants were not driven.
-        commands: Of the same instants.
-        stations: Of the same instants: metres along the route.
-        end: What ended it.
+            ``commands`` and ``stations`` (metres along the route) are of the same instants.
         touch: The contact that ended it.
-        failure: Why the planner failed.
         neuroncap: The engine's own score; ``None`` of engines without one, and of a failed drive.
         adversary: Where an adversary went, if there was one that answers or was given its track.
         passed: Contacts before that did not end it; they are not the ego's fault.
@@ -68,15 +64,9 @@ class Stage:
     """One scene with one run, ready to be driven.
 
     Attributes:
-        scene: The scene.
         can: Measured motion at its keyframes.
-        run: Index of the run.
-        maker: The engine.
-        sensor: What cameras see.
-        timeout_s: How long a plan may take.
         family: Which scenario of the scene, where it has any.
         most_plans: Ends the drive after so many plans, to see how long it takes.
-        meter: Times the planner.
     """
 
     scene: Scene
@@ -93,33 +83,26 @@ class Stage:
 def drive(stage: Stage, planner: Planner) -> Drive:
     """Drive one scene.
 
-    Args:
-        stage: What is driven.
-        planner: Who plans.
-
-    Returns:
-        The drive.
-
     Raises:
-        InputError: If the scene cannot be driven, whoever plans.
+        InputError: If the scene cannot be driven by any planner.
         BrokenImageError: If a picture cannot be had.
     """
     return next(found for _, found in drive_together([stage], [planner]))
 
 
 def drive_together(stages: Sequence[Stage], planners: Sequence[Planner]) -> Iterator[tuple[int, Drive]]:
-    """Drive several scenes side by side; none changes a byte of another.
+    """Drive several scenes of one engine side by side; none changes a byte of another.
 
     Args:
-        stages: What is driven, with one engine.
-        planners: Who plans in each: an object for each drive, since a planner has a memory. One that draws numbers from
-            a generator of the process would be given others than alone.
+        stages: Scenes to drive.
+        planners: One for each drive, since a planner has a memory. One that draws numbers from a generator of the
+            process would be given others than alone.
 
     Yields:
         Places among the stages, and their drives, as they end.
 
     Raises:
-        InputError: If a scene cannot be driven, whoever plans; after the drives of the others.
+        InputError: If a scene cannot be driven by any planner; after the drives of the others.
         BrokenImageError: If a picture cannot be had; likewise.
     """
     errors: dict[int, InputError] = {}
@@ -145,7 +128,7 @@ def drive_together(stages: Sequence[Stage], planners: Sequence[Planner]) -> Iter
 
 @contextlib.contextmanager
 def _keeping(errors: dict[int, InputError], place: int) -> Iterator[None]:
-    """Put what is nobody's failure aside until the others have arrived."""
+    """Put errors that are not the planner's aside until the others have arrived."""
     try:
         yield
     except InputError as error:
@@ -164,18 +147,7 @@ def _drive_on(seats: "Sequence[_Seat]", plans: Sequence[Plan]) -> None:
 
 @dataclass(slots=True)
 class _Seat:
-    """A drive under way.
-
-    Attributes:
-        stage: What is driven.
-        planner: Who plans.
-        ride: The world now.
-        eyes: What stands between both.
-        failure: Why the planner failed.
-        plans: So far, one for each planning instant.
-        commands: Likewise.
-        stations: Likewise.
-    """
+    """Drive under way; plans, commands and stations are those so far, one for each planning instant."""
 
     stage: Stage
     planner: Planner
@@ -247,7 +219,7 @@ class _Eyes:
     meter: Meter | None
 
     def planned(self, planner: Planner, ride: Ride, command: Command) -> Plan | Failure:
-        """The plan of this instant; the privileged see the world as driven, and its future is revealed to nobody."""
+        """The plan of this instant; the privileged see the world as driven, and none sees its future."""
         views: dict[str, CameraView] = {}
         reveals = isinstance(planner, PrivilegedPlanner) and not isinstance(planner, RouteFollower)
         if reveals or not isinstance(self.look, NoLook):

@@ -22,18 +22,14 @@ def rides_of(
     adversary: AdversaryMaker | None = None,
     until: str = "contact",
 ) -> RideMaker:
-    """What begins rides of an engine.
+    """Maker of rides of an engine.
 
     Args:
         engine: One of `ENGINES`.
-        agents: How the others behave.
         latency_ms: So much later does a plan take effect.
-        scenarios: What scenes are driven with, in NeuroNCAP's engine.
-        adversary: Who puts an adversary among the agents; without anybody only drives with stored tracks begin.
+        scenarios: Scenarios that scenes are driven with, in NeuroNCAP's engine.
+        adversary: Puts an adversary among the agents; without one only drives with stored tracks begin.
         until: What ends a drive before its time, one of `UNTIL`.
-
-    Returns:
-        It.
 
     Raises:
         InputError: If there is no such engine or policy, or the engine has no such thing.
@@ -62,16 +58,9 @@ def rides_of(
 
 
 def rides_as(measured: Measured) -> RideMaker:
-    """What begins the rides of a record again: an adversary drives its stored tracks.
+    """Maker of the rides of a record again: an adversary drives its stored tracks.
 
-    Args:
-        measured: What the record measured.
-
-    Returns:
-        As `rides_of`; an adversary needs its track, which `benchmark.runs.redriving` takes from each row.
-
-    Raises:
-        InputError: As of `rides_of`.
+    It needs its track, which `benchmark.runs.redriving` takes from each row.
     """
     stored = (
         GivenTracks({}, str(measured.agents_facts.get("others", "replay"))) if measured.agents == ADVERSARY else None

@@ -47,13 +47,7 @@ _SLOW_M_S: Final = 0.3
 class Ego:
     """The ego now; the point is the rear axle.
 
-    Attributes:
-        x: Global, metres.
-        y: The same.
-        yaw: Radians.
-        speed: m/s, not negative.
-        acceleration: m/s^2 along the heading.
-        steering: Angle of the wheels, radians.
+    Global metres, radians, m/s that are not negative, m/s^2 along the heading; steering is the angle of the wheels.
     """
 
     x: float

@@ -2,7 +2,7 @@
 
 Mean over planning instants of NC DAC (5 TTC + 2 C) / 7, times the route completed. The terms judge the plan of each
 instant, in the world as it was driven, and are those of `benchmark.pdm` (docs/pdm.md): 3 s, polygons, comfort with its
-history. Where the drive ends, everybody stays as they are for 3 s more, as HUGSIM keeps its last list of objects.
+history. Where the drive ends, all agents stay as they are for 3 s more, as HUGSIM keeps its last list of objects.
 """
 
 from dataclasses import dataclass
@@ -25,11 +25,10 @@ COMPLETE_AT: Final = 0.9
 
 @dataclass(frozen=True, slots=True)
 class HdScore:
-    """One drive.
+    """HD-Score of one drive.
 
-    Attributes:
-        plans: Mean over planning instants of NC DAC (5 TTC + 2 C) / 7.
-        completed: Share of the route, 0 to 1.
+    ``plans`` is the mean over planning instants of NC DAC (5 TTC + 2 C) / 7, ``completed`` the share of the route,
+    0 to 1.
     """
 
     plans: float
@@ -42,16 +41,7 @@ class HdScore:
 
 
 def hd_score(scene: Scene, route: Route, drive: Drive) -> HdScore | None:
-    """Score a drive.
-
-    Args:
-        scene: The recorded scene, with its map.
-        route: Its recorded path.
-        drive: One that did not fail.
-
-    Returns:
-        The score; ``None`` where the map has no road or no lanes.
-    """
+    """Score a drive that did not fail; ``None`` where the map has no road or no lanes."""
     driven = with_the_end_held(driven_scene(scene, route, drive.motion), PLAN_STEPS)
     first = int(np.searchsorted(scene.timestamps_us[scene.keyframes], drive.motion.times_us[0]))
     plans: list[Plan | None] = [None] * len(driven.keyframes)
@@ -67,10 +57,7 @@ def hd_score(scene: Scene, route: Route, drive: Drive) -> HdScore | None:
 def completed_share(scene: Scene, drive: Drive, first: int) -> float:
     """The farthest recorded pose that the ego came nearest to, among those from the first driven instant on.
 
-    Args:
-        scene: The recorded scene.
-        drive: The drive.
-        first: Keyframe of the first planning instant.
+    ``first`` is the keyframe of the first planning instant.
     """
     start = first + drive.primed - 1
     recorded = scene.ego.pose[scene.keyframes[start:], :2]

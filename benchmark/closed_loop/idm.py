@@ -2,8 +2,8 @@
 
 Vehicles with four wheels or more that move in their recording drive along their recorded path, and beyond its end along
 the lanes of the map, straight on where they fork; speed is that of the intelligent-driver model (10 m/s or what they
-drove where that was faster, 1.5 s and 1 m behind a leader, 1 and 2 m/s^2), and whoever stands or moves in their way is
-the leader: the ego, others, people. Everybody else, parked cars too, does what the tracks say.
+drove where that was faster, 1.5 s and 1 m behind a leader, 1 and 2 m/s^2), and any that stands or moves in their way is
+the leader: the ego, others, people. All others, parked cars too, do what the tracks say.
 """
 
 from collections.abc import Sequence
@@ -33,13 +33,10 @@ _BEYOND_M: Final = 300.0
 
 @dataclass(frozen=True, slots=True)
 class IdmMemory:
-    """Where the M vehicles are that drive by themselves.
+    """State of the M vehicles that drive by themselves; every array (M,).
 
-    Attributes:
-        station: (M,) of the centre along each one's path, metres.
-        speed: (M,) m/s.
-        here: (M,) who has come in and not yet reached the end of its road.
-        come: (M,) who has come in.
+    ``station`` is of the centre along each one's path, metres; ``here`` are those that have come in and not yet
+    reached the end of their road, ``come`` all that have come in.
     """
 
     station: Floats
@@ -50,16 +47,9 @@ class IdmMemory:
 
 @dataclass(frozen=True, slots=True)
 class Idm:
-    """The policy.
+    """Policy under which M vehicles drive by themselves along roads and all other agents keep their tracks.
 
-    Attributes:
-        replay: Tracks of everybody.
-        driving: (M,) agents that drive by themselves.
-        roads: M lines along which they do.
-        free_speed: (M,) m/s on an empty road.
-        length: (M,) of each one's road, metres.
-        name: Of the policy.
-        draws: It draws nothing.
+    ``driving`` are their indices; ``free_speed`` is m/s on an empty road, ``length`` metres of each one's road.
     """
 
     replay: Replay
@@ -72,16 +62,7 @@ class Idm:
 
     @classmethod
     def of(cls, replay: Replay, categories: Sequence[str], road_map: RoadMap) -> "Idm":
-        """The policy of a scene.
-
-        Args:
-            replay: Tracks of everybody.
-            categories: N nuScenes categories.
-            road_map: Where roads go on.
-
-        Returns:
-            It.
-        """
+        """The policy of a scene; the map says where roads go on."""
         driving, paths, fastest = [], [], []
         for agent, category in enumerate(categories):
             rows = np.flatnonzero(replay.present[:, agent])
@@ -101,7 +82,7 @@ class Idm:
         )
 
     def init(self, time_us: int, key: int) -> tuple[IdmMemory, Moved]:
-        """Everybody where the tracks begin."""
+        """All agents where the tracks begin."""
         count = len(self.driving)
         nobody = np.zeros(count, np.bool_)
         _, moved = self.replay.init(time_us, key)
@@ -109,7 +90,7 @@ class Idm:
         return memory, moved
 
     def act(self, memory: IdmMemory, moment: Moment, key: int) -> tuple[IdmMemory, Moved]:
-        """The next 0.1 s: those on the road follow whoever is ahead of them now."""
+        """The next 0.1 s: those on the road follow the nearest ahead of them now."""
         _, moved = self.replay.act(None, moment, key)
         boxes, present, velocity = moved.boxes.copy(), moved.present.copy(), moved.velocity.copy()
         here = np.flatnonzero(memory.here)
@@ -162,7 +143,7 @@ class Idm:
 
 
 def _reach(places: Floats) -> float:
-    """How far from its first place somebody comes, metres."""
+    """How far from its first place an agent comes, metres."""
     return float(np.hypot(*(places[:, :2] - places[0, :2]).T).max())
 
 

@@ -1,7 +1,7 @@
 """The ladder of reference drivers in closed loop: each drives a course in which the others answer it.
 
 The drivers are those of `benchmark.interactions`: they follow the recorded path of the ego, and what they decide every
-0.1 s is what they decide in open loop; only that everybody is now where the policy of the agents has them. Each has a
+0.1 s is what they decide in open loop; only that all agents are now where the policy of the agents has them. Each has a
 world of its own. Contact is looked for every 0.05 s, as in the engine.
 """
 
@@ -26,14 +26,10 @@ from benchmark.scene import Scene
 
 @dataclass(frozen=True, slots=True)
 class LadderOutcome:
-    """What came of one driver.
+    """Outcome of one reference driver.
 
-    Attributes:
-        driver: Who drove.
-        seconds: Since the start of the drive until its first contact; ``None`` where it survives.
-        agent: Index of who was touched.
-        kind: What hit what.
-        at_fault: Whether the driver is to blame by nuPlan's rules, as if it kept to one lane.
+    Seconds are from the start of the drive until its first contact, ``None`` where it survives; ``at_fault`` is by
+    nuPlan's rules, as if the driver kept to one lane.
     """
 
     driver: Driver
@@ -44,21 +40,12 @@ class LadderOutcome:
 
     @property
     def survives(self) -> bool:
-        """Whether nobody was touched."""
+        """Whether nothing was touched."""
         return self.seconds is None
 
 
 def climbed(scene: Scene, course: Course, drivers: Sequence[Driver]) -> list[LadderOutcome]:
-    """Let reference drivers drive a course, each by itself.
-
-    Args:
-        scene: Its scene.
-        course: The course; its policy answers each driver.
-        drivers: Who drives.
-
-    Returns:
-        What came of each.
-    """
+    """Let reference drivers drive a course, each by itself; the course's policy answers each driver."""
     tracks = Tracks.of_scene(scene)
     start = (course.start_us - int(scene.timestamps_us[0])) / 1e6
     last = (course.end_us - int(scene.timestamps_us[0])) / 1e6

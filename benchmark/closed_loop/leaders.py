@@ -32,7 +32,6 @@ class Roads:
     """Lines along which M vehicles drive, one after the other, in whole blocks of points.
 
     Attributes:
-        paths: M lines.
         length: (M,) points of each.
         first: (M,) row at which each begins.
         line: (P, 3) x, y, heading, every half metre; a line's last point fills its last block.
@@ -77,15 +76,9 @@ class Roads:
 def leaders(roads: Roads, driving: Integers, station: Floats, here: Integers, moment: Moment) -> tuple[Floats, Floats]:
     """The nearest in each vehicle's way.
 
-    Args:
-        roads: Of M vehicles.
-        driving: (M,) their places among the agents.
-        station: (M,) metres along their roads.
-        here: Those of the M that are on the road.
-        moment: Everybody now.
-
-    Returns:
-        (M,) metres to it, infinite without one, and (M,) its speed along the road, m/s.
+    (M,) metres to it, infinite without one, and (M,) its speed along the road, m/s. ``driving`` are the places of
+    the M vehicles among the agents, ``station`` metres along their roads, ``here`` those of them that are on the
+    road.
     """
     gaps, speeds = np.full(len(driving), np.inf), np.zeros(len(driving))
     boxes, velocity, who, other = _in_sight(driving, here, moment)
@@ -124,7 +117,7 @@ def leaders(roads: Roads, driving: Integers, station: Floats, here: Integers, mo
 
 
 def _in_sight(driving: Integers, here: Integers, moment: Moment) -> tuple[Floats, Floats, Integers, Integers]:
-    """Boxes (N + 1, 5) and velocities of everybody, the ego last, and pairs: which vehicle, and whom it sees."""
+    """Boxes (N + 1, 5) and velocities of all, the ego last, and pairs: which vehicle, and whom it sees."""
     yaw = moment.ego[4]
     own_motion = moment.ego_speed * np.array([[np.cos(yaw), np.sin(yaw)]])
     boxes = np.concatenate([moment.boxes, moment.ego[None]])
@@ -141,16 +134,8 @@ def _nearest(roads: Roads, who: Integers, station: Floats, places: Floats, reach
     """Those of Q places that can be in the way of vehicles, and the points of their roads that are nearest to them.
 
     Only the part of a road counts that is from 20 m behind a vehicle to 200 m ahead of it; of equals the first point.
-
-    Args:
-        roads: All roads.
-        who: (Q,) vehicles.
-        station: (Q,) where they are.
-        places: (Q, 2) of others.
-        reach: (Q,) how far beside a road those can be that matter.
-
-    Returns:
-        (R,) which of them, rising, and (R,) points.
+    Of Q vehicles at stations and (Q, 2) places of others, which have to be within ``reach`` beside the road to matter:
+    (R,) which of them, rising, and (R,) points.
     """
     # Truncation is towards zero, and whoever is before the start of its road is at its start.
     lowest = np.maximum(((station - _BEHIND_M) / SPACING_M).astype(np.int64), 0)

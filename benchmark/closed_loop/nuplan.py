@@ -41,7 +41,7 @@ class NuplanTerms:
     """Terms of one drive, 0 to 1.
 
     Attributes:
-        nc: No contact at fault: 1/2 at fault with a thing, 0 with anybody else.
+        nc: No contact at fault: 1/2 at fault with a thing, 0 with a road user.
         dac: No corner 0.3 m outside the drivable area.
         mp: At least a fifth of the recorded way.
         ddc: Not against the direction of the lanes of the route.
@@ -73,12 +73,10 @@ class NuplanTerms:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far along the route.
+    """Progress along the route, metres.
 
-    Attributes:
-        metres: From the first driven instant to the last scored one.
-        recorded_m: The recorded ego's in the same time.
-        whole_m: The recorded ego's to the last keyframe of the recording.
+    ``metres`` is from the first driven instant to the last scored one, ``recorded_m`` the recorded ego's in the
+    same time, ``whole_m`` the recorded ego's to the last keyframe of the recording.
     """
 
     metres: float
@@ -101,18 +99,9 @@ class Progress:
 def nuplan_terms(
     part: DrivenPart, road: Road, where: Whereabouts, route: Floats, progress: Progress, contact: ScoredContact | None
 ) -> NuplanTerms:
-    """Terms of a drive.
+    """Terms of nuPlan of the scored part of a drive.
 
-    Args:
-        part: The scored part of it.
-        road: Surfaces, with lanes among them.
-        where: Where the ego is on them at each instant.
-        route: (M, 2) polyline.
-        progress: Along it.
-        contact: The contact that ended it.
-
-    Returns:
-        The terms.
+    ``route`` is a (M, 2) polyline; the contact is the one that ended the drive.
     """
     outside = outside_m(part, road)
     off = np.flatnonzero(outside >= OFF_ROAD_M)
@@ -134,17 +123,16 @@ def nuplan_terms(
 
 
 def no_collision(contact: ScoredContact | None) -> float:
-    """NC of a drive that ends at a contact, if at all; contacts that did not end it are nobody's that it counts."""
+    """NC of a drive that ends at a contact, if at all; contacts that did not end it do not count."""
     if contact is None or not contact.at_fault:
         return 1.0
     return 0.0 if is_agent(contact.category) else 0.5
 
 
 def comfort(states: Floats) -> float | None:
-    """1 where all six series stay inside their bounds, else 0; ``None`` of fewer than 15 instants.
+    """1 where all six series of (F, 11) states stay inside their bounds, else 0.
 
-    Args:
-        states: (F, 11).
+    ``None`` of fewer than 15 instants.
     """
     if len(states) < _COMFORT_INSTANTS:
         return None
@@ -167,8 +155,8 @@ def outside_m(part: DrivenPart, road: Road) -> Floats:
 def least_ttc(part: DrivenPart, where: Whereabouts) -> float:
     """The smallest time to collision of all instants, infinite above 2.9 s.
 
-    Both go on as they are; whoever is ahead counts, and where the ego is in several lanes, off the road or in an
-    intersection everybody who is not behind. Who is touched at an instant is no longer somebody that could be hit.
+    Both go on as they are; any object ahead counts, and where the ego is in several lanes, off the road or in an
+    intersection any that is not behind. An object touched at an instant can no longer be hit.
     """
     boxes, speed = footprints(part.states), part.states[:, SPEED]
     agents = np.array([is_agent(category) for category in part.scene.agents.categories], np.bool_)

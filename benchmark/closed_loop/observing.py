@@ -35,15 +35,10 @@ STEERING_RATIO: Final = 14.9
 
 @dataclass(frozen=True, slots=True)
 class Observer:
-    """Makes the observations of one drive. Of the recording it holds what was before the car drives, and the route.
+    """Maker of the observations of one drive.
 
-    Attributes:
-        scene: Scene name.
-        lidar: Where LIDAR_TOP sits.
-        start: Keyframe of the first planning instant.
-        known: The recorded ego at the keyframes up to the last one at which the ego is the recorded one.
-        can: What it measured there.
-        route: The recorded path.
+    Of the recording it holds only the past of the drive, and the route. ``start`` is the keyframe of the first planning
+    instant; ``known`` and ``can`` go up to the last keyframe at which the ego is the recorded one.
     """
 
     scene: str
@@ -57,11 +52,8 @@ class Observer:
     def of(cls, recorded: Scene, can: RecordedCan, start: int, primed: int) -> "Observer":
         """The observer of a drive.
 
-        Args:
-            recorded: The scene.
-            can: Measured motion at all keyframes.
-            start: Keyframe of the first planning instant.
-            primed: Planning instants at which the ego is the recorded one.
+        It starts at a keyframe of the recording; at the first ``primed`` planning instants the ego is the
+        recorded one.
         """
         frames = recorded.keyframes[: start + primed]
         known = EgoTrack(recorded.ego.position[frames], recorded.ego.rotation[frames])
@@ -70,17 +62,10 @@ class Observer:
     def observation(
         self, motion: Motion, views: dict[str, CameraView], command: Command, can: Floats | None = None
     ) -> Observation:
-        """What the planner sees now.
+        """The planner's observation now; its index is that of the keyframe in the world as driven.
 
-        Args:
-            motion: Since the first planning instant.
-            views: Images.
-            command: Where the route goes.
-            can: (9,) the engine's own row of the CAN bus, if it has one.
-
-        Returns:
-            The observation; its index is the number of the keyframe in the world as driven, its token names no sample
-            of the recording.
+        Its token names no sample of the recording. ``motion`` is since the first planning instant, ``can`` the
+        engine's own (9,) row of the CAN bus, if it has one.
         """
         poses = np.concatenate([self.known.pose[: self.start], motion.ego[motion.ticks, :3]])
         index = len(poses) - 1
@@ -101,13 +86,7 @@ class Observer:
     def ego_state(self, motion: Motion, index: int, row: Floats | None = None) -> EgoState:
         """Motion now: measured while the ego is the recorded one, then simulated.
 
-        Args:
-            motion: Since the first planning instant.
-            index: Number of the keyframe.
-            row: (9,) the engine's own row of the CAN bus, if it has one.
-
-        Returns:
-            The state.
+        ``index`` is that of the keyframe, ``row`` the engine's own (9,) row of the CAN bus, if it has one.
         """
         now, primed = motion.ego[-1], index < len(self.can.motion)
         simulated = simulated_can(now) if row is None else row
@@ -130,13 +109,9 @@ class Observer:
 
 
 def simulated_can(ego: Floats) -> Floats:
-    """The CAN row of a simulated car, as nuScenes' message ``pose`` has it.
+    """(9,) CAN row of a simulated car, as nuScenes' message ``pose`` has it, from (7,) columns of a motion.
 
-    Args:
-        ego: (7,) columns of a motion.
-
-    Returns:
-        (9,) velocity, acceleration (with gravity, and towards the inside of a bend) and rotation rate of the rear axle.
+    Velocity, acceleration (with gravity, and towards the inside of a bend) and rotation rate of the rear axle.
     """
     speed, rate = float(ego[SPEED]), float(ego[YAW_RATE])
     return np.array([speed, 0.0, 0.0, float(ego[ACCELERATION]), speed * rate, GRAVITY, 0.0, 0.0, rate])

@@ -20,7 +20,7 @@ _WHOLE: Final = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class PlanInForce:
-    """A plan from the moment on that it takes effect.
+    """Plan from the moment on that it takes effect.
 
     Attributes:
         made_us: Time that it was made for.
@@ -35,14 +35,9 @@ class PlanInForce:
     waypoints: Floats
 
     def targets(self, now_us: int, pose: Floats) -> Floats:
-        """Where it wants the ego.
+        """Targets of the ego: (6, 2) after 0.5, 1.0 .. 3.0 s, in the frame of the rear axle now, metres.
 
-        Args:
-            now_us: Time.
-            pose: (3,) rear axle now, global.
-
-        Returns:
-            (6, 2) after 0.5, 1.0 .. 3.0 s, in the frame of the rear axle now, metres.
+        ``pose`` is (3,) of the rear axle now, global.
         """
         if now_us == self.made_us:
             return np.asarray(self.waypoints[:PLAN_STEPS])
@@ -53,14 +48,9 @@ class PlanInForce:
 
 
 def held_waypoints(waypoints: Floats, count: int) -> Floats:
-    """Waypoints that go on.
+    """(count or N, 2) waypoints that go on beyond N of them.
 
-    Args:
-        waypoints: (N, 2), two or more.
-        count: How many are wanted.
-
-    Returns:
-        (count or N, 2): beyond the last, each step is as long as the one before and turns as much as that turned.
+    Beyond the last, each step is as long as the one before and turns as much as that turned.
     """
     if count <= len(waypoints):
         return waypoints
@@ -78,7 +68,7 @@ def held_waypoints(waypoints: Floats, count: int) -> Floats:
 
 
 def coasting(ego: Ego, now_us: int) -> PlanInForce:
-    """The plan of a car that nobody tells anything: constant speed and curvature."""
+    """The plan of a car that is given none: constant speed and curvature."""
     seconds = PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
     bend = np.tan(ego.steering) / EGO_WHEELBASE_M
     turned = ego.speed * bend * seconds

@@ -11,16 +11,7 @@ from benchmark.scene import Scene
 
 
 def recorded_motion(scene: Scene, first: int, last: int) -> Motion:
-    """Recorded frames as motion; the last one is a planning instant.
-
-    Args:
-        scene: The scene.
-        first: Frame.
-        last: Frame, a keyframe.
-
-    Returns:
-        The motion of both and of all frames in between.
-    """
+    """Recorded frames from the first to the last as motion; the last one, a keyframe, is a planning instant."""
     frames = slice(first, last + 1)
     times = scene.timestamps_us[frames]
     ego = np.array([ego_columns(recorded_ego(scene, time)) for time in times.tolist()])

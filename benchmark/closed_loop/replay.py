@@ -20,10 +20,8 @@ class Replay:
     Attributes:
         start_us: Time of the first row.
         boxes: (R, N, 5) boxes.
-        present: (R, N) who is there; nobody is after the end of the tracks.
+        present: (R, N) which agents are there; none is after the end of the tracks.
         velocity: (R, N, 2) m/s, of the past alone.
-        name: Of the policy.
-        draws: It draws nothing.
     """
 
     start_us: int
@@ -35,17 +33,7 @@ class Replay:
 
     @classmethod
     def of(cls, tracks: Tracks, first_us: int, start_us: int, end_us: int) -> Self:
-        """Tracks from a start to an end.
-
-        Args:
-            tracks: Everybody.
-            first_us: Time of their second 0.
-            start_us: When a drive starts.
-            end_us: When it ends.
-
-        Returns:
-            The policy.
-        """
+        """Tracks from the start to the end of a drive; ``first_us`` is the time of their second 0."""
         rows = -(-(end_us - start_us) // INSTANT_US) + 1
         times = (start_us - first_us) / 1e6 + INSTANT_US / 1e6 * np.arange(rows)
         boxes, present = tracks.agents_at(times)
@@ -65,7 +53,7 @@ class Replay:
         return np.where(self.present.any(axis=0), self.present.argmax(axis=0), len(self.present))
 
     def init(self, time_us: int, key: int) -> tuple[None, Moved]:
-        """Everybody at a time of the drive."""
+        """All agents at a time of the drive."""
         return None, self._rows(time_us, time_us)
 
     def act(self, memory: None, moment: Moment, key: int) -> tuple[None, Moved]:
@@ -73,7 +61,7 @@ class Replay:
         return None, self._rows(moment.time_us + INSTANT_US, moment.time_us + INSTANTS * INSTANT_US)
 
     def _rows(self, *times_us: int) -> Moved:
-        """Two rows; after the last one nobody is there."""
+        """Two rows; after the last one no agent is there."""
         last = len(self.boxes) - 1
         asked = [(time - self.start_us) // INSTANT_US for time in times_us]
         if asked[-1] <= last and asked[-1] == asked[0] + 1:

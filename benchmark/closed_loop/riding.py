@@ -28,14 +28,14 @@ EGO_COLUMNS: Final = 7
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What has happened since the first planning instant; nothing later. F instants, N agents.
+    """All that has happened since the first planning instant; nothing later. F instants, N agents.
 
     Attributes:
         times_us: (F,) microseconds; 0.1 s apart where the ego drives, those of the recording where it is primed.
         ego: (F, 7) x, y, yaw, speed, acceleration, yaw rate and angle of the road wheels.
         position: (N, F, 3) box centres of the scene's agents, in its order; where one is not there, any finite values.
         yaw: (N, F) radians.
-        present: (N, F) who is there.
+        present: (N, F) which agents are there.
         ticks: (K,) planning instants among the F.
     """
 
@@ -82,15 +82,9 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """A contact of a drive.
+    """Contact of a drive with the agent of an index; boxes are (5,), the ego's as the engine has it.
 
-    Attributes:
-        time_us: When.
-        agent: Index among the scene's agents.
-        ego: (5,) the ego's box as the engine has it.
-        ego_speed: Along the heading, m/s.
-        other: (5,) box of the other.
-        other_velocity: (2,) m/s.
+    ``ego_speed`` is along the heading, m/s; ``other_velocity`` (2,) m/s.
     """
 
     time_us: int
@@ -103,12 +97,9 @@ class Touch:
 
 @dataclass(frozen=True, slots=True)
 class NeuroncapScore:
-    """What NeuroNCAP's engine says of a run.
+    """Score of a run by NeuroNCAP's engine, 0 to 5; ``None`` where it does not exist (nothing of nothing).
 
-    Attributes:
-        score: 0 to 5, or ``None`` where it does not exist (nothing of nothing).
-        impact_speed: m/s.
-        reference_speed: m/s.
+    Speeds are in m/s.
     """
 
     score: float | None
@@ -217,11 +208,11 @@ class RideMaker(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class RecordedCan:
-    """What the recorded car measured at its K keyframes; derived from poses where it measured nothing.
+    """Measurements of the recorded car at its K keyframes; derived from poses where it measured nothing.
 
     Attributes:
         motion: (K, 9) velocity, acceleration, rotation rate, x, y and z each.
-        steering_wheel_rad: (K,) radians; 0 where nobody measured it.
+        steering_wheel_rad: (K,) radians; 0 where it was not measured.
         measured: Whether there is a CAN bus.
         root: Of the data set, where NeuroNCAP's engine finds the messages that it reads.
     """
@@ -245,11 +236,7 @@ class RecordedCan:
 
 
 def require_room(scene: Scene, ticks: int) -> None:
-    """Refuse a scene with fewer keyframes than a drive of so many ticks needs to begin.
-
-    Raises:
-        InputError: If it is too short.
-    """
+    """Refuse a scene with fewer keyframes than a drive of so many ticks needs to begin."""
     if len(scene.keyframes) < ticks:
         raise InputError(
             f"scene {scene.name} has {len(scene.keyframes)} keyframes, and a drive needs {ticks} at least to begin; "

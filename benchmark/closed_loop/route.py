@@ -22,12 +22,7 @@ _SHORTEST_M: Final = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where beside the route a pose is.
-
-    Attributes:
-        station: Metres along the path.
-        aside: Metres from it.
-    """
+    """Place beside the route: metres along the path and metres from it."""
 
     station: float
     aside: float
@@ -35,7 +30,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """The recorded path with times.
+    """Recorded path with times.
 
     Attributes:
         first_us: Time of the first frame.
@@ -80,14 +75,9 @@ class Route:
         return (time_us - self.first_us) * 1e-6
 
     def place(self, point: Floats, near_m: float | None = None) -> Place:
-        """The nearest point of the path, 100 m of extension included.
+        """The nearest point of the path to an x, y, 100 m of extension included.
 
-        Args:
-            point: (2 or more,) x, y, global.
-            near_m: Station half a second ago, around which alone is looked; the whole path without it.
-
-        Returns:
-            The place.
+        ``near_m`` is the station half a second ago, around which alone is looked; the whole path without it.
         """
         start, step, station = self._pieces()
         length = np.hypot(*step.T)
@@ -118,10 +108,9 @@ class Route:
         return np.asarray(self.heights[away.argmin(axis=1)])
 
     def recorded_at(self, seconds: Floats) -> Floats:
-        """(..., 2) where the recorded rear axle is at times; past the end it keeps the motion of its last half second.
+        """(..., 2) recorded rear axle at times since the first frame.
 
-        Args:
-            seconds: (...) since the first frame.
+        Past the end it keeps the motion of its last half second.
         """
         inside = np.stack([np.interp(seconds, self.seconds, self.poses[:, axis]) for axis in range(2)], axis=-1)
         before = np.searchsorted(self.seconds, self.seconds[-1] - PLAN_STEP_S)
@@ -138,14 +127,8 @@ class Route:
         """The driving command: where the recorded ego went within 3 s of the point at a station.
 
         The rule is that of data sets (`benchmark.datasets.sample_truth.command_of`), seen from the recorded lidar
-        there. Of a place where it stood for a while, the moment nearest to now counts.
-
-        Args:
-            station: From `place`.
-            seconds: Time now, since the first frame.
-
-        Returns:
-            The command; straight on past the end of the recording.
+        there. Of a place where it stood for a while, the moment nearest to now counts. Past the end of the
+        recording it is straight on. Seconds are since the first frame.
         """
         passed = self._passed(station, seconds)
         steps = passed + PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)

@@ -11,18 +11,14 @@ from benchmark.scene import Scene
 
 @dataclass(frozen=True, slots=True)
 class ScoredContact:
-    """See `benchmark.fairness.impact` and docs/severity.md, where kinds, blame and masses are.
+    """Contact in numbers; kinds, blame and masses are in `benchmark.fairness.impact` and docs/severity.md.
 
     Attributes:
         seconds: Since the drive's first driven instant.
-        agent: Instance identifier of who is touched.
-        category: Its nuScenes category.
+        agent: Instance identifier of the touched agent.
         adversary: Whether it was made to be an adversary.
-        kind: What hits what.
-        at_fault: Whether the ego is to blame.
         impact_speed: Size of the difference of velocities, m/s.
         delta_v_ego: Change of the ego's velocity in a plastic impact, m/s.
-        delta_v_other: Change of the other's velocity, m/s.
     """
 
     seconds: float
@@ -42,14 +38,9 @@ def scored_contact(
     """A contact in numbers.
 
     Args:
-        scene: The scene.
-        touch: The contact.
         start_us: Time of the first driven instant.
         unsure: Whether the ego is in several lanes or off the drivable area, which makes a lateral contact its fault.
-        adversary: Who became an adversary in this drive alone.
-
-    Returns:
-        The numbers.
+        adversary: Index of the agent that became an adversary in this drive alone.
     """
     category, name = scene.agents.categories[touch.agent], scene.agents.ids[touch.agent]
     pair = Pairs(

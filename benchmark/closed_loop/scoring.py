@@ -21,11 +21,10 @@ VERSION: Final = 1
 
 @dataclass(frozen=True, slots=True)
 class DriveScores:
-    """What is said of one drive.
+    """Scores of one drive.
 
     Attributes:
         contact: The contact that ended it.
-        progress: Along the route.
         comfortable: Whether the whole drive is within nuPlan's bounds; ``None`` of less than 1.5 s.
         nuplan: nuPlan's terms; ``None`` where the map has no road or no lanes, and of NeuroNCAP's engine.
         hd: HD-Score; ``None`` likewise.
@@ -41,14 +40,9 @@ class DriveScores:
 
 
 def score_drive(scene: Scene, drive: Drive) -> DriveScores:
-    """Score a drive.
+    """Score a drive that did not fail, in the recorded scene with its map.
 
-    Args:
-        scene: The recorded scene, with its map.
-        drive: One that did not fail.
-
-    Returns:
-        The scores. NeuroNCAP's own are in the drive, and a drive that has them has no score of another formula.
+    NeuroNCAP's own scores are in the drive, and a drive that has them has no score of another formula.
     """
     part, route = DrivenPart.of(scene, drive), Route.of(scene)
     line, road = scored_road(scene)

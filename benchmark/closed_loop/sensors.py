@@ -51,7 +51,7 @@ class RemoteSensor(Protocol):
     """A sensor elsewhere: it shows one scene at a time, to one process."""
 
     def require_alive(self) -> None:
-        """Refuse it where nobody answers; raises `InputError`."""
+        """Refuse it where no server answers; raises `InputError`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,9 +4,9 @@ The order inside a step is fixed:
 
 1. the plan joins those in force, `Course.latency_us` after it was made;
 2. the ego moves: five sub-steps of 0.1 s, by the plan in force at each one's beginning (`following`);
-3. the agents move, sub-step by sub-step, each seeing everybody as they are at its beginning (`Course.policy`);
+3. the agents move, sub-step by sub-step, each seeing all as they are at its beginning (`Course.policy`);
 4. contact is looked for every 0.05 s; the first one ends the drive, or the first that is the ego's fault
-   (`Course.blamed`): then whoever touches it otherwise is gone from the next planning instant on.
+   (`Course.blamed`): then an agent that touches it otherwise is gone from the next planning instant on.
 
 Many worlds can be stepped together. That is faster, and changes no byte of any.
 """
@@ -41,14 +41,7 @@ class UndrivablePlanError(ValueError):
 
 
 def begin(course: Course) -> World:
-    """The world at the start.
-
-    Args:
-        course: What does not change.
-
-    Returns:
-        It; who overlaps the ego here is ignored from then on.
-    """
+    """The world at the start; agents that overlap the ego here are ignored from then on."""
     memory, moved = course.policy.init(course.start_us, content_seed(course.seed, course.scene, "agents"))
     own = ego_boxes(np.array(course.start.row))
     boxes, present = moved.boxes[-1], moved.present[-1]
@@ -63,15 +56,9 @@ def goes_on(course: Course, world: World) -> bool:
 
 
 def step(course: Course, world: World, waypoints: Floats) -> World:
-    """Half a second.
+    """The world half a second later.
 
-    Args:
-        course: What does not change.
-        world: Now.
-        waypoints: (6 to 16, 2) x forward and y left of the rear axle now, metres, 0.5 s apart.
-
-    Returns:
-        The world half a second later.
+    Waypoints are (6 to 16, 2) x forward and y left of the rear axle now, metres, 0.5 s apart.
 
     Raises:
         UndrivablePlanError: If these are no such waypoints.
@@ -80,16 +67,7 @@ def step(course: Course, world: World, waypoints: Floats) -> World:
 
 
 def step_together(courses: Sequence[Course], worlds: Sequence[World], plans: Sequence[Floats]) -> list[World]:
-    """Half a second of many worlds; arguments and errors as in `step`, the same bytes as one by one.
-
-    Args:
-        courses: S of them.
-        worlds: S of them.
-        plans: S of them.
-
-    Returns:
-        S worlds.
-    """
+    """Half a second of many worlds; arguments and errors as in `step`, the same bytes as one by one."""
     in_force = [_in_force(course, world, drivable(course, plan)) for course, world, plan in zip(courses, worlds, plans)]
     egos = _driven(courses, worlds, in_force)
     moved = (
@@ -100,17 +78,10 @@ def step_together(courses: Sequence[Course], worlds: Sequence[World], plans: Seq
 
 
 def drivable(course: Course, plan: Any) -> Floats:
-    """Whether a plan is one that can be driven.
-
-    Args:
-        course: What does not change.
-        plan: Anything.
-
-    Returns:
-        (6 to 16, 2) waypoints as in `step`.
+    """(6 to 16, 2) waypoints as in `step`, of a plan that can be driven.
 
     Raises:
-        UndrivablePlanError: If it is none.
+        UndrivablePlanError: If it cannot.
     """
     try:
         waypoints = np.array(plan, np.float64)
@@ -219,7 +190,7 @@ def _contacts(
 def _first_contact(
     course: Course, world: World, trace: Trace, own: Floats, velocities: Sequence[Floats], hits: Bools
 ) -> tuple[int, Contact]:
-    """The first instant at which somebody overlaps the ego, and that touch; of several, the first of the list."""
+    """The first instant at which an agent overlaps the ego, and that touch; of several, the first of the list."""
     row, agent = (int(index) for index in np.argwhere(hits)[0])
     return row, Contact(
         agent=agent,

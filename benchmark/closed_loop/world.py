@@ -21,23 +21,17 @@ _NOT_AGENTS: Final = ("movable_object.", "static_object.")
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """What does not change during a drive.
+    """All that does not change during a drive.
 
     Attributes:
-        scene: Name.
         start_us: Time of the first state.
         end_us: No state from here on is planned from.
-        start: The ego at the start.
         ids: N agents.
         categories: Their nuScenes categories.
-        policy: How they behave.
         seed: Of everything that is drawn.
-        latency_us: So much later than it was made for does a plan take effect.
+        latency_us: So much later than it was made for does a plan take effect; a whole number of sub-steps.
         blamed: Whether a contact is the ego's fault, which only then ends the drive; told the contact and (6,) values
             of `Ego` at the first end of a sub-step that does not come before it. ``None``: every contact ends it.
-
-    Raises:
-        InputError: If the latency is negative or no whole number of sub-steps, or the end is not after the start.
     """
 
     scene: str
@@ -69,17 +63,9 @@ class Course:
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """A touch.
+    """Touch of the ego and an agent, at most 0.05 s after it began.
 
-    Attributes:
-        agent: Index of the agent.
-        uuid: Its identifier.
-        category: Its nuScenes category.
-        time_us: When; at most 0.05 s after it began.
-        ego: (5,) the ego's box.
-        ego_speed: m/s.
-        other: (5,) the agent's box.
-        other_velocity: (2,) m/s.
+    Boxes are (5,), speeds m/s, the other's velocity (2,) m/s; ``agent`` is its index.
     """
 
     agent: int
@@ -105,12 +91,10 @@ class Contact:
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """What happened in the last step, every 0.05 s: for films, terms of comfort, and whoever asks how.
+    """The last step every 0.05 s: for films and terms of comfort.
 
-    Attributes:
-        egos: (11, 6) values of `Ego`, from the state before to this one.
-        boxes: (10, N, 5) of the agents.
-        present: (10, N) who was there.
+    Egos are (11, 6) values of `Ego`, from the state before to this one; boxes (10, N, 5) and presence (10, N) of
+    the agents.
     """
 
     egos: Floats
@@ -124,10 +108,7 @@ class World:
 
     Attributes:
         step: Number of the state, from 0.
-        ego: The ego.
-        others: Everybody else, and when it is.
-        memory: The policy's.
-        ignored: (N,) who overlapped the ego at the start, and never counts.
+        ignored: (N,) agents that overlapped the ego at the start, and never count.
         plans: Plans that are in force or will be, by when they take effect.
         contact: The touch that ends the drive.
         trace: Of the step that led here.
@@ -152,14 +133,7 @@ class World:
 
 
 def ego_boxes(egos: Floats) -> Floats:
-    """Body of the recording car.
-
-    Args:
-        egos: (..., 6) values of `Ego`.
-
-    Returns:
-        (..., 5) boxes.
-    """
+    """(..., 5) boxes of the recording car, from (..., 6) values of `Ego`."""
     egos = np.asarray(egos, np.float64)
     boxes = np.empty((*egos.shape[:-1], 5))
     boxes[..., 0] = egos[..., 0] + EGO_CENTER_FROM_REAR_AXLE_M * np.cos(egos[..., 2])

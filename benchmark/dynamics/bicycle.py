@@ -32,21 +32,11 @@ REFERENCE_STEERING_RAD = np.pi / 3
 
 @dataclass(frozen=True, slots=True)
 class DriverLimits:
-    """What a hurried driver on dry asphalt still does.
+    """Limits of a hurried driver on dry asphalt, all of them positive.
 
     nuPlan's comfort bounds describe its expert drivers: 2.4 and -4.05 m/s^2 along, 4.89 m/s^2 across, 0.95 rad/s,
-    4.13 m/s^3 along and 8.37 m/s^3 in all. An adversary brakes a little harder.
-
-    Attributes:
-        acceleration_m_s2: Largest.
-        braking_m_s2: Largest, positive.
-        jerk_m_s3: Largest change of acceleration per second.
-        lateral_acceleration_m_s2: Largest.
-        lateral_jerk_m_s3: Largest change of lateral acceleration per second by steering.
-        yaw_rate_rad_s: Largest.
-        steering_rate_rad_s: Largest, at the road wheels.
-        steering_rad: Largest angle of the road wheels.
-        speed_m_s: Largest that is aimed at, unless the vehicle is faster already.
+    4.13 m/s^3 along and 8.37 m/s^3 in all. An adversary brakes a little harder. The lateral jerk is that by steering,
+    steering is that of the road wheels, and the speed is aimed at unless the vehicle is faster already.
     """
 
     acceleration_m_s2: float = 2.5
@@ -62,11 +52,9 @@ class DriverLimits:
 
 @dataclass(frozen=True, slots=True)
 class MotionModel:
-    """Units and quirks of the simulation.
+    """Units and quirks of the simulation; ``dt`` is the time of one frame.
 
     Attributes:
-        dt: Time of one frame.
-        frames_per_waypoint: Frames between waypoints.
         tracker_wheelbase_m: Wheelbase that the tracker assumes, ``None`` for the vehicle's own.
         smooth: Cubic interpolation of waypoints, held headings and no reversing; else the reference code's.
         limits: Limits of the driver, ``None`` for the reference's steering limit alone.
@@ -93,11 +81,8 @@ class MotionModel:
 class VehicleState:
     """Motion of one vehicle now; the point is the rear axle.
 
-    Attributes:
-        pose: (3,) x, y, yaw, global.
-        speed: m/s along the heading, not negative.
-        acceleration: m/s^2 along the heading.
-        steering: Angle of the road wheels, radians.
+    The pose is (3,) x, y, yaw, global; speed is m/s along the heading, not negative; steering the angle of the road
+    wheels, radians.
     """
 
     pose: Floats
@@ -108,7 +93,7 @@ class VehicleState:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedMotion:
-    """What B candidates do in S frames.
+    """Motion of B candidates in S frames.
 
     Attributes:
         center: (B, S + 1, 3) poses of the box centre, global, starting now.
@@ -129,15 +114,7 @@ class SimulatedMotion:
 
 
 def rear_axle(center: Floats, length_m: float) -> Floats:
-    """Pose of the rear axle from the pose of the box centre.
-
-    Args:
-        center: (..., 3) x, y, yaw.
-        length_m: Length of the vehicle.
-
-    Returns:
-        (..., 3) x, y, yaw.
-    """
+    """(..., 3) x, y, yaw of the rear axle from those of the box centre of a vehicle of some length."""
     back = REAR_AXLE_BEHIND_CENTER * length_m
     x = center[..., 0] - back * np.cos(center[..., 2])
     y = center[..., 1] - back * np.sin(center[..., 2])
@@ -151,10 +128,7 @@ def simulate(
 
     Args:
         waypoints: (B, 16, 2 or 3) x, y (heading is ignored) at 2 Hz in the rear-axle frame of ``state``.
-        state: Motion now.
-        length_m: Length of the vehicle.
         steps: Frames to simulate, at most those of the path (96 in SI, 80 as in the reference).
-        model: Units and limits.
 
     Returns:
         The motion. A candidate with NaN or infinity is marked, the others are not disturbed.
@@ -194,16 +168,8 @@ def drive_along(path: ReferencePath, motion: Floats, *, wheelbase_m: float, step
     """Track a path in its own frame, from its origin.
 
     Speeds first, because they do not depend on steering; then the steering law at all frames; then the path.
-
-    Args:
-        path: What to follow; B candidates.
-        motion: (3, 1 or B) speed, acceleration and steering angle now.
-        wheelbase_m: Of the bicycle; that of the tracker too unless the model says otherwise.
-        steps: Frames to simulate.
-        model: Units and limits.
-
-    Returns:
-        The motion.
+    ``motion`` is (3, 1 or B) speed, acceleration and steering angle now; the wheelbase is the bicycle's, and the
+    tracker's too unless the model says otherwise.
     """
     count = path.speed.shape[1]
     drive = Drive(np.zeros((steps + 1, 6, count)), np.zeros((steps + 1, 2, count)), np.zeros((steps, 2, count)))
@@ -291,16 +257,9 @@ def _steer(drive: Drive, law: SteeringLaw, wheelbase: float, model: MotionModel)
 
 
 def steering_limits(speed: Floats, wheelbase: float, limits: DriverLimits | None, dt: float) -> tuple[Floats, Floats]:
-    """How far a driver turns the wheels.
+    """Largest change of the steering angle in one frame and largest angle, radians, at speeds in m/s.
 
-    Args:
-        speed: (...) m/s.
-        wheelbase: Metres.
-        limits: Of the driver, ``None`` for the reference's steering limit alone.
-        dt: Time of one frame.
-
-    Returns:
-        (...) largest change of the steering angle in one frame and (...) largest angle, radians.
+    Without limits of the driver, the reference's steering limit alone.
     """
     if limits is None:
         return np.full_like(speed, np.inf), np.full_like(speed, REFERENCE_STEERING_RAD)

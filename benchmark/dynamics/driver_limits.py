@@ -15,14 +15,9 @@ SIDEWAYS_M_S = 0.3
 def broken_limit(boxes: Floats, limits: DriverLimits, *, rounded_m: float = 0.0) -> tuple[str, float, float] | None:
     """First limit of the driver that a 12 Hz track breaks: finite differences of the rear axle's path.
 
-    Args:
-        boxes: (F, 5) boxes.
-        limits: Limits.
-        rounded_m: How far each position may be from where it was, where a file holds it to a few digits: the limits
-            are wider by what that does to the differences.
-
-    Returns:
-        Name with unit, value and limit, or ``None``; tracks of fewer than three frames break none.
+    Name with unit, value and limit, or ``None``; tracks of fewer than three frames break none.
+    ``rounded_m`` is how far each position may be from where it was, where a file holds it to a few digits: the limits
+    are wider by what that does to the differences.
     """
     if len(boxes) < 3:
         return None

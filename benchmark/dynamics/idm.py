@@ -16,17 +16,12 @@ _EXPONENT = 4
 
 @dataclass(frozen=True, slots=True)
 class DriverSettings:
-    """What kind of driver.
+    """Kind of driver, in metres, m/s and m/s^2.
 
     Attributes:
-        speed_limit: Wanted speed on a free road unless the car is faster already, m/s.
-        time_gap_s: Wanted time gap to the leader.
-        standstill_gap_m: Wanted gap at standstill.
-        acceleration: Largest acceleration, m/s^2.
-        comfortable_braking: m/s^2.
-        hardest_braking: m/s^2.
+        speed_limit: Wanted speed on a free road unless the car is faster already.
         coolness: Trust in the leader, 0 (the original model) to 1.
-        lateral_acceleration: In bends, m/s^2.
+        lateral_acceleration: In bends.
         foresight_s: For how long others of the same direction are expected to keep moving sideways.
         side_margin_m: Room beside the car that counts as its corridor.
         sight_m: Others further away are not looked at.
@@ -46,17 +41,10 @@ class DriverSettings:
 
 
 def idm_acceleration(speed: float, free_speed: float, gap: float, leader_speed: float, driver: DriverSettings) -> float:
-    """Acceleration of a car that follows another, or nobody.
+    """Acceleration of a car that follows a leader, or none, m/s^2, not below ``-driver.hardest_braking``.
 
-    Args:
-        speed: Its own, m/s.
-        free_speed: What it would drive on a free road, m/s.
-        gap: Metres from its front to the rear of the leader; infinite without one.
-        leader_speed: Of the leader along the same path, m/s.
-        driver: Its driver.
-
-    Returns:
-        m/s^2, not below ``-driver.hardest_braking``.
+    The gap is from its front to the rear of the leader, infinite without one; the leader's speed along the same
+    path.
     """
     ratio = speed / max(free_speed, 0.1)
     if ratio <= 1.0:

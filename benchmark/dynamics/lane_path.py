@@ -17,13 +17,9 @@ _LEFT_OF = {Command.LEFT: 1.0, Command.RIGHT: -1.0}
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """A line to drive along, in equal steps.
+    """Line to drive along, in equal steps, from the place of the car; (P, 2) metres, global.
 
-    Attributes:
-        points: (P, 2) metres, global, first point where the car is.
-        heading: (P,) radians.
-        arc_length: (P,) metres from the first point.
-        curvature: (P,) 1/m, unsigned.
+    Headings are radians, the arc length is metres from the first point, the curvature 1/m, unsigned; all (P,).
     """
 
     points: Floats
@@ -33,14 +29,7 @@ class Path:
 
     @classmethod
     def through(cls, points: Floats) -> "Path":
-        """Resample a line to equal steps.
-
-        Args:
-            points: (M, 2) metres.
-
-        Returns:
-            The path.
-        """
+        """Resample a line, (M, 2) metres, to equal steps."""
         step = np.hypot(*np.diff(points, axis=0).T)
         points = points[np.concatenate([[True], step > 1e-6])]
         if len(points) < 2:
@@ -59,36 +48,18 @@ class Path:
         return cls(even, heading, arc_length, np.abs(turning))
 
     def at(self, arc_length: Floats) -> Floats:
-        """Points on the path.
-
-        Args:
-            arc_length: (...) metres from its start; beyond its end the last point is given.
-
-        Returns:
-            (..., 2) metres.
-        """
+        """(..., 2) metres on the path at arc lengths in metres; beyond its end the last point is given."""
         return np.stack([np.interp(arc_length, self.arc_length, self.points[:, axis]) for axis in range(2)], axis=-1)
 
     def heading_at(self, arc_length: Floats) -> Floats:
-        """Heading at the nearest path point.
-
-        Args:
-            arc_length: (...) metres from the start.
-
-        Returns:
-            (...) radians.
-        """
+        """Heading at the nearest path point, radians."""
         nearest = np.clip(np.rint(arc_length / SPACING_M), 0, len(self.heading) - 1).astype(np.int64)
         return np.asarray(self.heading[nearest])
 
     def project(self, points: Floats) -> tuple[Floats, Floats]:
-        """Where points lie beside the path.
+        """Places of (..., 2) global points beside the path, metres.
 
-        Args:
-            points: (..., 2) metres, global.
-
-        Returns:
-            (...) arc length of the nearest path point, (...) signed distance to the left of the path there, metres.
+        Arc length of the nearest path point, and signed distance to the left of the path there.
         """
         flat = points.reshape(-1, 2)
         squared = (flat[:, :1] - self.points[:, 0]) ** 2 + (flat[:, 1:] - self.points[:, 1]) ** 2
@@ -101,31 +72,21 @@ class Path:
 
 
 def straight_path(pose: Floats, length_m: float) -> Path:
-    """Straight ahead: where there is no lane to follow.
-
-    Args:
-        pose: (3,) x, y, yaw.
-        length_m: Length.
-
-    Returns:
-        The path.
-    """
+    """Path straight ahead of a pose (x, y, yaw), where there is no lane to follow."""
     ahead = np.array([np.cos(pose[2]), np.sin(pose[2])])
     return Path.through(pose[:2] + np.array([[0.0], [length_m]]) * ahead)
 
 
 def lane_path(road_map: RoadMap, pose: Floats, command: Command, speed: float, length_m: float) -> Path | None:
-    """From the car onto the nearest lane that goes its way, and along the route that the command names.
+    """Path from the car onto the nearest lane that goes its way, and along the route that the command names.
+
+    ``None`` if no lane is near or the car is at its end.
 
     Args:
-        road_map: The map.
         pose: (3,) x, y, yaw of the rear axle.
         command: Chooses the successor where a lane forks: the one that turns most to its side, or least.
         speed: m/s; a faster car takes longer to reach the middle of its lane.
         length_m: How far to look; beyond the end of the lane the path goes straight on.
-
-    Returns:
-        The path, or ``None`` if no lane is near or the car is at its end.
     """
     lane = nearest_lane(road_map, pose)
     if lane is None:
@@ -154,15 +115,9 @@ def lane_path(road_map: RoadMap, pose: Floats, command: Command, speed: float, l
 
 
 def nearest_lane(road_map: RoadMap, pose: Floats) -> Lane | None:
-    """The lane that a car is on.
+    """The lane that a car with a pose (x, y, yaw) is on, or ``None``.
 
-    Args:
-        road_map: The map.
-        pose: (3,) x, y, yaw.
-
-    Returns:
-        The lane within 3.5 m that runs within 50 degrees of the car's heading, the closest in position and heading;
-        ``None`` if there is none.
+    It is within 3.5 m and runs within 50 degrees of the car's heading, the closest in position and heading.
     """
     best: tuple[float, str] | None = None
     bounds, names = road_map.lane_bounds(), list(road_map.lanes)

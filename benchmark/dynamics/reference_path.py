@@ -21,7 +21,7 @@ HELD_BELOW_M_S = 0.3
 
 @dataclass(frozen=True, slots=True)
 class ReferencePath:
-    """What the tracker follows; F frames, B candidates.
+    """Path that the tracker follows; F frames, B candidates.
 
     Attributes:
         position: (F + 1, 2, B) x, y in the local frame.
@@ -55,12 +55,8 @@ def reference_path(waypoints: Floats, *, dt: float, frames_per_waypoint: int, sm
     Args:
         waypoints: (B, 16, 2) metres in the rear-axle frame of the vehicle now; the origin is prepended.
         dt: Time of one frame.
-        frames_per_waypoint: Frames between waypoints.
         smooth: Natural cubic spline, headings held at walking pace and no reversing; otherwise straight segments and
             the direction of every displacement, as in the reference code.
-
-    Returns:
-        The path.
     """
     count = len(waypoints)
     frames = WAYPOINTS * frames_per_waypoint
@@ -77,15 +73,8 @@ def reference_path(waypoints: Floats, *, dt: float, frames_per_waypoint: int, sm
 def fitted_path(position: Floats, heading: Floats, direction: Floats, *, dt: float, smooth: bool) -> ReferencePath:
     """Fit speed and curvature to poses by regularised least squares.
 
-    Args:
-        position: (F + 1, 2, B) metres.
-        heading: (F + 1, B) radians, wrapped or not.
-        direction: (F + 1, 2, B) cosine and sine of the heading.
-        dt: Time of one frame.
-        smooth: As in `reference_path`: no reversing and a penalty on jerk.
-
-    Returns:
-        The path.
+    Positions are (F + 1, 2, B) metres, headings (F + 1, B) radians, wrapped or not; ``smooth`` is as in
+    `reference_path`: no reversing and a penalty on jerk.
     """
     step = np.diff(position, axis=0)
     step *= direction[:-1]
@@ -183,15 +172,9 @@ def _directions(chord: Floats) -> Floats:
 
 
 def fitted_curvature(travel: Floats, turns: Floats, rate_penalty: float) -> Floats:
-    """Curvature by least squares: turns are travel times curvature, with a penalty on its change.
+    """Curvature by least squares, radians per metre: turns are travel times curvature, with a penalty on its change.
 
-    Args:
-        travel: (F, B) metres in each frame.
-        turns: (F, B) radians in each frame.
-        rate_penalty: Weight of the squared change of curvature from frame to frame.
-
-    Returns:
-        (F, B) radians per metre.
+    Travel is metres and turns are radians in each frame; the penalty weighs the squared change from frame to frame.
     """
     pull = travel * travel
     pull[0] += INITIAL_CURVATURE_PENALTY

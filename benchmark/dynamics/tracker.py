@@ -63,15 +63,9 @@ class SteeringLaw:
     turn_rad: Floats
 
     def steering_rate(self, step: int, pose: Floats, steering: Floats) -> Floats:
-        """Command of one frame.
+        """(B,) steering rate of one frame, radians per unit of time; zero where the controller for stopping is at work.
 
-        Args:
-            step: Frame.
-            pose: (3, B) x, y, yaw in the local frame.
-            steering: (B,) angle of the road wheels, radians.
-
-        Returns:
-            (B,) radians per unit of time; zero where the controller for stopping is at work.
+        ``pose`` is (3, B) x, y, yaw in the local frame, ``steering`` (B,) the angle of the road wheels, radians.
         """
         error = np.empty((4, len(steering)))
         np.subtract(pose[:2], self.position[step], out=error[:2])
@@ -95,20 +89,15 @@ class SteeringLaw:
 def steering_law(
     path: ReferencePath, speed: Floats, acceleration: Floats, stopping: Bools, *, wheelbase_m: float, dt: float
 ) -> SteeringLaw:
-    """Gains of the lateral regulator.
+    """Gains of the lateral regulator for frames 0 to S - 1.
 
     Minimises lateral^2 + 10 heading^2 + rate^2 at the end of the look-ahead over one constant steering rate.
 
     Args:
-        path: What to follow.
         speed: (S, B) at each frame.
         acceleration: (S, B) that the tracker asks for; the look-ahead assumes that it is obeyed.
         stopping: (S, B) where nothing is steered.
         wheelbase_m: Wheelbase that the tracker assumes.
-        dt: Time of one frame.
-
-    Returns:
-        The law for frames 0 to S - 1.
     """
     steps, count = speed.shape
     basis = np.empty((steps, 5, count))

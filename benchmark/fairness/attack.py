@@ -1,6 +1,6 @@
 """Whether an attack on a planner succeeded, in three readings, each stricter than the one before.
 
-What nobody can tell is ``None`` and enters no share: it is never a failure of the attack.
+A verdict that cannot be told is ``None`` and enters no share: it is never a failure of the attack.
 """
 
 from collections.abc import Iterable, Sequence
@@ -16,7 +16,7 @@ class Attack:
     """One run of one planner: a scene, or a plan in open loop.
 
     Attributes:
-        contact: Whether the planner touches anybody: the reading of the paper.
+        contact: Whether the planner touches any object: the reading of the paper.
         at_fault: Whether the first contact is its fault.
         attributable: Whether, besides, the careful and competent human survives the same scene (CARS, 2026).
     """
@@ -27,16 +27,10 @@ class Attack:
 
     @classmethod
     def of(cls, contact: bool, at_fault: bool | None, careful_survives: bool | None) -> "Attack":
-        """Read one run.
+        """Read one run in three ways.
 
-        Args:
-            contact: Whether there is any.
-            at_fault: Whether the first contact is the planner's fault; ``None`` where nobody can tell. Without a
-                contact it is not asked.
-            careful_survives: Whether the careful human survives the scene; ``None`` where nobody judged it.
-
-        Returns:
-            The three readings.
+        Without a contact ``at_fault`` is not asked; ``None`` where it cannot be told. ``careful_survives`` is
+        ``None`` where the scene was not judged.
         """
         blamed = at_fault if contact else False
         return cls(contact, blamed, None if careful_survives is None else _both(blamed, careful_survives))
@@ -44,13 +38,9 @@ class Attack:
 
 @dataclass(frozen=True, slots=True)
 class AttackSuccess:
-    """Shares of runs, and of how many.
+    """Shares of runs with a contact, ``None`` of no scenes.
 
-    Attributes:
-        scenes: How many were read.
-        contact: Share with any contact; ``None`` of no scenes.
-        at_fault: Share with a contact at fault, of those in which that is known.
-        attributable: Share with an attributable contact, of those in which that is known.
+    Contacts at fault and attributable ones are shares of those runs in which that is known.
     """
 
     scenes: int
@@ -60,14 +50,7 @@ class AttackSuccess:
 
 
 def attack_success(attacks: Sequence[Attack]) -> AttackSuccess:
-    """Sum scenes up.
-
-    Args:
-        attacks: One for each scene.
-
-    Returns:
-        The shares.
-    """
+    """Sum scenes up."""
     return AttackSuccess(len(attacks), *(_share(getattr(each, reading) for each in attacks) for reading in READINGS))
 
 

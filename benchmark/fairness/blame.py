@@ -13,26 +13,14 @@ from benchmark.scene import Scene
 
 
 class Blame:
-    """Blame for contacts of one scene; the map is only looked at for lateral ones.
-
-    Args:
-        scene: The scene.
-    """
+    """Blame for contacts of one scene; the map is only looked at for lateral ones."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self.has_map = not scene.road_map.drivable_area.is_empty
 
     def at_fault(self, kind: ContactKind, ego: Floats) -> bool | None:
-        """Whether the ego is to blame for a first contact.
-
-        Args:
-            kind: Of the contact.
-            ego: (5,) its box there.
-
-        Returns:
-            The verdict, or ``None`` for a lateral contact without a map.
-        """
+        """Whether the ego is to blame for a first contact; ``None`` for a lateral one without a map."""
         if kind is not ContactKind.LATERAL:
             return at_fault(kind, unsure=False)
         return at_fault(kind, bool(self._road.unsure(ego[None])[0])) if self.has_map else None

@@ -77,12 +77,7 @@ class Normalisation(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class SceneTracks:
-    """One scene, 10 Hz.
-
-    Attributes:
-        position: (N, T, 2) metres, NaN where an agent is absent.
-        yaw: (N, T) headings in the world, radians, NaN where it is absent.
-    """
+    """One scene, 10 Hz: (N, T, 2) metres and (N, T) headings in the world, radians, NaN where an agent is absent."""
 
     position: Floats
     yaw: Floats
@@ -95,17 +90,10 @@ def histograms(
     mask: Mask = Mask.CURRENT_SPEED,
     edges: Mapping[str, Floats] | None = None,
 ) -> Histograms:
-    """The histograms of scenes.
+    """(20,) shares of the histograms of scenes, at least one, by name; relative ones in the version `CTG` alone.
 
-    Args:
-        scenes: At least one.
-        version: Which code.
-        normalisation: How scenes are put together.
-        mask: Which agents count; versions without masks do not look at it.
-        edges: (21,) edges by name; those of the code by default.
-
-    Returns:
-        (20,) shares by name; relative ones in the version `CTG` alone.
+    ``mask`` says which agents count; versions without masks do not look at it. Edges, (21,) by name, are those of
+    the code by default.
     """
     edges = bin_edges() if edges is None else edges
     counts = [_counts(scene, version, mask, edges) for scene in scenes]
@@ -121,15 +109,9 @@ def histograms(
 
 
 def deviations(first: Histograms, second: Histograms, edges: Mapping[str, Floats] | None = None) -> dict[str, float]:
-    """Earth mover's distances of histograms, and the means that are quoted.
+    """Earth mover's distances, by name, of histograms of generated scenes and recordings.
 
-    Args:
-        first: Of generated scenes.
-        second: Of recordings, with the same names.
-        edges: As in `histograms`.
-
-    Returns:
-        By name.
+    The means that are quoted are among them; the edges are those of `histograms`.
     """
     edges = bin_edges() if edges is None else edges
     found = {}

@@ -1,7 +1,7 @@
 """Judgements of the scenes of a data set: those that lie beside its tables, and those of the others, made when asked.
 
 What is read of a data set is linear between 2 Hz keyframes, so that those that are made here know less than those of
-whoever generated the scenes (`SceneJudgement.tracks`).
+the generator of the scenes (`SceneJudgement.tracks`).
 """
 
 import functools
@@ -29,20 +29,12 @@ Launches = Mapping[str, int]
 def judge_data(
     data: DataSet, names: Sequence[str], executor: Executor, recordings: DataSet | None = None
 ) -> dict[str, tuple[SceneJudgement, ...]]:
-    """What is said of scenes of a data set.
+    """Judgements of scenes of a data set, by name and in the order of the names.
 
     Args:
-        data: The data set.
-        names: Scenes of it.
-        executor: Where those are judged that nobody judged yet; nothing depends on it.
-        recordings: What its scenes were made from, where it is at hand: by it the adversaries of a data set that does
-            not name them are found.
-
-    Returns:
-        Judgements by scene name, in the order of the names.
-
-    Raises:
-        InputError: If a scene is broken, or workers are lost.
+        executor: Where scenes without a judgement are judged; nothing depends on it.
+        recordings: The data set that its scenes were made from, where it is at hand: by it the adversaries of a data
+            set that does not name them are found.
     """
     stored = stored_judgements(data.root, data.version)
     missing = [name for name in names if name not in stored]
@@ -58,15 +50,9 @@ def judge_data(
 
 
 def adversarial_scene(data: DataSet, name: str, recordings: DataSet | None) -> Scene:
-    """A scene that says who its adversaries are, as far as anybody can.
+    """Scene that says which agents are its adversaries, as far as they are known.
 
-    Args:
-        data: The data set.
-        name: Of the scene.
-        recordings: What it was made from, if at hand.
-
-    Returns:
-        The scene; where the data set does not name adversaries, those that no recording has.
+    Where the data set does not name adversaries, they are those that no recording has.
     """
     scene = data.scene(name)
     source = data.scene_facts([name])[name].source
@@ -89,15 +75,10 @@ def launches_of(data: DataSet, scene: Scene) -> dict[str, int]:
 
 
 def generated_agents(scene: Scene, recorded: Scene) -> tuple[int, ...]:
-    """Who in a scene does not do what anybody did in the recording.
+    """Agents of a generated scene that move as none in the recording.
 
-    Args:
-        scene: Made from the recording.
-        recorded: The recording.
-
-    Returns:
-        Indices of vehicles that at some keyframe are further than 0.1 m from each recorded object; nobody if the two
-        have no keyframe times in common.
+    Indices of vehicles that at some keyframe are further than 0.1 m from each recorded object; none if the two
+    scenes have no keyframe times in common.
     """
     mine, theirs = _keyframe_times(scene), _keyframe_times(recorded)
     _, here, there = np.intersect1d(mine, theirs, return_indices=True)

@@ -24,12 +24,9 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Histograms:
-    """Two samples in the same bins.
+    """Counts of a sample and of the recordings in the same bins.
 
-    Attributes:
-        edges: Inner edges, or the two ends of the range.
-        counts: Of the sample.
-        reference: Of the recordings.
+    Edges are the inner ones, or the two ends of the range.
     """
 
     edges: Floats
@@ -48,28 +45,12 @@ class Histograms:
 
 
 def w1(sample: Floats, reference: Floats) -> float:
-    """Wasserstein-1 distance of raw samples, in the unit of the feature.
-
-    Args:
-        sample: (S,) values, at least one.
-        reference: (R,) values, at least one.
-
-    Returns:
-        The distance.
-    """
+    """Wasserstein-1 distance of raw samples, at least one each, in the unit of the feature."""
     return float(wasserstein_distance(sample, reference))
 
 
 def quantile_bins(sample: Floats, reference: Floats) -> Histograms:
-    """Bins between the distinct 5 % quantiles of the reference; the two outer ones are open.
-
-    Args:
-        sample: (S,) values.
-        reference: (R,) values, at least one.
-
-    Returns:
-        The counts.
-    """
+    """Bins between the distinct 5 % quantiles of the reference; the two outer ones are open."""
     edges = np.unique(np.quantile(reference, QUANTILES))
     counts, theirs = (
         np.bincount(np.searchsorted(edges, values, side="right"), minlength=len(edges) + 1)
@@ -79,15 +60,7 @@ def quantile_bins(sample: Floats, reference: Floats) -> Histograms:
 
 
 def equal_bins(sample: Floats, reference: Floats) -> Histograms:
-    """20 bins of equal width over the middle 99.8 % of the reference; what is outside counts in the last ones.
-
-    Args:
-        sample: (S,) values.
-        reference: (R,) values, at least one.
-
-    Returns:
-        The counts.
-    """
+    """20 bins of equal width over the middle 99.8 % of the reference; what is outside counts in the last ones."""
     low, high = np.quantile(reference, _RANGE).tolist()
     if high - low < _NARROWEST:
         low, high = low - 0.5, high + 0.5

@@ -24,7 +24,7 @@ LARGEST_BTN: Final = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Severity:
-    """An encounter of the ego with one agent, K samples every 0.1 s.
+    """Encounter of the ego with one agent, K samples every 0.1 s.
 
     Attributes:
         times: (K,) seconds.
@@ -33,7 +33,7 @@ class Severity:
         btn: (K,) braking threat number: required braking as a multiple of what a dry road allows, at most 10.
         first_contact: Index of the first sample in contact, -1 for none.
         pet_steps: Post-encroachment time in steps of 0.1 s; ``None`` if the paths do not meet within 5 s.
-        first: Who was there first, ``ego`` or ``other``; ``none`` in contact, ``None`` if the paths do not meet.
+        first: Which was there first, ``ego`` or ``other``; ``none`` in contact, ``None`` if the paths do not meet.
     """
 
     times: Floats
@@ -92,15 +92,7 @@ class Severity:
 
 
 def severity_of(tracks: Tracks, agent: int) -> Severity:
-    """Measure the encounter of the ego with one agent.
-
-    Args:
-        tracks: Everybody; the ego may be the recorded one or one that follows a plan.
-        agent: Index of the agent.
-
-    Returns:
-        The encounter.
-    """
+    """Measure the encounter of the ego, the recorded one or one that follows a plan, with one agent."""
     times = tracks.grid()
     pair = _resampled(tracks.only([agent]), times)
     ego, other, present = pair.ego, pair.agents[0], pair.valid[0]

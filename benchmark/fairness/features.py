@@ -46,12 +46,9 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One stretch of keyframes of an agent that counts.
+    """One stretch of keyframes of an agent that counts, sampled at (S,) seconds.
 
-    Attributes:
-        agent: Index of the agent.
-        times: (S,) seconds of the samples.
-        values: (S,) of each of `FEATURES`, and of `ROAD_EDGE` with a map, by name.
+    ``values`` are (S,) of each of `FEATURES`, and of `ROAD_EDGE` with a map, by name.
     """
 
     agent: int
@@ -61,12 +58,9 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class SplinedMotion:
-    """The smoothed motion of one agent at S samples.
+    """Smoothed motion of one agent at S samples: (S, 5) boxes and (S, 2) m/s.
 
-    Attributes:
-        boxes: (S, 5) its rectangles.
-        velocity: (S, 2) m/s.
-        values: The features that need nobody else, by name.
+    ``values`` are the features that need no other agent, by name.
     """
 
     boxes: Floats
@@ -82,17 +76,13 @@ def runs_of(
     between: tuple[float, float] | None = None,
     road: RoadEdge | None = None,
 ) -> list[Run]:
-    """All runs of one agent.
+    """All runs of one agent that count, in order of time.
 
     Args:
-        tracks: Everybody; the ego is one of those that the agent keeps its distance to.
+        tracks: All agents; the ego is one of those that the agent keeps its distance to.
         keyframes: (K,) indices of the annotated frames, rising.
-        agent: Index of the agent.
         between: Keyframes outside these times do not count; for the adversarial stretch of an adversary.
         road: Where the road ends, for `ROAD_EDGE`.
-
-    Returns:
-        Those that count, in order of time.
     """
     return list(_runs(Surroundings.of(tracks), keyframes, agent, between, road))
 
@@ -105,17 +95,14 @@ def recorded_runs(
     without: Collection[int] = (),
     road: RoadEdge | None = None,
 ) -> list[Run]:
-    """All runs of all agents of a category: what a scene gives to the reference.
+    """All runs of all agents of a category, by agent and time: what a scene gives to the reference.
+
+    The ego is left out: another instrument measured it.
 
     Args:
-        tracks: Everybody, as recorded.
         keyframes: (K,) indices of the annotated frames, rising.
-        category: nuScenes category name.
         without: Indices of agents that are not as recorded.
         road: Where the road ends, for `ROAD_EDGE`.
-
-    Returns:
-        The runs, by agent and time. The ego is left out: another instrument measured it.
     """
     around = Surroundings.of(tracks)
     return [
@@ -127,15 +114,7 @@ def recorded_runs(
 
 
 def stretches(valid: Bools, centres: Floats) -> list[slice]:
-    """Runs of keyframes that count.
-
-    Args:
-        valid: (K,) whether the agent is there at each keyframe.
-        centres: (K, 2) metres.
-
-    Returns:
-        Slices of at least 5 keyframes along which the agent moves 5 m or more.
-    """
+    """Runs of keyframes that count: at least 5 of them, along which the agent moves 5 m or more."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], valid, [False]]).astype(np.int8)))
     found = []
     for start, stop in edges.reshape(-1, 2).tolist():
@@ -146,16 +125,7 @@ def stretches(valid: Bools, centres: Floats) -> list[slice]:
 
 
 def splined(times: Floats, boxes: Floats, samples: Floats) -> SplinedMotion:
-    """Smooth the keyframes of a run and differentiate.
-
-    Args:
-        times: (K,) seconds of the keyframes.
-        boxes: (K, 5) rectangles there.
-        samples: (S,) seconds.
-
-    Returns:
-        The motion at the samples.
-    """
+    """Smooth the keyframes of a run, (K,) seconds and (K, 5) boxes, and differentiate at (S,) seconds."""
     poses = np.column_stack([boxes[:, :2], np.unwrap(boxes[:, 4])])
     smooth = savgol_filter(poses, _WINDOW, _ORDER, axis=0, mode="interp")
     curve = CubicSpline(times, smooth, bc_type="natural")
@@ -176,11 +146,7 @@ def splined(times: Floats, boxes: Floats, samples: Floats) -> SplinedMotion:
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """Everybody whom an agent may come near: all objects, and the recorded ego as the last one.
-
-    Attributes:
-        tracks: The recording with the ego among the agents.
-    """
+    """Road users that an agent may come near: all objects, and the recorded ego as the last one."""
 
     tracks: Tracks
 
@@ -198,13 +164,7 @@ class Surroundings:
     def nearness(self, agent: int, samples: Floats, motion: SplinedMotion) -> dict[str, Floats]:
         """Distance and time to contact of an agent's smoothed motion to all others.
 
-        Args:
-            agent: Which of the tracks is its own.
-            samples: (S,) seconds.
-            motion: Of the agent.
-
-        Returns:
-            (S,) ``gap`` and ``ttc``, with their caps.
+        (S,) ``gap`` and ``ttc``, with their caps.
         """
         others, present = self.tracks.agents_at(samples)
         present[agent] = False

@@ -20,16 +20,12 @@ from benchmark.interactions.tracks import STEP_S, Tracks
 
 @dataclass(frozen=True, slots=True)
 class Impact:
-    """A contact in numbers.
+    """Contact in numbers; seconds and m/s.
 
     Attributes:
-        time: Seconds.
-        agent: Index of who is touched.
-        kind: What hits what.
+        agent: Index of the touched agent.
         at_fault: Whether the ego is to blame.
-        impact_speed: m/s.
-        delta_v_ego: Change of the ego's velocity, m/s.
-        delta_v_other: Change of the other's velocity, m/s: what to look at for people on foot.
+        delta_v_other: Change of the other's velocity: what to look at for people on foot.
         fatal_probability: Of those in the ego.
     """
 
@@ -44,15 +40,9 @@ class Impact:
 
 
 def impact_of(contact: Contact, category: str, *, unsure: bool = False) -> Impact:
-    """The numbers of a contact.
+    """The numbers of the first contact of a run with an agent of a category.
 
-    Args:
-        contact: The first contact of a run.
-        category: Of who is touched.
-        unsure: Whether the ego is in several lanes or off the drivable area, which makes a lateral contact its fault.
-
-    Returns:
-        The impact.
+    ``unsure`` is the ego in several lanes or off the drivable area, which makes a lateral contact its fault.
     """
     ego, other = delta_v(np.asarray(contact.impact_speed), np.asarray(mass_kg(category)))
     return Impact(
@@ -68,15 +58,10 @@ def impact_of(contact: Contact, category: str, *, unsure: bool = False) -> Impac
 
 
 def contact_at(tracks: Tracks, agent: int, time: float) -> Contact:
-    """The ego and an agent at the moment at which they touch, whatever either touched before.
+    """The ego and an agent at the moment at which they touch, independent of earlier touches of either.
 
-    Args:
-        tracks: Everybody; the ego may be the recorded one or one that follows a plan.
-        agent: Index of the agent.
-        time: Seconds, inside the tracks.
-
-    Returns:
-        The contact. Speeds are those of the last 0.2 s (`Tracks.velocities_at`), the ego's along its heading.
+    The ego may be the recorded one or one that follows a plan; seconds are inside the tracks. Speeds are those of the
+    last 0.2 s (`Tracks.velocities_at`), the ego's along its heading.
     """
     at = np.array([time])
     ego, other = tracks.ego_at(at), tracks.agents_at(at)[0][agent]

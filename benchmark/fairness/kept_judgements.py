@@ -1,4 +1,4 @@
-"""Facts of scenes for records, with judgements of those that nobody judged yet: made once, then found."""
+"""Facts of scenes for records, with judgements of those without one: made once, then found."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,19 +17,11 @@ KEPT_FOLDER: Final = ".judgements"
 
 
 def judged_facts(data: DataSet, names: Sequence[str], kept: Path, executor: Executor) -> dict[str, SceneFacts]:
-    """Facts of scenes as records have them, those with adversaries judged.
+    """Facts of scenes as records have them, by name; scenes with adversaries are judged, recordings without are not.
 
     Args:
-        data: The data set.
-        names: Scenes of it.
         kept: Folder of runs, where judgements of data sets without their own are kept and found again.
-        executor: Where those are judged that nobody judged yet; nothing depends on it.
-
-    Returns:
-        Facts by name; recordings without adversaries are not judged.
-
-    Raises:
-        InputError: If a scene is broken, kept judgements are damaged, or nothing can be written.
+        executor: Where scenes without a judgement are judged; nothing depends on it.
     """
     facts = data.scene_facts(names)
     open_ = [name for name in names if facts[name].judgement is None and facts[name].adversaries != 0]

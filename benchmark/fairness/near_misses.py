@@ -39,16 +39,9 @@ class NearMisses:
 
 
 def near_misses(ego: Floats, other: Floats, present: Bools, velocity: Floats) -> NearMisses:
-    """Measure pairs.
+    """Measure pairs, (P, K, 5) boxes every 0.1 s; velocities are the other's, m/s.
 
-    Args:
-        ego: (P, K, 5) boxes every 0.1 s.
-        other: (P, K, 5) boxes.
-        present: (P, K) whether the other is there, at one instant at least.
-        velocity: (P, K, 2) of the other, m/s.
-
-    Returns:
-        The measures.
+    The other is there at one instant at least.
     """
     moving = ego_velocities(ego)
     gap = np.where(present, box_gap(ego, other), np.inf)
@@ -66,13 +59,9 @@ def near_misses(ego: Floats, other: Floats, present: Bools, velocity: Floats) ->
 
 
 def ego_velocities(ego: Floats) -> Floats:
-    """Velocities of tracks that begin at their first instant: over the last 0.2 s, forward at the first.
+    """(P, K, 2) velocities of tracks that begin at their first instant, m/s.
 
-    Args:
-        ego: (P, K, 5) boxes every 0.1 s.
-
-    Returns:
-        (P, K, 2) m/s.
+    Over the last 0.2 s, forward at the first, of boxes every 0.1 s.
     """
     centres = ego[..., :2]
     found = np.empty(centres.shape)

@@ -40,14 +40,7 @@ class PlanPaths:
 
     @classmethod
     def of(cls, ego: Floats) -> "PlanPaths":
-        """The paths of tracks.
-
-        Args:
-            ego: (P, K, 5) boxes.
-
-        Returns:
-            Their paths.
-        """
+        """The paths of tracks, (P, K, 5) boxes."""
         kept = _spaced(ego[..., :2])
         count, rows = ego.shape[1], np.arange(len(ego))[:, None]
         boxes = ego[rows, np.maximum.accumulate(np.where(kept, np.arange(count), 0), axis=1)]
@@ -109,17 +102,10 @@ class PlanPaths:
 
 
 def braking_threats(ego: Floats, speed: Floats, other: Floats, present: Bools, velocity: Floats) -> Floats:
-    """Braking threat numbers of P pairs at K instants, as `benchmark.fairness.encounter` has them for one.
+    """(P, K) braking threat numbers from 0 to 10, as `benchmark.fairness.encounter` has them for one pair.
 
-    Args:
-        ego: (P, K, 5) boxes.
-        speed: (P, K) of the ego, m/s.
-        other: (P, K, 5) boxes.
-        present: (P, K) whether the other is there.
-        velocity: (P, K, 2) of the other, m/s.
-
-    Returns:
-        (P, K) numbers from 0 to 10; 0 where the other is behind, not in the way or not there.
+    0 where the other is behind, not in the way or not there. Boxes are (P, K, 5), speeds of the ego (P, K),
+    velocities of the other (P, K, 2), m/s.
     """
     paths, threats = PlanPaths.of(ego), np.zeros(present.shape)
     # The eye is on the path, where the ego's centre is projected to.

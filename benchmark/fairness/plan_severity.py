@@ -45,15 +45,9 @@ class Lanes(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _World:
-    """Everybody around S samples in the lidar frame of each.
+    """N agents around S samples in the lidar frame of each: (N, 31, 5) boxes.
 
-    Attributes:
-        sample: (N,) of which sample.
-        names: N instances.
-        categories: N.
-        adversary: (N,) whether it was made to be one.
-        boxes: (N, 31, 5).
-        counts: (N, 31) who is there, without those that touch the ego in the present.
+    ``sample`` says of which; ``counts``, (N, 31), which are there, without those that touch the ego in the present.
     """
 
     sample: Integers
@@ -96,15 +90,11 @@ _PRESENT: Final = ego_footprints(np.array([0.0, 0.0, np.pi / 2]))
 def plan_severities(
     truths: Sequence[SampleTruth], plans_lidar: Floats, lanes: Lanes | None = None
 ) -> list[PlanSeverityRow]:
-    """Measure plans.
+    """Measure S plans; of agents that are touched at the same instant the first by name counts, as in ``exact``.
 
     Args:
-        truths: S samples.
         plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
-        lanes: The map; without it nobody can say who is to blame for a lateral contact.
-
-    Returns:
-        S severities. Of agents that are touched at the same instant the first by name counts, as in ``exact``.
+        lanes: The map; without it the blame for a lateral contact is unknown.
     """
     plans = np.asarray(plans_lidar, np.float64)
     starts = range(0, len(truths), _SAMPLES_AT_ONCE)

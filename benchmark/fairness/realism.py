@@ -23,10 +23,9 @@ RunsOfScenes = Mapping[str, Sequence[Run]]
 
 @dataclass(frozen=True, slots=True)
 class FeatureRealism:
-    """One feature.
+    """Realism of one feature.
 
     Attributes:
-        name: Of the feature.
         w1: Wasserstein-1 distance to the recordings, in the unit of the feature.
         w1_of_halves: The same between two halves of the recordings; ``None`` where one has no samples.
         realism: 1 - Jensen-Shannon divergence over quantile bins.
@@ -51,7 +50,7 @@ class FeatureRealism:
 
 @dataclass(frozen=True, slots=True)
 class Realism:
-    """All features.
+    """Realism of all features.
 
     Attributes:
         features: By the order of `FEATURES`, then `ROAD_EDGE` where all scenes have a map.
@@ -73,15 +72,9 @@ class Realism:
 
 
 def realism_of(adversaries: RunsOfScenes, recorded: RunsOfScenes, seed: int = 0) -> Realism | None:
-    """Compare adversaries with recordings.
+    """Compare adversaries with recordings, both by scene; ``None`` if one side has no run that counts.
 
-    Args:
-        adversaries: Their runs, by scene.
-        recorded: The reference, by scene, in the order of the scenes; every second scene is one half.
-        seed: Of the bootstrap.
-
-    Returns:
-        The comparison, or ``None`` if one side has no run that counts.
+    The reference is in the order of the scenes; every second scene is one half.
     """
     scenes = list(recorded)
     if not any(map(len, adversaries.values())) or not any(map(len, recorded.values())):

@@ -17,11 +17,7 @@ _TOGETHER: Final = 128
 
 
 class RoadEdge:
-    """The edge of a drivable area.
-
-    Args:
-        drivable: The area.
-    """
+    """The edge of a drivable area."""
 
     def __init__(self, drivable: shapely.MultiPolygon) -> None:
         self._drivable = drivable
@@ -31,13 +27,9 @@ class RoadEdge:
         self._end = np.concatenate([np.empty((0, 2)), *(points[1:] for points in rings)])
 
     def beyond(self, boxes: Floats) -> Floats:
-        """How far the corner that is furthest out is over the edge.
+        """(S,) metres by which the corner of each box that is furthest out is over the edge.
 
-        Args:
-            boxes: (S, 5) rectangles.
-
-        Returns:
-            (S,) metres, positive outside, between -20 and 5.
+        Positive outside, between -20 and 5.
         """
         corners = box_corners(boxes).reshape(-1, 2)
         inside = shapely.contains_xy(self._drivable, corners[:, 0], corners[:, 1])

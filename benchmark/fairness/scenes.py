@@ -58,13 +58,8 @@ class TracksAtHand:
 def judge_scene(scene: Scene, known: TracksAtHand) -> tuple[SceneJudgement, ...]:
     """Judge a scene.
 
-    Args:
-        scene: Any scene.
-        known: What is known of how its adversaries were made.
-
-    Returns:
-        One judgement for each of its adversaries; one without an adversary where it names none that is in it; none for
-        a scene of a single frame.
+    One judgement for each of its adversaries; one without an adversary where it names none that is in it; none for
+    a scene of a single frame.
     """
     if len(scene.timestamps_us) < FEWEST_FRAMES:
         return ()

@@ -52,18 +52,10 @@ def split_realism(
     judgements: Mapping[str, Sequence[SceneJudgement]],
     recordings: DataSet | None = None,
 ) -> SplitRealism:
-    """How real the adversaries of scenes move.
+    """Realism of the motion of adversaries in scenes of a data set.
 
-    Args:
-        data: The data set.
-        judgements: What is said of its scenes, by name.
-        recordings: What its scenes were made from, if at hand.
-
-    Returns:
-        Validity rates always; the comparison where there is something to compare with.
-
-    Raises:
-        InputError: If a scene is broken.
+    ``recordings`` is the data set that its scenes were made from, if at hand. Validity rates are there always, the
+    comparison where there is something to compare with.
     """
     judged = [each for of_scene in judgements.values() for each in of_scene if each.adversary is not None]
     validity = validity_rows(judged)
@@ -100,14 +92,7 @@ def split_realism(
 
 
 def validity_rows(judged: Sequence[SceneJudgement]) -> tuple[ValidityRow, ...]:
-    """Faults of adversaries, counted.
-
-    Args:
-        judged: One judgement for each.
-
-    Returns:
-        One row for each kind of fault.
-    """
+    """Faults of adversaries, counted: one row for each kind."""
     tracks = [each.faults for each in judged if each.faults is not None]
     rows = []
     for name in FAULT_NAMES:

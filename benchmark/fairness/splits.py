@@ -15,7 +15,7 @@ from benchmark.records.statistics import Quantiles
 
 _LEVELS: Final = {"least": 0.0, "tenth": 0.1, "median": 0.5, "ninetieth": 0.9, "most": 1.0}
 _STRUCK: Final = ("rear", "stopped_ego")
-"""Kinds of contact in which somebody else drives into the ego."""
+"""Kinds of contact in which another drives into the ego."""
 _BEFORE_CONTACT: Final = {"least_ttc_s": "least time to contact, s", "tet_s": "TET, s", "tit_s2": "TIT, s^2"}
 """In a run that ends in contact they are what they are by construction."""
 _ALWAYS: Final = {
@@ -28,12 +28,7 @@ _ALWAYS: Final = {
 def adversarial_names(data: DataSet, names: Sequence[str]) -> tuple[str, ...]:
     """Those scenes of a data set that are no recordings, as far as it says.
 
-    Args:
-        data: The data set.
-        names: Scenes of it.
-
-    Returns:
-        Names of scenes with adversaries, and of those of which nobody says how many they have.
+    Scenes with adversaries, and those of which it is not said how many they have.
     """
     facts = data.scene_facts(names)
     return tuple(name for name in names if facts[name].adversaries != 0)
@@ -47,11 +42,11 @@ def judge_split(
     Args:
         data: The data set.
         names: Scenes of it.
-        executor: Where those are judged that nobody judged yet; this process by default.
-        recordings: What its scenes were made from, if at hand.
+        executor: Where scenes without a judgement are judged; this process by default.
+        recordings: The data set that its scenes were made from, if at hand.
 
     Returns:
-        What is said of them.
+        The judgement of the split.
 
     Raises:
         InputError: If a scene is broken, or workers are lost.
@@ -79,14 +74,7 @@ def judge_split(
 
 
 def ladder(scenes: Sequence[Sequence[SceneJudgement]]) -> tuple[LadderRow, ...]:
-    """How many scenes each driver survives.
-
-    Args:
-        scenes: Judgements of each, at least one.
-
-    Returns:
-        One row for each driver.
-    """
+    """How many scenes, of at least one, each driver survives."""
     rows = []
     for name in DRIVER_NAMES:
         runs = [said[0].drivers[name] for said in scenes]

@@ -15,11 +15,7 @@ _SHOWN: Final = DRIVER_NAMES[1:]
 def split_tables(judged: SplitJudgement) -> list[Table]:
     """All tables of a split.
 
-    Args:
-        judged: The split.
-
-    Returns:
-        The ladder scene by scene and in sum, severity, validity and realism, as far as there are any.
+    The ladder scene by scene and in sum, severity, validity and realism, as far as there are any.
     """
     tables = [_scene_table(judged), _ladder_table(judged)]
     if any(row.of for row in judged.severity):
@@ -30,14 +26,7 @@ def split_tables(judged: SplitJudgement) -> list[Table]:
 
 
 def judgement_text(judged: SplitJudgement) -> str:
-    """The tables for a terminal, with what else there is to say.
-
-    Args:
-        judged: The split.
-
-    Returns:
-        Lines.
-    """
+    """The tables for a terminal, with what else there is to say."""
     blocks = [table.plain() for table in split_tables(judged)]
     if judged.realism.not_compared is not None:
         blocks.append(f"Realism: not compared; {judged.realism.not_compared}.\n")

@@ -28,12 +28,12 @@ TELEPORT_RAD: Final = np.deg2rad(30.0)
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """What is wrong with one adversary's track; ``None`` where nobody could tell: without a map, or a 12 Hz track.
+    """Faults of one adversary's track; ``None`` where it cannot be told: without a map, or a 12 Hz track.
 
     Attributes:
         beyond_limits: It asks more of car or driver than `benchmark.dynamics.bicycle.DriverLimits`.
         off_road: A corner is more than 0.3 m off the drivable area.
-        contact: It touches anybody but the ego.
+        contact: It touches another object than the ego.
         against_traffic: It heads more than 90 degrees away from the lane below its centre for more than 1 s.
         hovering: It stays within 0.5 m of the same other object for more than 0.5 s.
         teleport: It moves or turns further between two frames than any car could.
@@ -49,13 +49,7 @@ class Faults:
 
 @dataclass(frozen=True, slots=True)
 class ValidityRate:
-    """One kind of fault over all adversaries.
-
-    Attributes:
-        fault: Its name, a field of `Faults`.
-        count: How many have it.
-        of: How many could be asked.
-    """
+    """Count of one kind of fault, a field of `Faults`, and of how many adversaries it could be asked."""
 
     fault: str
     count: int
@@ -63,7 +57,7 @@ class ValidityRate:
 
     @property
     def share(self) -> float | None:
-        """Count of asked; ``None`` if nobody could be."""
+        """Count of asked; ``None`` if none was."""
         return self.count / self.of if self.of else None
 
 
@@ -79,17 +73,12 @@ def faults_of(
     """Look for faults of an adversary.
 
     Args:
-        tracks: Everybody, 12 Hz, as generated: what a reader of a data set gets is linear between 2 Hz keyframes, and
+        tracks: All agents, 12 Hz, as generated: what a reader of a data set gets is linear between 2 Hz keyframes, and
             its corners there break every limit.
-        agent: Index of the adversary.
         frames: Its adversarial stretch; frames at which it is not there do not count.
-        road_map: The map, if there is one.
-        at_keyframes: Whether the frames are keyframes, between which nobody knows: then limits and jumps are not asked,
-            and of the others only what the keyframes show is found.
+        at_keyframes: Whether the frames are keyframes, between which nothing is known: then limits and jumps are not
+            asked, and of the others only what the keyframes show is found.
         rounded_m: How far each position may be from where it was generated (`broken_limit`).
-
-    Returns:
-        What was found.
     """
     there = np.arange(len(tracks.seconds))[frames]
     there = there[tracks.valid[agent, there]]
@@ -108,14 +97,7 @@ def faults_of(
 
 
 def validity_rates(faults: Sequence[Faults]) -> list[ValidityRate]:
-    """Sum adversaries up.
-
-    Args:
-        faults: One for each.
-
-    Returns:
-        One rate for each kind.
-    """
+    """Sum adversaries up: one rate for each kind of fault."""
     rates = []
     for kind in fields(Faults):
         asked = [found for found in (getattr(each, kind.name) for each in faults) if found is not None]
@@ -124,15 +106,9 @@ def validity_rates(faults: Sequence[Faults]) -> list[ValidityRate]:
 
 
 def teleports(seconds: Floats, boxes: Floats) -> Bools:
-    """Steps between frames that no car could make.
+    """(F - 1,) steps between frames that no car could make.
 
-    Args:
-        seconds: (F,) times.
-        boxes: (F, 5) of one object.
-
-    Returns:
-        (F - 1,) whether it moves further than at the speed before and 10 m/s^2 more, and 0.2 m, or turns by more than
-        30 degrees.
+    It moves further than at the speed before and 10 m/s^2 more, and 0.2 m, or turns by more than 30 degrees.
     """
     step, span = np.hypot(*np.diff(boxes[:, :2], axis=0).T), np.diff(seconds)
     speed = np.concatenate([step[:1], step[:-1]]) / np.concatenate([span[:1], span[:-1]])
@@ -141,7 +117,7 @@ def teleports(seconds: Floats, boxes: Floats) -> Bools:
 
 
 def _others(tracks: Tracks, agent: int, frames: Integers) -> tuple[Floats, Bools]:
-    """Everybody else, the recorded ego as the last one."""
+    """All others, the recorded ego as the last one."""
     others = np.concatenate([np.delete(tracks.agents, agent, axis=0)[:, frames], tracks.ego[frames][None]])
     present = np.delete(tracks.valid, agent, axis=0)[:, frames]
     return others, np.concatenate([present, np.ones((1, present.shape[1]), np.bool_)])

@@ -1,1 +1,1 @@
-"""Reference drivers: would somebody competent have avoided it? UN Regulation 157, RSS, FSM, IDM."""
+"""Reference drivers: would a competent driver have avoided it? UN Regulation 157, RSS, FSM, IDM."""

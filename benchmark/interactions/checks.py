@@ -23,15 +23,10 @@ from benchmark.interactions.rules import (
 
 
 def unsafe_agents(driver: Driver, around: Around, speed: Floats) -> Bools:
-    """Which agents a driver finds unsafe; whether it sees them is another question.
+    """(R, N) which of N agents a driver of R egos finds unsafe; whether it sees them is another question.
 
-    Args:
-        driver: The careful human, that of the regulation, or RSS; FSM's question is `fuzzy_targets`.
-        around: N agents around R egos.
-        speed: (R, 1) of the egos, m/s.
-
-    Returns:
-        (R, N) verdicts.
+    The driver is the careful human, that of the regulation, or RSS; FSM's question is `fuzzy_targets`. Speeds are
+    (R, 1) m/s.
     """
     closing = speed - around.along
     if driver is Driver.CC:
@@ -47,16 +42,9 @@ def unsafe_agents(driver: Driver, around: Around, speed: Floats) -> Bools:
 
 
 def fuzzy_targets(around: Around, speed: Floats, acceleration: Floats, length: float) -> Floats:
-    """The braking that FSM asks for because of each agent.
+    """(R, N) braking that FSM asks for because of each agent, m/s^2; 0 where it is at ease or does not look.
 
-    Args:
-        around: N agents around R egos.
-        speed: (R, 1) of the egos, m/s.
-        acceleration: (R, 1) of the egos over the step before, m/s^2.
-        length: Of the ego, metres.
-
-    Returns:
-        (R, N) m/s^2, 0 where it is at ease or does not look.
+    Speed, m/s, and acceleration over the step before, m/s^2, are (R, 1) of the egos, whose length is in metres.
     """
     closing = speed - around.along
     with np.errstate(divide="ignore", invalid="ignore"):

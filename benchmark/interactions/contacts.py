@@ -1,4 +1,4 @@
-"""Contacts of the ego with somebody: kind, who is to blame, how hard; and the time that is left before one.
+"""Contacts of the ego with another: kind, who is to blame, how hard; and the time that is left before one.
 
 ``docs/severity.md``, "A pair at one instant". Kinds and blame are nuPlan's. Ego velocities are speed times heading;
 objects that are not agents stand.
@@ -58,7 +58,7 @@ BLAMELESS: Final = (STOPPED_EGO, REAR)
 
 @dataclass(frozen=True, slots=True)
 class Pairs:
-    """P pairs of an ego and somebody, each at one instant.
+    """P pairs of an ego and another, each at one instant.
 
     Attributes:
         ego: (P, 5) boxes.
@@ -140,37 +140,18 @@ def mass_kg(category: str) -> float:
 
 
 def delta_v(impact_speed: Floats, other_kg: Floats) -> tuple[Floats, Floats]:
-    """Changes of velocity in a plastic impact.
-
-    Args:
-        impact_speed: (...) m/s.
-        other_kg: (...) mass of the other.
-
-    Returns:
-        Those of the ego and of the other, m/s.
-    """
+    """Changes of velocity of the ego and of the other, of ``other_kg``, in a plastic impact, m/s."""
     total = other_kg + EGO_MASS_KG
     return np.asarray(other_kg / total * impact_speed), np.asarray(EGO_MASS_KG / total * impact_speed)
 
 
 def fatal_probability(delta_v_m_s: Floats) -> Floats:
-    """Probability that somebody inside dies, by the fourth power of the change of velocity (Joksch 1993)."""
+    """Probability that an occupant dies, by the fourth power of the change of velocity (Joksch 1993)."""
     return np.minimum((delta_v_m_s / FATAL_M_S) ** 4, 1.0)
 
 
 def contact_kinds(ego: Floats, ego_speed: Floats, other: Floats, other_speed: Floats, agents: Bools) -> Integers:
-    """Kinds of contact, whether the rectangles touch or not.
-
-    Args:
-        ego: (..., 5) boxes.
-        ego_speed: (...) m/s.
-        other: (..., 5) boxes.
-        other_speed: (...) m/s.
-        agents: (...) whether the other moves by itself.
-
-    Returns:
-        (...) indices into `KINDS`.
-    """
+    """Indices into `KINDS`, whether the rectangles touch or not; ``agents`` are others that move by themselves."""
     front = ego.copy()
     front[..., 0] += 0.5 * ego[..., 2] * np.cos(ego[..., 4])
     front[..., 1] += 0.5 * ego[..., 2] * np.sin(ego[..., 4])
@@ -187,12 +168,7 @@ def contact_kinds(ego: Floats, ego_speed: Floats, other: Floats, other_speed: Fl
 def bearing(ego: Floats, other: Floats) -> Floats:
     """Angle between the ego's heading and the direction from its rear axle to the centre of another.
 
-    Args:
-        ego: (..., 5) boxes.
-        other: (..., 5) boxes.
-
-    Returns:
-        (...) radians, 0 straight ahead to pi straight behind.
+    Radians, 0 straight ahead to pi straight behind.
     """
     cos, sin = np.cos(ego[..., 4]), np.sin(ego[..., 4])
     offset = other[..., :2] - ego[..., :2]
@@ -204,29 +180,15 @@ def bearing(ego: Floats, other: Floats) -> Floats:
 def at_fault(kind: ContactKind, unsure: bool) -> bool:
     """Whether the ego is to blame for a first contact.
 
-    Args:
-        kind: Of the contact.
-        unsure: Whether the ego is in several lanes or off the drivable area: then a lateral contact is its fault too.
-
-    Returns:
-        The verdict.
+    ``unsure`` is the ego in several lanes or off the drivable area: then a lateral contact is its fault too.
     """
     return kind in (ContactKind.FRONT, ContactKind.STOPPED_TRACK) or (kind is ContactKind.LATERAL and unsure)
 
 
 def time_to_contact(first: Floats, first_velocity: Floats, second: Floats, second_velocity: Floats) -> Floats:
-    """When boxes first touch if both keep velocity and heading.
+    """Seconds until (..., 5) boxes first touch if both keep velocity and heading, infinite if they never do.
 
     Along each of the four edge normals their projections overlap for a while; they touch while all four do.
-
-    Args:
-        first: (..., 5) boxes.
-        first_velocity: (..., 2) m/s.
-        second: (..., 5) boxes.
-        second_velocity: (..., 2) m/s.
-
-    Returns:
-        (...) seconds, infinite if they never touch.
     """
     offset, velocity = second[..., :2] - first[..., :2], second_velocity - first_velocity
     turn = second[..., 4] - first[..., 4]

@@ -1,4 +1,4 @@
-"""Reference drivers along the recorded path of a scene, against everybody in it.
+"""Reference drivers along the recorded path of a scene, against all agents in it.
 
 ``docs/severity.md``, "Reference drivers". All drivers of a scene advance together, one step of 0.1 s after another;
 contacts do not change what a driver does before them, so that they are looked for afterwards, in `outcomes`.
@@ -35,12 +35,7 @@ LADDER: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Rung:
-    """A driver, and to whom it reacts.
-
-    Attributes:
-        driver: Who drives.
-        adversary_only: Whether it reacts to the adversary alone (it can still hit others).
-    """
+    """A driver, and whether it reacts to the adversary alone (it can still hit others)."""
 
     driver: Driver
     adversary_only: bool = False
@@ -51,13 +46,10 @@ RUNGS: Final = tuple(map(Rung, LADDER))
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What one driver does until the end of the scene, whatever it hits.
+    """Motion of one driver to the end of the scene, as if it hit nothing.
 
     Attributes:
-        rung: Who drives.
-        times: (K,) seconds, every 0.1 s.
-        station: (K,) metres along the path.
-        speed: (K,) m/s.
+        times: (K,) seconds, every 0.1 s; ``station``, metres along the path, and ``speed``, m/s, are at these times.
         unsafe: (K - 1,) steps that the driver found unsafe.
         free_from: First step in which it drives by itself; K - 1 if it is the recording to the end.
         reason: The agent that it reacted to first, if it reacted: the one that asks for the most braking of FSM, else
@@ -75,17 +67,13 @@ class Motion:
 
 @dataclass(slots=True)
 class Situation:
-    """A scene as drivers need it.
+    """Scene as drivers need it, at K instants of decision.
 
     Attributes:
-        tracks: Everybody.
-        times: (K,) instants of decision.
-        ignored: (N,) who overlaps the ego at the start.
-        path: The ego's path.
-        relations: Everybody at those instants, along the path.
-        station: (K,) of the recorded ego.
-        speed: (K,) of the recorded ego.
-        adversary: Index of the adversary, for rungs that react to it alone.
+        ignored: (N,) agents that overlap the ego at the start.
+        relations: All agents at those instants, along the path.
+        station: (K,) of the recorded ego, as is ``speed``.
+        adversary: Its index, for rungs that react to it alone.
     """
 
     tracks: Tracks
@@ -106,36 +94,19 @@ class Situation:
 
     @classmethod
     def of(cls, tracks: Tracks, start: float | None = None, adversary: int | None = None) -> "Situation":
-        """The situation of a scene.
-
-        Args:
-            tracks: Everybody.
-            start: When drivers take over, seconds; at the first frame by default.
-            adversary: Index of the adversary.
-
-        Returns:
-            It.
-        """
+        """The situation of a scene from ``start`` on, seconds; by default from the first frame."""
         return cls(tracks, tracks.grid(start), adversary)
 
 
 def drive(situation: Situation, rungs: Sequence[Rung] = RUNGS) -> list[Motion]:
-    """Let drivers drive to the end of the scene.
-
-    Args:
-        situation: The scene.
-        rungs: Who drives.
-
-    Returns:
-        One motion each.
-    """
+    """Let drivers drive to the end of the scene."""
     simulated = [rung for rung in rungs if rung.driver in (Driver.IDM, *REACTING)]
     moved = dict(zip(simulated, _simulate(situation, simulated)))
     return [moved[rung] if rung in moved else given(situation, rung) for rung in rungs]
 
 
 def given(situation: Situation, rung: Rung) -> Motion:
-    """The motion of a driver who looks at nobody: the recording, or the speed of the start kept."""
+    """The motion of a driver that looks at no agent: the recording, or the speed of the start kept."""
     times, station, speed = situation.times, situation.station, situation.speed
     last = len(times) - 1
     free_from = last
@@ -155,11 +126,10 @@ def _simulate(situation: Situation, rungs: Sequence[Rung]) -> list[Motion]:
 
 
 class Advancing:
-    """Drivers under way: each step needs to know everybody at its beginning, and nothing of later.
+    """Drivers under way: each step needs to know all agents at its beginning, and nothing of later.
 
-    Args:
-        situation: The recording that they follow until they react, and its path.
-        rungs: R who drive, all of whom decide by themselves (`REACTING`, and who keeps distance).
+    The situation is the recording that they follow until they react, and its path; all rungs decide by themselves
+    (`REACTING`, and those that keep distance).
     """
 
     def __init__(self, situation: Situation, rungs: Sequence[Rung]) -> None:
@@ -178,13 +148,7 @@ class Advancing:
         self._free_speed = max(SLOWEST_REACTING_M_S, float(situation.speed.max()))
 
     def step(self, step: int, seen: Situation, instant: int) -> None:
-        """Decide and drive 0.1 s.
-
-        Args:
-            step: Number of the step.
-            seen: Everybody at its beginning.
-            instant: Which of the instants of ``seen`` that is.
-        """
+        """Decide and drive 0.1 s; at the beginning of the step all agents are as ``seen`` at the instant."""
         rungs, idm = self._rungs, self._idm
         station, speed = self.station, self.speed
         around = seen.relations.around(instant, station[:, step])

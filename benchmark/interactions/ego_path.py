@@ -1,7 +1,7 @@
 """The path that the ego took, as stations: what a driver follows who brakes or dawdles instead.
 
 ``docs/severity.md``, "Path". Station 0 is the first frame; 100 m before it and 200 m after the end the path goes on
-straight, so that nobody falls off; what is past the last recorded vertex is no road.
+straight, so that no driver falls off; what is past the last recorded vertex is no road.
 """
 
 from dataclasses import dataclass
@@ -23,14 +23,13 @@ _PAIRS_AT_ONCE: Final = 400_000
 
 @dataclass(frozen=True, slots=True)
 class EgoPath:
-    """A polyline with headings.
+    """Polyline with headings.
 
     Attributes:
         points: (M, 2) vertices.
         yaw: (M,) headings of the ego there, radians, unwrapped.
         station: (M,) metres along the polyline, 0 at the second vertex.
         size: (2,) length and width of the ego.
-        tracks: The recording.
         vertex_seconds: (M - 2,) times of the vertices but the first and the last.
         length: (M - 1,) of the segments, metres.
         direction: (2, M - 1) unit vectors along them.
@@ -47,14 +46,7 @@ class EgoPath:
 
     @classmethod
     def of(cls, tracks: Tracks) -> "EgoPath":
-        """The path of a recorded ego.
-
-        Args:
-            tracks: The recording.
-
-        Returns:
-            Its path.
-        """
+        """The path of a recorded ego."""
         kept = _spaced(tracks.ego[:, :2])
         boxes = tracks.ego[kept]
         ends = boxes[[0, -1]]
@@ -95,13 +87,9 @@ class EgoPath:
         return np.asarray(chord / np.maximum(length, 1e-12)[..., None])
 
     def recorded_station(self, times: Floats) -> Floats:
-        """Where the recorded ego is along the path.
+        """Metres of the recorded ego along the path at times in seconds.
 
-        Args:
-            times: (...) seconds.
-
-        Returns:
-            (...) metres: its centre projected on the segment after the last vertex whose frame is not later.
+        Its centre projected on the segment after the last vertex whose frame is not later.
         """
         times = np.asarray(times, np.float64)
         last = np.searchsorted(self.vertex_seconds, times + 1e-9, side="right") - 1
@@ -113,13 +101,9 @@ class EgoPath:
         return station
 
     def recorded_speed(self, times: Floats) -> Floats:
-        """How fast the recorded ego moves along the path.
+        """Speed of the recorded ego along the path at times in seconds.
 
-        Args:
-            times: (...) seconds.
-
-        Returns:
-            (...) m/s, not negative, over a quarter of a second to both sides.
+        In m/s, not negative, over a quarter of a second to both sides.
         """
         first, last = (
             np.clip(times + reach, self.tracks.seconds[0], self.tracks.seconds[-1])

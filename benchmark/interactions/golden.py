@@ -23,9 +23,8 @@ def encounter(stored: GoldenArrays, facts: Mapping[str, Any]) -> Tracks:
 def fragile(facts: Mapping[str, Any], *names: str) -> bool:
     """Whether a value is marked as one that changes when its inputs move a little, and so is to be left out.
 
-    Args:
-        facts: Of which ``fragile`` is true, or a list that has one of the names in it, alone or at the end of a path.
-        names: Of the value; none for all of the facts.
+    ``fragile`` of the facts is true, or a list that has one of the names in it, alone or at the end of a path; no
+    names ask for all of the facts.
     """
     marked = facts.get("fragile", False)
     return marked if isinstance(marked, bool) else any(re.split(r"[/.: ]", each)[-1] in names for each in marked)

@@ -21,16 +21,9 @@ _EXPONENT: Final = 4
 
 
 def idm_acceleration(speed: Floats, free_speed: float | Floats, gap: Floats, leader_speed: Floats) -> Floats:
-    """Acceleration of a car that keeps distance.
+    """Acceleration of a car that keeps distance, m/s^2.
 
-    Args:
-        speed: (...) of the ego, m/s.
-        free_speed: What it would drive on a free road, m/s.
-        gap: (...) metres to the leader, infinite without one.
-        leader_speed: (...) of the leader along the path, m/s.
-
-    Returns:
-        (...) m/s^2.
+    Speeds are m/s, the leader's along the path; the gap is infinite without a leader.
     """
     near = np.maximum(gap, SMALLEST_GAP_M)
     closing = _wanted_while_closing(speed, leader_speed, TIME_GAP_S, ACCELERATION, COMFORTABLE_BRAKING)
@@ -51,18 +44,7 @@ def raw_acceleration(
 ) -> Floats:
     """NuPlan's formula as it stands: no limit, and a leader that drives away shortens the wanted gap.
 
-    Args:
-        speed: (...) m/s.
-        gap: (...) metres.
-        leader_speed: (...) m/s.
-        free_speed: m/s.
-        standstill_gap: Metres.
-        time_gap: Seconds.
-        acceleration: m/s^2.
-        braking: Comfortable, m/s^2.
-
-    Returns:
-        (...) m/s^2.
+    Metres, seconds, m/s and m/s^2; ``braking`` is the comfortable one.
     """
     wanted = standstill_gap + _wanted_while_closing(speed, leader_speed, time_gap, acceleration, braking)
     near = np.maximum(gap, standstill_gap)

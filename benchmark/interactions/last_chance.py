@@ -33,7 +33,7 @@ OFF_ROAD_M: Final = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """What the manoeuvres from one moment come to.
+    """Manoeuvres from one moment.
 
     Attributes:
         time: Of the start, seconds.
@@ -58,7 +58,7 @@ class Tried:
 
 @dataclass(frozen=True, slots=True)
 class LastChance:
-    """Until when a contact could be avoided.
+    """Last moment at which a contact could be avoided.
 
     Attributes:
         contact: That of the base; ``None`` if it has none: not threatened.
@@ -78,12 +78,10 @@ class LastChance:
 
 
 class Base:
-    """An ego whose contact is to be avoided.
+    """Ego whose first contact is to be avoided.
 
     Attributes:
-        situation: The scene, with that ego.
         driver: ``RECORDED`` for the ego as it is, ``CONSTANT`` for the speed of the start.
-        contact: Its first contact.
         drivable: Where manoeuvres may go; anywhere if ``None``.
     """
 
@@ -104,14 +102,7 @@ class Base:
         self.contact = (surroundings or Surroundings.of(situation)).outcome(motion).contact
 
     def try_from(self, time: float) -> Tried:
-        """Try all manoeuvres from one moment.
-
-        Args:
-            time: Seconds, inside the recording.
-
-        Returns:
-            What they come to.
-        """
+        """Try all manoeuvres from one moment inside the recording, seconds."""
         tracks, path = self.situation.tracks, self.situation.path
         steps = min(LONGEST_STEPS, max(0, int(np.floor((tracks.seconds[-1] - time) / STEP_S + 1e-9))))
         at = np.array([time])
@@ -128,8 +119,7 @@ class Base:
     def last_chance(self) -> LastChance:
         """Search the last moment from which a manoeuvre succeeds, by bisection over tenths of a second.
 
-        Returns:
-            It, exact if what succeeds late succeeds earlier too.
+        It is exact if what succeeds late succeeds earlier too.
         """
         contact, start = self.contact, float(self.situation.times[0])
         if contact is None or KINDS.index(contact.kind) in BLAMELESS:
@@ -145,14 +135,10 @@ class Base:
         return LastChance(contact, start + GRID_S * low, evaluated)
 
     def avoidable_after(self, first_visible: float | None) -> bool:
-        """Whether a manoeuvre succeeds once somebody has had time to react.
+        """Whether a manoeuvre succeeds once a driver has had time to react to the adversary.
 
-        Args:
-            first_visible: When the adversary is first seen, ``None`` for never.
-
-        Returns:
-            The verdict at the first tenth of a second that is 0.75 s later; true where the base is not threatened or
-            not to blame, false where it is over by then.
+        ``first_visible`` is ``None`` for never. The verdict at the first tenth of a second that is 0.75 s later; true
+        where the base is not threatened or not to blame, false where it is over by then.
         """
         contact = self.contact
         if contact is None or KINDS.index(contact.kind) in BLAMELESS:

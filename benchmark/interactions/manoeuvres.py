@@ -36,10 +36,7 @@ X, Y, HEADING, SPEED, STEERING = range(STATE_COLUMNS)
 class Starts:
     """O moments at which manoeuvres start.
 
-    Attributes:
-        pose: (O, 3) box centre x, y and heading of the ego.
-        speed: (O,) m/s.
-        station: (O,) metres along the path.
+    Poses are (O, 3) box centre x, y and heading of the ego; the station is metres along the path.
     """
 
     pose: Floats
@@ -48,15 +45,9 @@ class Starts:
 
 
 def manoeuvres(path: EgoPath, starts: Starts, steps: int) -> Floats:
-    """Drive all manoeuvres from all moments, as if nobody else was there.
+    """Drive all manoeuvres from all moments, as if the ego were alone.
 
-    Args:
-        path: What is followed.
-        starts: O moments.
-        steps: How many of 0.05 s.
-
-    Returns:
-        (O, 25, steps + 1, 5) states, the start included.
+    (O, 25, steps + 1, 5) states, the start included; steps are of 0.05 s.
     """
     shape = (len(starts.speed), len(MANOEUVRES))
     braking = np.broadcast_to([each for each, _ in MANOEUVRES], shape).ravel()

@@ -1,4 +1,4 @@
-"""What comes of a driver's motion: the first contact with anybody, of what kind, or none.
+"""What comes of a driver's motion: the first contact, of what kind, or none.
 
 Contact is looked for at five instants of each step of 0.1 s: the station is linear inside a step, and while the driver
 is the recording, so is its rectangle.
@@ -16,18 +16,11 @@ from benchmark.interactions.tracks import STEP_S, SUB_STEPS
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """The first contact of a run.
+    """First contact of a run, in seconds and m/s; boxes are (5,).
 
     Attributes:
-        time: Seconds.
         step: The step of 0.1 s in which it happens.
-        agent: Index of who is touched; the lowest of several.
-        kind: What hits what.
-        ego_speed: m/s.
-        other_speed: m/s.
-        impact_speed: m/s.
-        ego: (5,) box.
-        other: (5,) box.
+        agent: Index of the touched agent; the lowest of several.
     """
 
     time: float
@@ -43,10 +36,9 @@ class Contact:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a run ends.
+    """End of a run; ``motion`` is as if nothing had been hit.
 
     Attributes:
-        motion: The run, as if nothing had been hit.
         contact: The first contact, or ``None`` if the driver survives.
         instants: How many instants of the motion belong to the run.
         beyond_end: Whether it left the recorded path, where no road is known.
@@ -96,14 +88,9 @@ def sub_times(times: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """Everybody at the instants at which contact is looked for.
+    """All agents, (N, T, 5), and the recorded ego, (T, 5), at the T instants at which contact is looked for.
 
-    Attributes:
-        situation: The scene.
-        times: (T,) seconds.
-        boxes: (N, T, 5) agents.
-        counts: (N, T) who is there and not ignored.
-        ego: (T, 5) the recorded ego.
+    ``counts``, (N, T), are those that are there and not ignored.
     """
 
     situation: Situation
@@ -121,14 +108,7 @@ class Surroundings:
         return cls(situation, times, boxes, counts, situation.tracks.ego_at(times))
 
     def outcome(self, motion: Motion) -> Outcome:
-        """What comes of a motion in this scene.
-
-        Args:
-            motion: One driver's.
-
-        Returns:
-            The outcome.
-        """
+        """Outcome of one driver's motion in this scene."""
         ego = self.ego_boxes(motion)
         hit = self._first_hit(ego)
         contact = None if hit is None else self._contact(motion, ego, *hit)

@@ -42,12 +42,9 @@ _BUILD_UP: Final = 12.65 * STEP_S
 
 @dataclass(slots=True)
 class Reactions:
-    """What R drivers remember.
+    """Memory of R drivers of `REACTING`.
 
-    Attributes:
-        drivers: R of `REACTING`.
-        delay: (R, 1) unsafe steps of reaction left, or (R, C) for C situations each.
-        braking: The same shape, m/s^2.
+    ``delay``, unsafe steps of reaction left, and ``braking``, m/s^2, are (R, 1), or (R, C) for C situations each.
     """
 
     drivers: tuple[Driver, ...]

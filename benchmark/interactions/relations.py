@@ -25,13 +25,8 @@ OUTLINE_REACH_M: Final = 15.0
 class Places:
     """Boxes in the frame of the path; all arrays (Q,) and metres.
 
-    Attributes:
-        station: Of the centre.
-        offset: Of the centre, positive on the left.
-        rear: Lowest station of the outline.
-        front: Highest station of the outline.
-        right: Lowest offset of the outline.
-        left: Highest offset of the outline.
+    ``station`` and ``offset``, positive on the left, are of the centre, the others of the outline: its lowest and
+    highest station and offset.
     """
 
     station: Floats
@@ -47,15 +42,11 @@ class Relations:
     """N agents at K instants, seen from a path.
 
     Attributes:
-        path: The path.
-        times: (K,) seconds.
-        boxes: (N, K, 5) agents.
-        present: (N, K) who is there.
+        boxes: (N, K, 5) agents; ``present`` is (N, K).
         velocity: (N, K, 2) metres a second.
-        hides: (N,) who can hide a car.
+        hides: (N,) which can hide a car.
         places: (N, K) arrays: by the whole path.
-        along: (N, K) velocity along the path.
-        across: (N, K) velocity to the left of it.
+        along: (N, K) velocity along the path; ``across`` is to the left of it.
     """
 
     path: EgoPath
@@ -70,16 +61,7 @@ class Relations:
 
     @classmethod
     def of(cls, path: EgoPath, tracks: Tracks, times: Floats) -> "Relations":
-        """Relate all agents to a path.
-
-        Args:
-            path: The ego's path.
-            tracks: Everybody.
-            times: (K,) instants of the recording.
-
-        Returns:
-            The relations.
-        """
+        """Relate all agents to the ego's path at instants of the recording."""
         boxes, present = tracks.agents_at(times)
         velocity = tracks.velocities_at(times)
         shape = present.shape
@@ -103,19 +85,9 @@ class Relations:
     def now(
         cls, path: EgoPath, time: float, boxes: Floats, present: Bools, velocity: Floats, hides: Bools, behind_m: float
     ) -> "Relations":
-        """Relate agents to a path at the only instant of which anything is known.
+        """Relate (N, 5) agents to a path at the only instant of which anything is known.
 
-        Args:
-            path: The path.
-            time: Seconds.
-            boxes: (N, 5) agents.
-            present: (N,) who is there.
-            velocity: (N, 2) metres a second.
-            hides: (N,) who can hide a car.
-            behind_m: Station behind which nobody matters.
-
-        Returns:
-            The relations, with one instant.
+        ``hides`` says which can hide a car. No agent behind the station ``behind_m`` matters.
         """
         found = placed(path, boxes[present], outlines_from=behind_m)
         filled = {name: np.zeros((len(boxes), 1)) for name in Places.__dataclass_fields__}
@@ -128,27 +100,13 @@ class Relations:
         )
 
     def around(self, instant: int, stations: Floats) -> "Around":
-        """What R egos on the path have around them at an instant.
-
-        Args:
-            instant: Index of the instant.
-            stations: (R,) where they are.
-
-        Returns:
-            Every agent as seen by each, (R, N).
-        """
+        """(R, N) agents as seen at an instant by each of R egos at stations on the path."""
         return self.seen(np.arange(len(self.boxes)), np.array(instant), stations[:, None])
 
     def seen(self, agents: Integers, instants: Integers, stations: Floats) -> "Around":
-        """Some agents at some instants, as seen by egos on the path.
+        """Some agents at some instants, as seen by egos at stations on the path, metres.
 
-        Args:
-            agents: Indices; the three broadcast against one another.
-            instants: Indices.
-            stations: Where the ego is, metres.
-
-        Returns:
-            What is seen, in the shape that they broadcast to.
+        Indices of agents and instants and the stations broadcast against one another.
         """
         eyes = self.path.position(stations)
         agents, instants, stations = np.broadcast_arrays(agents, instants, stations)
@@ -211,11 +169,9 @@ class Around:
 def placed(
     path: EgoPath, boxes: Floats, low: Floats | None = None, high: Floats | None = None, outlines_from: float = -np.inf
 ) -> Places:
-    """Put boxes into the frame of a path.
+    """Put (Q, 5) boxes into the frame of a path.
 
     Args:
-        path: The path.
-        boxes: (Q, 5) boxes.
         low: (Q,) first station where a centre may be; the whole path by default.
         high: (Q,) last station.
         outlines_from: Boxes whose centre lies before this station have no outline.

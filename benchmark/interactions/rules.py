@@ -30,14 +30,9 @@ _FSM_MARGIN_M: Final = 2.0
 
 
 def rss_distance_along(speed: Floats, leader_speed: Floats) -> Floats:
-    """Smallest safe gap to a leader by RSS: react, accelerating, then brake while the leader brakes.
+    """Smallest safe gap to a leader by RSS, metres, possibly negative.
 
-    Args:
-        speed: (...) of the ego.
-        leader_speed: (...) of the leader.
-
-    Returns:
-        (...) metres, possibly negative.
+    React, accelerating, then brake while the leader brakes.
     """
     after = speed + REACTION_S * _RSS_ACCELERATION
     reacting = speed * REACTION_S + 0.5 * _RSS_ACCELERATION * REACTION_S**2
@@ -45,13 +40,9 @@ def rss_distance_along(speed: Floats, leader_speed: Floats) -> Floats:
 
 
 def rss_distance_across(side_speed: Floats) -> Floats:
-    """Smallest safe distance sideways by RSS.
+    """Smallest safe distance sideways by RSS, metres.
 
-    Args:
-        side_speed: (...) of the other across the path, not negative.
-
-    Returns:
-        (...) metres.
+    ``side_speed`` is of the other across the path, not negative.
     """
     after = side_speed + _RSS_SIDE_ACCELERATION * REACTION_S
     reacting = np.abs((side_speed + after) * REACTION_S / 2)
@@ -59,16 +50,7 @@ def rss_distance_across(side_speed: Floats) -> Floats:
 
 
 def proactive_score(gap: Floats, speed: Floats, leader_speed: Floats) -> Floats:
-    """FSM's proactive fuzzy score: 0 where the gap would do if the leader stopped hard, 1 where it surely would not.
-
-    Args:
-        gap: (...) metres.
-        speed: (...) of the ego.
-        leader_speed: (...) of the leader.
-
-    Returns:
-        (...) 0 to 1.
-    """
+    """FSM's proactive fuzzy score: 0 where the gap would do if the leader stopped hard, 1 where it surely would not."""
     reacting, leader = speed * REACTION_S, leader_speed**2 / (2 * _FSM_LEADER)
     safe = reacting + speed**2 / (2 * _FSM_COMFORTABLE) - leader + _FSM_MARGIN_M
     unsafe = reacting + speed**2 / (2 * _FSM_HARD) - leader
@@ -76,16 +58,9 @@ def proactive_score(gap: Floats, speed: Floats, leader_speed: Floats) -> Floats:
 
 
 def critical_score(gap: Floats, speed: Floats, leader_speed: Floats, acceleration: Floats) -> Floats:
-    """FSM's critical fuzzy score: whether the gap would do if the leader kept its speed.
+    """FSM's critical fuzzy score, 0 to 1: whether the gap would do if the leader kept its speed.
 
-    Args:
-        gap: (...) metres.
-        speed: (...) of the ego.
-        leader_speed: (...) of the leader.
-        acceleration: (...) of the ego, m/s^2.
-
-    Returns:
-        (...) 0 to 1.
+    The acceleration is that of the ego.
     """
     held = np.maximum(acceleration, -_FSM_COMFORTABLE)
     later = speed + REACTION_S * held

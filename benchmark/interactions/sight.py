@@ -12,21 +12,13 @@ from benchmark.interactions.tracks import Integers, Tracks
 
 SIGHT_M: Final = 80.0
 HIDING_M: Final = 90.0
-"""Vehicles further from the eye hide nobody."""
+"""Vehicles further from the eye hide no other."""
 
 
 def visible(eyes: Floats, agents: Integers, boxes: Floats, present: Bools, hides: Bools) -> Bools:
-    """Whether agents are seen.
+    """(Q,) whether agents are seen from (Q, 2) places, among all (N, 5) boxes that are there at that time.
 
-    Args:
-        eyes: (Q, 2) who looks, metres.
-        agents: (Q,) at whom.
-        boxes: (N, 5) everybody at that time.
-        present: (N,) who is there.
-        hides: (N,) who can hide a car.
-
-    Returns:
-        (Q,) verdicts.
+    ``hides`` says which of them can hide a car.
     """
     seen = np.zeros(len(agents), np.bool_)
     blockers = np.flatnonzero(present & hides)
@@ -51,16 +43,7 @@ def visible(eyes: Floats, agents: Integers, boxes: Floats, present: Bools, hides
 
 
 def first_visible(tracks: Tracks, agent: int, times: Floats) -> float | None:
-    """When the recorded ego first sees an agent.
-
-    Args:
-        tracks: The recording.
-        agent: Index of the agent.
-        times: (K,) instants asked, rising.
-
-    Returns:
-        The first of them, or ``None``.
-    """
+    """First of the rising instants asked at which the recorded ego sees an agent, or ``None``."""
     boxes, present = tracks.agents_at(times)
     eyes, hides = tracks.ego_at(times)[:, :2], tracks.hides
     for instant in np.flatnonzero(present[agent]).tolist():

@@ -1,4 +1,4 @@
-"""The ladder of a scene: who survives it, and whether anybody could.
+"""The ladder of a scene: which drivers survive it, and whether any could.
 
 ``docs/severity.md``, "What solvable means". That the recorded ego passes says nothing of a driver who reacts; that a
 careful human passes does.
@@ -20,10 +20,9 @@ from benchmark.interactions.tracks import Tracks
 
 @dataclass(frozen=True)
 class SceneLadder:
-    """What the reference drivers make of a scene.
+    """Reference drivers in a scene.
 
     Attributes:
-        situation: The scene.
         outcomes: By driver, from the weakest statement to the most cautious.
         first_visible: When the recorded ego first sees the adversary once drivers drive, seconds; ``None`` for never.
         drivable: Where manoeuvres may go; ``None`` without a map, which a report must say.
@@ -42,16 +41,9 @@ class SceneLadder:
         start: float | None = None,
         drivable: shapely.MultiPolygon | None = None,
     ) -> "SceneLadder":
-        """Let all drivers drive a scene.
+        """Let all drivers drive a scene from ``start`` on, by default from its first frame.
 
-        Args:
-            tracks: Everybody.
-            adversary: Index of the adversary; ``None`` where none is known, who is then never visible.
-            start: When drivers take over, seconds; at the first frame by default.
-            drivable: Where manoeuvres may go; anywhere by default.
-
-        Returns:
-            The ladder.
+        Manoeuvres may go anywhere by default. Where no adversary is known, it is never visible.
         """
         situation = Situation.of(tracks, start, adversary)
         surroundings = Surroundings.of(situation)
@@ -62,11 +54,7 @@ class SceneLadder:
     def about(self, adversary: int) -> Self:
         """The same scene with another one as the adversary: drivers and last chance do not depend on who that is.
 
-        Args:
-            adversary: Its index.
-
-        Returns:
-            The ladder, with what was found already.
+        All that was found already is kept.
         """
         situation = self.situation
         seen = first_visible(situation.tracks, adversary, situation.times)
@@ -75,7 +63,7 @@ class SceneLadder:
         return other
 
     def survives(self, driver: Driver) -> bool:
-        """Whether a driver hits nobody."""
+        """Whether a driver hits nothing."""
         return self.outcomes[driver].survives
 
     @cached_property
@@ -90,14 +78,14 @@ class SceneLadder:
 
     @property
     def margin_s(self) -> float | None:
-        """Time from when somebody could have reacted to the last chance; ``None`` where there is no last chance."""
+        """Time from when a driver could have reacted to the last chance; ``None`` where there is no last chance."""
         if self.last_chance.time is None or self.first_visible is None:
             return None
         return self.last_chance.time - (self.first_visible + REACTION_S)
 
     @cached_property
     def unsolvable(self) -> bool:
-        """Whether nobody could have avoided it.
+        """Whether no driver could have avoided it.
 
         No sampled manoeuvre succeeds 0.75 s after the adversary is first visible, and neither the careful human nor
         FSM survives.

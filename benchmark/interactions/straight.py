@@ -35,13 +35,10 @@ EGO_AHEAD, EGO_BEHIND = 1, 2
 
 @dataclass(frozen=True, slots=True)
 class OtherCar:
-    """The other car of C cases over T steps: what it does is given.
+    """The other car of C cases over T steps, whose motion is given; every array (C, T).
 
-    Attributes:
-        x: (C, T) centre along the road, metres.
-        y: (C, T) centre across, the left positive; the ego's is 0.
-        speed: (C, T) along the road, m/s.
-        side_speed: (C, T) across, to the left positive.
+    ``x`` is the centre along the road, ``y`` across, metres, the left positive; the ego's ``y`` is 0. Speeds are
+    along the road and to its left.
     """
 
     x: Floats
@@ -52,7 +49,7 @@ class OtherCar:
 
 @dataclass(frozen=True, slots=True)
 class StraightRuns:
-    """What R drivers do in C cases of T steps.
+    """Runs of R drivers in C cases of T steps.
 
     Attributes:
         speed: (C, R, T) m/s.
@@ -79,7 +76,7 @@ class StraightRuns:
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """Where the cars are at one step: all (R, C) or (C,), metres and m/s.
+    """Places of the cars at one step: all (R, C) or (C,), metres and m/s.
 
     Attributes:
         gap: Bumper to bumper, negative where they overlap lengthwise.
@@ -113,19 +110,10 @@ def drive_straight(
     *,
     always_careful: bool = False,
 ) -> StraightRuns:
-    """Drive all cases with all drivers.
+    """Drive all cases with all drivers from (C, R) centres and (C,) speeds of the ego at step 0.
 
-    Args:
-        start: (C, R) the ego's centre at step 0, metres.
-        speed: (C,) the ego's speed at step 0, m/s.
-        cruise: (C,) the speed that a driver at ease returns to.
-        other: The other car.
-        drivers: R of them.
-        always_careful: Whether the careful human holds every step to be unsafe that has the other ahead, as in the
-            official tables of following.
-
-    Returns:
-        The runs.
+    ``cruise`` is the speed that a driver at ease returns to. If ``always_careful``, the careful human holds every
+    step to be unsafe that has the other ahead, as in the official tables of following.
     """
     cases, steps, count = *other.x.shape, len(drivers)
     speeds, positions = np.empty((count, cases, steps)), np.empty((count, cases, steps))

@@ -1,4 +1,4 @@
-"""Recorded tracks in continuous time: where everybody is between the frames, and how fast.
+"""Recorded tracks in continuous time: where all agents are between the frames, and how fast.
 
 ``docs/severity.md``, "Time and poses". Positions are linear between frames, headings take the shortest arc; velocities
 look at the past only, so that a driver who reacts to them knows nothing of the future.
@@ -25,17 +25,16 @@ _SHORTEST_MEMORY_S: Final = 0.05
 _FORESIGHT_S: Final = 0.1
 _SHORTEST_S: Final = 1e-6
 HIDING_EXCEPTIONS: Final = ("vehicle.motorcycle", "vehicle.bicycle")
-"""Vehicles that nobody can hide behind."""
+"""Vehicles that no other can hide behind."""
 
 Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
 class Tracks:
-    """One ego and N agents over F frames.
+    """One ego and N agents over F frames at rising seconds.
 
     Attributes:
-        seconds: (F,) rising times.
         ego: (F, 5) boxes.
         agents: (N, F, 5) boxes; where an agent is not there, any finite values.
         valid: (N, F) whether the agent is there.
@@ -54,14 +53,7 @@ class Tracks:
 
     @classmethod
     def of_scene(cls, scene: Scene) -> Self:
-        """The tracks of a scene.
-
-        Args:
-            scene: Any scene.
-
-        Returns:
-            Its ego (real body) and all its objects.
-        """
+        """The tracks of a scene: its ego (real body) and all its objects."""
         agents = scene.agents
         return cls(scene.seconds, scene.ego.boxes, agents.boxes, agents.valid, agents.categories)
 
@@ -69,14 +61,7 @@ class Tracks:
         return len(self.categories)
 
     def only(self, agents: Sequence[int] | Integers | Bools) -> Self:
-        """The same with some of the agents.
-
-        Args:
-            agents: Their indices, or (N,) a mask.
-
-        Returns:
-            Those tracks, in the order given.
-        """
+        """The same with some of the agents, by indices or an (N,) mask, in the order given."""
         rows = np.arange(len(self))[np.asarray(agents)]
         names = tuple(self.categories[row] for row in rows.tolist())
         return type(self)(self.seconds, self.ego, self.agents[rows], self.valid[rows], names)
@@ -94,25 +79,14 @@ class Tracks:
         return start + STEP_S * np.arange(count)
 
     def ego_at(self, times: Floats) -> Floats:
-        """The ego's rectangle at any times of the recording.
-
-        Args:
-            times: (...) seconds.
-
-        Returns:
-            (..., 5) boxes.
-        """
+        """(..., 5) boxes of the ego at any times of the recording, seconds."""
         frame, fraction = between(self.seconds, times)
         return _boxes_between(self.ego[frame], self.ego[frame + 1], fraction)
 
     def agents_at(self, times: Floats) -> tuple[Floats, Bools]:
-        """All agents at any times of the recording.
+        """All agents at any times of the recording, seconds.
 
-        Args:
-            times: (T,) seconds.
-
-        Returns:
-            (N, T, 5) boxes and (N, T) who is there: at both frames around the time, or at the one frame it is.
+        (N, T, 5) boxes and (N, T) presence: at both frames around the time, or at the one frame it is.
         """
         frame, fraction = between(self.seconds, times)
         boxes = _boxes_between(self.agents[:, frame], self.agents[:, frame + 1], fraction)
@@ -129,16 +103,13 @@ class Tracks:
         return np.asarray(present[:, 0] & boxes_overlap(self.ego_at(np.array([time])), boxes[:, 0]))
 
     def velocities_at(self, times: Floats, agents: Integers | None = None) -> Floats:
-        """Velocities from the last 0.2 s of each agent's run of valid frames.
+        """(N, T, 2) metres a second from the last 0.2 s of each agent's run of valid frames.
 
         Where the run has lasted less than 0.05 s it is the next 0.1 s, and zero where there is no time at all.
 
         Args:
             times: (T,) seconds; each agent's are used only where it is there.
             agents: Indices of the agents asked for, all by default.
-
-        Returns:
-            (N, T, 2) metres a second.
         """
         rows = np.arange(len(self)) if agents is None else agents
         frame, fraction = between(self.seconds, times)
@@ -176,14 +147,9 @@ class Tracks:
 
 
 def between(seconds: Floats, times: Floats) -> tuple[Integers, Floats]:
-    """Between which two frames times lie.
+    """The earlier frame beside each time, at most F - 2, and the fraction of the way to the next.
 
-    Args:
-        seconds: (F,) rising times of frames.
-        times: (...) seconds; outside the recording, the nearest end counts.
-
-    Returns:
-        (...) the earlier frame, at most F - 2, and (...) the fraction of the way to the next one.
+    Outside the recording, the nearest end counts.
     """
     times = np.asarray(times, np.float64)
     if len(seconds) < 2:

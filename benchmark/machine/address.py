@@ -14,7 +14,7 @@ _LONGEST_NAME: Final = 60
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """A server.
+    """A server's address.
 
     Attributes:
         name: Shown in tables: what the user called it, else host and port.
@@ -29,14 +29,7 @@ class Address:
 
     @classmethod
     def of(cls, text: str, option: str) -> Self:
-        """Read an address.
-
-        Args:
-            text: As the user gave it.
-            option: What named it, for the message.
-
-        Returns:
-            The address.
+        """Read an address as the user gave it.
 
         Raises:
             InputError: If it is none, or has anything beside host and port.

@@ -13,17 +13,7 @@ PRECISIONS: Final = get_args(Precision)
 
 
 def device_of(name: str) -> torch.device:
-    """A device by name.
-
-    Args:
-        name: ``cpu``, ``cuda``, ``cuda:1``; ``auto`` is the first GPU where there is one.
-
-    Returns:
-        The device.
-
-    Raises:
-        InputError: If there is none of that name.
-    """
+    """Device by name: ``cpu``, ``cuda``, ``cuda:1``; ``auto`` is the first GPU where there is one."""
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:
@@ -38,15 +28,7 @@ def device_of(name: str) -> torch.device:
 def device_of_worker(name: str, number: int) -> torch.device:
     """The device of one of several workers: a GPU is for one after the other where the name says no number.
 
-    Args:
-        name: As for `device_of`; ``cuda`` stands for all GPUs of the machine.
-        number: Of the worker, from 0.
-
-    Returns:
-        The device.
-
-    Raises:
-        InputError: If there is none of that name.
+    Workers are numbered from 0; ``cuda`` stands for all GPUs of the machine.
     """
     device = device_of(name)
     if device.type != "cuda" or device.index is not None:
@@ -55,14 +37,7 @@ def device_of_worker(name: str, number: int) -> torch.device:
 
 
 def require_precision(name: str) -> None:
-    """Refuse precisions that networks do not have here.
-
-    Args:
-        name: One of `PRECISIONS`.
-
-    Raises:
-        InputError: If it is another one.
-    """
+    """Refuse precisions, other than `PRECISIONS`, that networks do not have here."""
     if name not in PRECISIONS:
         raise InputError(f"there is no precision {name!r}; use {' or '.join(PRECISIONS)}")
 

@@ -32,10 +32,7 @@ _MIN_FREE_BYTES = 2 * 10**9
 class MachineCheck:
     """One finding of ``challenger-bench doctor``.
 
-    Attributes:
-        name: What was looked at.
-        ok: Whether it is fine.
-        sentence: What was found, and what to do if it is not fine.
+    The sentence says what was found, and what to do if it is not fine.
     """
 
     name: str

@@ -1,6 +1,6 @@
 """What extensions offer to the core: one table of kinds, names and where each is defined.
 
-Nothing is imported before somebody asks for it by name, and an extension that is not installed is told by a sentence.
+Nothing is imported before it is asked for by name, and an extension that is not installed is told by a sentence.
 """
 
 import importlib
@@ -95,14 +95,9 @@ def not_installed(name: str) -> AbsentExtensionError:
 
 
 def from_extension(kind: str, name: str) -> Any:
-    """Import what an extension offers.
+    """Import an object of a kind of `OFFERS` that an extension offers.
 
-    Args:
-        kind: Of `OFFERS`.
-        name: Of that kind.
-
-    Returns:
-        What the table says of the kind.
+    The table says what it is.
 
     Raises:
         AbsentExtensionError: If the extension is not installed.
@@ -111,13 +106,7 @@ def from_extension(kind: str, name: str) -> Any:
 
 
 def imported(reference: str) -> Any:
-    """Import what a reference, ``module:attribute``, leads to.
-
-    Args:
-        reference: Of a module of the core or of an extension.
-
-    Returns:
-        The attribute.
+    """Import what a reference, ``module:attribute``, leads to, in the core or an extension.
 
     Raises:
         AbsentExtensionError: If it is of an extension that is not installed.

@@ -1,7 +1,7 @@
 """Arrow batches in files of the user's cache: written whole, read as a part of memory that processes share.
 
 A line of JSON says what a batch was made of and the SHA-256 of all that follows: a file of Arrow IPC, which is read as
-one only if both fit. Whatever does not is as good as none. Numbers go in and out through buffers: ``pyarrow.array`` and
+one only if both fit. One that does not is as good as none. Numbers go in and out through buffers: ``pyarrow.array`` and
 ``to_numpy`` would import pandas.
 """
 
@@ -28,14 +28,9 @@ _LONGEST_HEAD: Final = 1 << 20
 
 
 def kept_place(folder: str, source: Path) -> Path | None:
-    """Where a batch that is made of a file or folder is kept.
+    """File in which a batch that is made of a file or folder is kept; none where the user has no home.
 
-    Args:
-        folder: Of the user's cache, for batches of one kind.
-        source: The file or folder.
-
-    Returns:
-        The file; nowhere where the user has no home.
+    ``folder`` is that of the user's cache for batches of one kind.
     """
     try:
         root = cache_root()
@@ -47,16 +42,9 @@ def kept_place(folder: str, source: Path) -> Path | None:
 def write_batch(path: Path, source: Path, made_of: str, batch: "pa.RecordBatch") -> bool:
     """Keep a batch, unless there is no room or right to. Of two who write at once one writes last, each a whole file.
 
-    What is kept of sources that are gone, and what lies beside it under its name, is removed.
-
-    Args:
-        path: The file (`kept_place`); its folder is made, and holds such files alone.
-        source: What the batch was made of.
-        made_of: The state of it, and whatever else the batch depends on.
-        batch: The batch.
-
-    Returns:
-        Whether it is kept.
+    What is kept of sources that are gone, and what lies beside it under its name, is removed. ``made_of`` is the
+    state of the source, and all else that the batch depends on. The folder of the file (`kept_place`) holds such
+    files alone.
     """
     import pyarrow as pa
 
@@ -85,15 +73,7 @@ def is_made_of(path: Path, made_of: str) -> bool:
 
 
 def read_batch(path: Path, made_of: str) -> "pa.RecordBatch | None":
-    """A batch that was kept.
-
-    Args:
-        path: The file.
-        made_of: What it must depend on.
-
-    Returns:
-        The batch, which lies in the file; ``None`` if it is absent, damaged or made of something else.
-    """
+    """A batch that was kept, which lies in the file; ``None`` if it is absent, damaged or not made of ``made_of``."""
     import pyarrow as pa
 
     try:
@@ -122,7 +102,7 @@ def arrow_of(values: NDArray[Any]) -> "pa.Array":
 
 
 def numpy_of(column: "pa.Array") -> NDArray[Any]:
-    """The values of a whole column of them, whatever it has in its gaps; nobody may write to them."""
+    """The values of a whole column of them, whatever it has in its gaps; they are read-only."""
     kind, data = np.dtype(str(column.type)), column.buffers()[1]
     if kind == np.bool_:
         values = np.unpackbits(np.frombuffer(data, np.uint8), count=len(column), bitorder="little").view(np.bool_)

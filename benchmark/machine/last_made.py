@@ -10,7 +10,7 @@ Made = TypeVar("Made")
 class LastMade(Generic[Source, Made]):
     """Makes something of an object and of plain values, and remembers the last few.
 
-    Two objects are the same if they are one, whatever is equal in them. Neither they nor what was made may change.
+    Two objects are the same if they are one, even if others are equal. Neither they nor what was made may change.
 
     Args:
         make: Takes the object and the values.

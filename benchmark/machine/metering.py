@@ -13,10 +13,9 @@ _MB: Final = 1e6
 
 
 class Meter:
-    """Watches this process from when it is made.
+    """Meter of this process from when it is made.
 
-    Attributes:
-        latency_s: Seconds of each call so far; ``None`` for calls that raised.
+    ``latency_s`` are seconds of each call so far; ``None`` for calls that raised.
     """
 
     def __init__(self) -> None:
@@ -49,13 +48,9 @@ class Meter:
 
 
 def peak_memory_mb(pid: int | None = None) -> float | None:
-    """Greatest resident memory of a process of this machine.
+    """Greatest resident memory of a process of this machine, megabytes; ``None`` where the system does not tell.
 
-    Args:
-        pid: Which, since it began; this one, since a `Meter` was made last, if not given.
-
-    Returns:
-        Megabytes, or ``None`` where the system does not tell.
+    Of the process with the number since it began, or of this one since a `Meter` was made last.
     """
     with suppress(OSError, ValueError, IndexError):
         for line in Path(f"/proc/{pid or 'self'}/status").read_text(encoding="utf-8").splitlines():
@@ -65,7 +60,7 @@ def peak_memory_mb(pid: int | None = None) -> float | None:
 
 
 def _gpu() -> Any:
-    """PyTorch's CUDA part, if this process uses a GPU: nobody else has anything to wait for."""
+    """PyTorch's CUDA part, if this process uses a GPU: else there is nothing to wait for."""
     torch = sys.modules.get("torch")
     return torch.cuda if torch is not None and torch.cuda.is_initialized() else None
 

@@ -16,8 +16,7 @@ _NEVER: Final = 2**31 - 1
 def keep_pages_of(*weights_sha256: str | None) -> None:
     """`keep_pages` of a process in which a planner with weights is going to run; without one nothing changes.
 
-    Args:
-        weights_sha256: Of each planner's weights; ``None`` of one that has none.
+    ``None`` stands for a planner that has none.
     """
     if any(each is not None for each in weights_sha256):
         keep_pages()
@@ -26,8 +25,7 @@ def keep_pages_of(*weights_sha256: str | None) -> None:
 def keep_pages() -> bool:
     """Let this process keep what it frees, to use it again; what it computes does not change.
 
-    Returns:
-        Whether the C library has such a switch: glibc does, others manage without.
+    False where the C library has no such switch: glibc does, others manage without.
     """
     if not sys.platform.startswith("linux"):
         return False

@@ -9,16 +9,7 @@ from benchmark.errors import InputError
 
 
 def require_file(path: Path | None, option: str, endings: Sequence[str] = ()) -> None:
-    """Refuse a file that is not there or of another kind; ``None`` is no file, which is fine.
-
-    Args:
-        path: The file.
-        option: What named it, for the message.
-        endings: Of its name; any by default.
-
-    Raises:
-        InputError: If it is absent, a folder, or ends otherwise.
-    """
+    """Refuse a file that is not there or of another kind; ``None`` is no file, which is fine."""
     if path is None:
         return
     if endings and path.suffix.lower() not in endings:
@@ -36,15 +27,7 @@ def require_folder(path: Path | None, option: str) -> None:
 
 
 def require_place(path: Path, option: str) -> None:
-    """Refuse a folder that could not be written to: a file is opened in the nearest one there is, without a name.
-
-    Args:
-        path: The folder; it need not exist.
-        option: What named it, for the message.
-
-    Raises:
-        InputError: If it, or what it would lie in, is a file, read-only, or full.
-    """
+    """Refuse a folder that could not be written to: a file is opened in the nearest one there is, without a name."""
     nearest = next(place for place in (path, *path.absolute().parents) if place.exists())
     if not nearest.is_dir():
         raise InputError(f"{option} {path} cannot be a folder: {nearest} is a file; name another place")
@@ -59,15 +42,9 @@ def require_place(path: Path, option: str) -> None:
 
 
 def require_output_file(path: Path | None, option: str, endings: Sequence[str] = ()) -> None:
-    """Refuse a file that could not be written; ``None`` is none, which is fine.
+    """Refuse a file that could not be written, or would not end as it must; ``None`` is none, which is fine.
 
-    Args:
-        path: The file; it is replaced if it is there.
-        option: What named it, for the message.
-        endings: Of its name; any by default.
-
-    Raises:
-        InputError: If it is a folder, ends otherwise, or lies where nothing can be written.
+    It is replaced if it is there.
     """
     if path is None:
         return
@@ -88,9 +65,6 @@ def require_room(folder: Path, needed: int, what: str, option: str) -> None:
         needed: Bytes, at least.
         what: What it is, for the message.
         option: What would name another place.
-
-    Raises:
-        InputError: If less is free.
     """
     nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     free = shutil.disk_usage(nearest).free

@@ -39,10 +39,10 @@ def _none(_: Any) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Count:
-    """What is counted of some work.
+    """Things that are counted of some work.
 
     Attributes:
-        noun: What is counted, in the singular.
+        noun: Their name, in the singular.
         before: How many were finished before the work began, by an earlier command.
         total: How many there are in all; ``before`` and one for each unit of work by default.
         each: How many a result stands for.
@@ -57,14 +57,7 @@ class Count:
 
 
 class Work:
-    """One piece of work: what of it is done.
-
-    Attributes:
-        label: What is done.
-        noun: What is counted.
-        total: How many there are in all.
-        begun_s: When it began, on the clock of its watch.
-    """
+    """Progress of one piece of work; ``begun_s`` is on the clock of its watch."""
 
     def __init__(self, label: str, units: int, count: Count, begun_s: float) -> None:
         self.label, self.noun, self.begun_s = label, count.noun, begun_s
@@ -84,12 +77,8 @@ class Work:
     def sentence(self, now_s: float, unit: "Work | None" = None) -> str:
         """How far it is: for example ``rendering: 3 of 10 scenes (9 of 40 frames), 0:30, about 1:04 left``.
 
-        Args:
-            now_s: The time, on the clock of its watch.
-            unit: The work that one of its units consists of, if that is under way.
-
-        Returns:
-            The sentence; without the time left before anything was made.
+        Without the time left before anything was made. The time is on the clock of its watch; ``unit`` is the
+        work that one of its units consists of, if that is under way.
         """
         return f"{self.label}: {self.state(now_s, unit)}"
 
@@ -116,12 +105,12 @@ class Work:
 
 @dataclass(slots=True)
 class Watch:
-    """Tells how far work is.
+    """Watch that tells how far work is.
 
     Attributes:
         stream: Where; stderr at the time of each line by default.
         clock: Seconds; any beginning.
-        beat: Whether a thread ticks; else somebody else calls `tick`.
+        beat: Whether a thread ticks; else the caller has to call `tick`.
     """
 
     stream: TextIO | None = None
@@ -139,16 +128,7 @@ class Watch:
 
     @contextlib.contextmanager
     def work(self, label: str, units: int, count: Count) -> Iterator[Work]:
-        """Watch a piece of work.
-
-        Args:
-            label: What is done.
-            units: Units of work.
-            count: What is counted of them.
-
-        Yields:
-            What is to be told of finished units.
-        """
+        """Watch a piece of work, of which finished units are to be told."""
         now_s = self.clock()
         self._line_s = now_s if self._line_s is None else self._line_s
         work, over = Work(label, units, count, now_s), threading.Event()
@@ -222,18 +202,7 @@ WATCH: Final = Watch()
 def progress(
     results: Iterable[Result], *, total: int, label: str, count: Count | None = None, watch: Watch = WATCH
 ) -> Iterator[Result]:
-    """Pass results through and tell how far the work is.
-
-    Args:
-        results: What is being computed.
-        total: How many there will be.
-        label: What is done.
-        count: What is counted; scenes by default.
-        watch: Who tells.
-
-    Yields:
-        The results.
-    """
+    """Pass results through and tell how far the work is; scenes are counted by default."""
     with watch.work(label, total, count or Count()) as work:
         for result in results:
             work.add(result)

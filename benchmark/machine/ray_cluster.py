@@ -168,11 +168,7 @@ def _joined(address: str | None) -> Iterator[Any]:
 def require_answer(address: str) -> None:
     """Find out soon whether a cluster is there; Ray waits for minutes where nothing answers, or something else.
 
-    Args:
-        address: HOST:PORT, ``ray://HOST:PORT``, or ``auto`` for what Ray finds on this machine.
-
-    Raises:
-        InputError: If it is no address, or no Ray cluster answers there.
+    The address is HOST:PORT, ``ray://HOST:PORT``, or ``auto`` for what Ray finds on this machine.
     """
     if address != "auto":
         host, _, port = address.removeprefix("ray://").rpartition(":")

@@ -5,13 +5,7 @@ from benchmark.machine.workers import worker_number
 
 
 def device_names(text: str) -> tuple[str, ...]:
-    """Devices by name, as ``--device`` takes them.
-
-    Args:
-        text: For example ``cuda:0,cuda:1``.
-
-    Returns:
-        The names, at least one.
+    """Devices by name, at least one, as ``--device`` takes them: for example ``cuda:0,cuda:1``.
 
     Raises:
         InputError: If one is empty, or they are of different kinds: a record names one kind, and another one rounds
@@ -26,17 +20,7 @@ def device_names(text: str) -> tuple[str, ...]:
 
 
 def device_here(text: str | None) -> str | None:
-    """The device of this process: workers take them in turns, and the command itself the first.
-
-    Args:
-        text: As ``--device`` takes it, or ``None``.
-
-    Returns:
-        One name, or ``None``.
-
-    Raises:
-        InputError: As `device_names` does.
-    """
+    """The device of this process: workers take them in turns, and the command itself the first."""
     return None if text is None else device_in_turn(text)
 
 
@@ -47,14 +31,7 @@ def device_in_turn(text: str) -> str:
 
 
 def workers_for(workers: int, device: str | None) -> int:
-    """How many processes a command asks for: with several devices, one each if nobody said otherwise.
-
-    Args:
-        workers: As ``--workers`` takes it; 0 is for the command to say.
-        device: As ``--device`` takes it, or ``None``.
-
-    Returns:
-        The same, or the number of devices.
+    """How many processes a command asks for: with several devices, one each unless ``--workers`` says how many.
 
     Raises:
         InputError: If there are fewer processes than devices, of which some would do nothing.
@@ -72,12 +49,7 @@ def workers_for(workers: int, device: str | None) -> int:
 def require_one_device(text: str | None, why: str) -> None:
     """Refuse several devices where one process does all.
 
-    Args:
-        text: As ``--device`` takes it, or ``None``.
-        why: What needs one process, as the beginning of a sentence.
-
-    Raises:
-        InputError: If there is more than one.
+    ``why`` names what needs one process, as the beginning of a sentence.
     """
     if text is not None and len(device_names(text)) > 1:
         raise InputError(f"{why}; name one device instead of --device {text}")

@@ -1,6 +1,6 @@
 """Files that are either whole or absent, and keys made of content.
 
-Everything the project writes goes through here: a file without a name, flushed to disk, then given its name. Whoever is
+Everything the project writes goes through here: a file without a name, flushed to disk, then given its name. A process
 killed in between leaves nothing behind. JSON is read by one door (`benchmark.untrusted`), whoever wrote it.
 """
 
@@ -25,17 +25,10 @@ _PROC: Final = Path("/proc/self/fd")
 
 
 def canonical_json(value: Any, *, indent: int | None = None) -> str:
-    """JSON text that is the same for the same value.
-
-    Args:
-        value: Anything ``json`` can write; NaN and infinity are refused because they are not JSON.
-        indent: Spaces of indentation, or ``None`` for one line.
-
-    Returns:
-        Text with sorted keys.
+    """JSON text with sorted keys that is the same for the same value.
 
     Raises:
-        ValueError: If a number is not finite.
+        ValueError: If a number is not finite: NaN and infinity are not JSON.
     """
     separators = (",", ":") if indent is None else (",", ": ")
     return json.dumps(value, sort_keys=True, allow_nan=False, indent=indent, separators=separators)
@@ -59,11 +52,7 @@ def content_seed(*parts: Any) -> int:
 def file_name(name: str) -> str:
     """A name from a stranger's data as the name of one file or folder: no separators, never ``.`` or ``..``.
 
-    Args:
-        name: Any text.
-
-    Returns:
-        The text, percent-encoded where needed; ordinary names stay as they are.
+    Percent-encoded where needed; ordinary names stay as they are.
     """
     quoted = quote(name, safe="", errors="backslashreplace")
     return f"%2E{quoted[1:]}" if quoted.startswith(".") else quoted
@@ -77,10 +66,7 @@ def file_sha256(path: Path) -> str:
 
 @contextlib.contextmanager
 def writing_to(path: Path) -> Iterator[None]:
-    """Turn the operating system's refusal to write into a sentence.
-
-    Args:
-        path: What is being written; named in the message.
+    """Turn the operating system's refusal to write to a path into a sentence that names it.
 
     Raises:
         InputError: If the disk is full, read-only or not writable for this user.
@@ -98,10 +84,7 @@ def writing_to(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
-    """Keep two commands from writing to one folder at the same time; a killed command keeps nobody out.
-
-    Args:
-        folder: The folder; it is made.
+    """Keep two commands from writing to one folder, which is made, at the same time; a killed command locks none out.
 
     Raises:
         InputError: If another command is writing to it, or it cannot be made.
@@ -126,16 +109,12 @@ def only_writer(folder: Path) -> Iterator[None]:
 
 
 def write_bytes(path: Path, data: bytes, *, durable: bool = True) -> None:
-    """Write a file whole or not at all.
+    """Write a file whole or not at all; its folder is made.
 
     Args:
-        path: Target; its folder is made.
-        data: The bytes.
+        path: Target.
         durable: Wait until the disk has it. Without, a power failure (not a killed process) may lose or empty the file:
             for the many images of a scene, whose sizes are checked when work resumes.
-
-    Raises:
-        InputError: If it cannot be written.
     """
     write_parts(path, (data,), durable=durable)
 
@@ -229,14 +208,7 @@ def is_left_over(path: Path) -> bool:
 
 
 def read_kept_json(path: Path) -> Any | None:
-    """Read a JSON file that work resumes from; ``None`` if it is absent or damaged, so that it is made again.
-
-    Args:
-        path: The file.
-
-    Returns:
-        The value, or ``None``.
-    """
+    """Read a JSON file that work resumes from; ``None`` if it is absent or damaged, so that it is made again."""
     try:
         return read_json(path)
     except InputError:

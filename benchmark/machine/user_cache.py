@@ -20,27 +20,16 @@ def cache_root() -> Path:
 
 
 def stamp_of(status: os.stat_result) -> Stamp:
-    """What tells whether a file is still the one that it was: device, inode, bytes, times of content and of inode.
+    """Five numbers that tell whether a file is still the same: device, inode, bytes, times of content and of inode.
 
-    Whoever puts the time of the content back changes that of the inode.
-
-    Args:
-        status: Of the file.
-
-    Returns:
-        Five whole numbers.
+    A process that puts the time of the content back changes that of the inode.
     """
     return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
 
 
 def is_settled(stamp: Stamp, looked_ns: int) -> bool:
-    """Whether any later change of a file shows in its stamp.
+    """Whether any later change of a file shows in its stamp: it was changed last long enough before that was taken.
 
-    Args:
-        stamp: Of the file.
-        looked_ns: When the stamp was taken (`time.time_ns`).
-
-    Returns:
-        Whether the file was last changed long enough before that.
+    ``looked_ns`` is when the stamp was taken (`time.time_ns`).
     """
     return looked_ns - max(stamp[-2:]) > SETTLED_S * 1e9

@@ -93,11 +93,7 @@ def default_workers() -> int:
 
 @dataclass(frozen=True, slots=True)
 class LocalProcesses:
-    """This machine's processes.
-
-    Attributes:
-        workers: How many; 1 computes in this process.
-    """
+    """This machine's processes; one worker computes in this process."""
 
     workers: int = 1
 
@@ -110,11 +106,7 @@ class LocalProcesses:
         label: str,
         count: Count | None = None,
     ) -> Iterator[Result]:
-        """Apply a function to items and give the results in the order of the items.
-
-        Raises:
-            InputError: If ``workers`` is not positive, or a worker process is killed.
-        """
+        """Apply a function to items and give the results in the order of the items."""
         if self.workers < 1:
             raise InputError(f"--workers must be at least 1, got {self.workers}")
         if self.workers == 1 or total < 2:
@@ -171,21 +163,7 @@ def map_ordered(
     label: str,
     count: Count | None = None,
 ) -> Iterator[Result]:
-    """`LocalProcesses.map` for items that are all there already.
-
-    Args:
-        function: Importable (a module-level function or a partial of one).
-        items: Picklable arguments.
-        workers: Number of processes; 1 computes here.
-        label: What is done, for people.
-        count: What is counted of it; scenes by default.
-
-    Returns:
-        One result per item.
-
-    Raises:
-        InputError: If ``workers`` is not positive, or a worker process is killed.
-    """
+    """`LocalProcesses.map` for items that are all there already."""
     return LocalProcesses(workers).map(function, items, total=len(items), label=label, count=count)
 
 
@@ -209,9 +187,6 @@ def results_in_order(
         submit: Hands one item to a worker.
         items: Drawn only while few submitted units are unfinished, or wait for the result of an earlier one.
         workers: How many work at the same time.
-
-    Yields:
-        One result per item.
 
     Raises:
         Exception: The first error, in the order of the items.
@@ -300,7 +275,7 @@ def _begin_worker(begun: "Synchronized[int]") -> None:
 
 
 def end_with_parent() -> None:
-    """End this process when its parent is gone, killed perhaps: nobody would ever give it work or take its result."""
+    """End this process when its parent is gone, killed perhaps: no more work would come."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

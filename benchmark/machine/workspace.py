@@ -89,11 +89,7 @@ class Workspace:
     def timings_of(self, made: Path) -> Path:
         """Folder of notes on how long it took to make something: outside of it, whose bytes are not the clock's.
 
-        Args:
-            made: Root of a data set, or a folder of run directories.
-
-        Returns:
-            Its place below ``<out>/timings``; `timings_beside` of what is not below the folder.
+        It is below ``<out>/timings``; `timings_beside` of all that is not below the folder.
         """
         own = made.is_relative_to(self.out)
         return self.out / TIMINGS_FOLDER / made.relative_to(self.out) if own else timings_beside(made)

@@ -41,7 +41,7 @@ class SceneAttack:
 
     Attributes:
         samples: Of each sample that counts.
-        verdicts: On the scene, by reading; ``None`` where nobody can tell.
+        verdicts: On the scene, by reading; ``None`` where it cannot be told.
         bystanders: Of each sample whether its first contact is with another than an adversary.
     """
 
@@ -60,11 +60,9 @@ class AttackRates:
     """Attack success on one planner.
 
     Attributes:
-        samples: Rate of samples by reading.
-        scenes: Rate of scenes by reading.
-        judged: Scenes of which somebody said whether the careful human survives them.
+        judged: Scenes of which it is known whether the careful human survives them.
         spared: Scenes among them that the careful human survives.
-        unknown_blame: Samples with a contact of which nobody can tell whose fault it is.
+        unknown_blame: Samples with a contact of which it cannot be told whose fault it is.
         bystander_samples: Rate of samples whose first contact is with another than an adversary.
         bystander_scenes: Rate of scenes with such a sample.
     """
@@ -99,7 +97,7 @@ def knows_adversaries(record: RunRecord) -> bool:
 def counts_attacks(record: RunRecord) -> bool:
     """Whether attack success can be told: who the adversaries are, and how severe plans are, is known.
 
-    Where nobody says who the adversary is, every contact would be a bystander's, and success 0 %.
+    Where the adversary is not known, every contact would be a bystander's, and success 0 %.
     """
     return has_adversaries(record) and knows_adversaries(record) and says_severity(record)
 
@@ -110,19 +108,15 @@ def counted_rows(record: RunRecord) -> list[BriefRow]:
 
 
 def careful_survives(record: RunRecord, scene: str) -> bool | None:
-    """Whether the careful and competent human survives a scene; ``None`` where nobody judged it."""
+    """Whether the careful and competent human survives a scene; ``None`` where it was not judged."""
     facts = record.run.scene_facts.get(scene)
     return None if facts is None or facts.judgement is None else facts.judgement.survives.get("cc")
 
 
 def scene_attacks(record: RunRecord) -> dict[str, SceneAttack]:
-    """Attack success in every scene of a record.
+    """Attack success by scene, in the record's order.
 
-    Args:
-        record: The record; it must say how severe its plans are (`says_severity`).
-
-    Returns:
-        By scene, in the record's order.
+    The record must say how severe its plans are (`says_severity`).
     """
     by_scene: dict[str, list[Attack]] = {scene: [] for scene in record.run.scenes}
     bystanders: dict[str, list[bool]] = {scene: [] for scene in by_scene}
@@ -145,13 +139,9 @@ def scene_attacks(record: RunRecord) -> dict[str, SceneAttack]:
 
 
 def attack_rates(record: RunRecord) -> AttackRates:
-    """Attack success on the planner of a record.
+    """Attack success on the planner of a record, with intervals over recorded scenes.
 
-    Args:
-        record: The record; it must say how severe its plans are (`says_severity`).
-
-    Returns:
-        The rates, with intervals over recorded scenes.
+    The record must say how severe its plans are (`says_severity`).
     """
     found = scene_attacks(record)
     samples = [(scene, each) for scene, attack in found.items() for each in attack.samples]
@@ -171,12 +161,8 @@ def attack_rates(record: RunRecord) -> AttackRates:
 def attack_facts(record: RunRecord) -> dict[str, Any]:
     """Attack success as JSON values, for machines that read what a command prints.
 
-    Args:
-        record: The record.
-
-    Returns:
-        ``attack_success``: rates by reading and of first contacts with bystanders, of ``samples`` and of ``scenes``;
-        nothing where that cannot be told (`counts_attacks`).
+    ``attack_success``: rates by reading and of first contacts with bystanders, of ``samples`` and of ``scenes``;
+    nothing where that cannot be told (`counts_attacks`).
     """
     if not counts_attacks(record):
         return {}

@@ -16,11 +16,10 @@ SPEED_DECIMALS: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class Circumstances:
-    """The recorded car at one sample.
+    """Place and speed of the recorded car at one sample.
 
-    Attributes:
-        place: What kind of place its middle is on.
-        speed_m_s: Its speed: that of the parabola through eleven recorded poses, as for driving scores.
+    The place is that of its middle; the speed is that of the parabola through eleven recorded poses, as for driving
+    scores.
     """
 
     place: Place
@@ -28,14 +27,7 @@ class Circumstances:
 
 
 def circumstances_of(scene: Scene) -> tuple[Circumstances, ...]:
-    """Place and speed of the recorded car at every sample.
-
-    Args:
-        scene: The scene with its map; without one every place is unknown.
-
-    Returns:
-        One entry a sample, in time order.
-    """
+    """Place and speed of the recorded car at every sample, in time order; without a map every place is unknown."""
     places, boxes = Places(scene.road_map), scene.ego.boxes[scene.keyframes]
     motion = recorded_motion(scene.ego.pose, scene.seconds)[scene.keyframes]
     speeds = np.hypot(motion[:, SPEED], motion[:, SIDE_SPEED])

@@ -15,12 +15,7 @@ from benchmark.records.run import RunRecord, outcomes_of
 class Confusion:
     """Verdicts of a protocol counted against the exact ones.
 
-    Attributes:
-        compared: How many pairs there are.
-        exact: Collisions of ``exact``.
-        official: Collisions of the protocol.
-        missed: Collisions of ``exact`` alone.
-        false_alarms: Collisions of the protocol alone.
+    Missed are collisions of ``exact`` alone, false alarms those of the protocol alone.
     """
 
     compared: int
@@ -41,15 +36,7 @@ class Confusion:
 
 
 def confusion(exact: Bools, official: Bools) -> Confusion:
-    """Count verdicts against each other.
-
-    Args:
-        exact: (...) exact verdicts.
-        official: (...) the protocol's, the same shape.
-
-    Returns:
-        The counts.
-    """
+    """Count verdicts against each other; both arrays have the same shape."""
     return Confusion(
         compared=exact.size,
         exact=int(exact.sum()),
@@ -60,15 +47,10 @@ def confusion(exact: Bools, official: Bools) -> Confusion:
 
 
 def sample_confusion(exact: Outcomes, official: Outcomes, *, masked: bool = True) -> Confusion:
-    """Count "any collision within 3 s", sample by sample.
+    """Count "any collision within 3 s" over the samples that both protocols count.
 
-    Args:
-        exact: S verdicts of ``exact``: any contact at any time.
-        official: S verdicts of a protocol.
-        masked: Whether the protocol's mask applies, as in what is published.
-
-    Returns:
-        The counts over the samples that both count.
+    ``masked`` applies the protocol's mask, as in its published numbers; of ``exact`` any contact at any time
+    counts.
     """
     both = compared(exact, official)
     reported = official.collision if masked else before_mask(official)
@@ -76,15 +58,10 @@ def sample_confusion(exact: Outcomes, official: Outcomes, *, masked: bool = True
 
 
 def step_confusion(exact: Outcomes, official: Outcomes, *, masked: bool = True) -> Confusion:
-    """Count contacts at the same waypoint, step by step.
+    """Count contacts at the same waypoint over the steps of the samples that both protocols count.
 
-    Args:
-        exact: S verdicts of ``exact``; its contacts at the waypoints alone are taken.
-        official: S verdicts of a protocol.
-        masked: Whether the protocol's mask applies, as in what is published.
-
-    Returns:
-        The counts over the steps of the samples that both count.
+    ``masked`` applies the protocol's mask, as in its published numbers; of ``exact`` only contacts at the waypoints
+    count.
     """
     both = compared(exact, official)
     reported = official.collision if masked else before_mask(official)
@@ -99,7 +76,6 @@ class ProtocolComparison:
         samples: "Any collision within 3 s", after the protocol's mask.
         steps: Contact at the same waypoint, after the protocol's mask.
         mask_removed_steps: Colliding steps that the mask takes away.
-        samples_with_removed_steps: In so many samples.
         causes: How often each of `CAUSES` occurs; ``None`` if the record does not say it of every disagreement.
     """
 
@@ -111,14 +87,10 @@ class ProtocolComparison:
 
 
 def comparisons(record: RunRecord) -> dict[str, ProtocolComparison]:
-    """What protocols miss and invent on a run, from its rows alone.
+    """Misses and false alarms of protocols on a run judged by ``exact``, from its rows alone.
 
-    Args:
-        record: A run judged by ``exact``.
-
-    Returns:
-        By name of each other protocol that judged it, in the order of the names: the counts over the samples that have
-        a plan and that both count.
+    By name, in the order of the names, of each other protocol that judged it; over the samples that have a plan and
+    that both count.
     """
     names = tuple(sorted(record.run.protocols))
     kept = record.columns.kept

@@ -33,11 +33,11 @@ MEAN: Final = "mean"
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """How far consecutive plans of a record are apart.
+    """Distances between consecutive plans of a record.
 
     Attributes:
         distances: Metres by instant (`INSTANTS`) and their ``mean``, with 95 % intervals over recorded scenes.
-        pairs: How many pairs of consecutive plans there are.
+        pairs: Pairs of consecutive plans.
         without: Pairs of consecutive samples that are left out because a plan, or the motion between them, is missing.
     """
 
@@ -49,11 +49,7 @@ class Consistency:
 def consistency(record: RunRecord) -> Consistency:
     """Compare each plan of a record with the next one.
 
-    Args:
-        record: The record; only plans and the recorded motion in its rows are used, so old records have it too.
-
-    Returns:
-        The distances.
+    Only plans and the recorded motion in the rows are used, so old records have it too.
     """
     sources, columns = source_of_scenes(record), record.columns
     scenes, place_of = columns.values("scene"), {row: place for place, row in enumerate(columns.planned.tolist())}
@@ -96,15 +92,7 @@ def plans_apart(first: Floats, moved: Floats, second: Floats) -> Floats:
 
 
 def apart(first: SampleRow, second: SampleRow) -> Floats:
-    """Distances between the plans at a sample and at the next one.
-
-    Args:
-        first: Row of a sample with a plan and a recorded motion to the next one.
-        second: Row of the next sample of its scene, with a plan.
-
-    Returns:
-        (5,) metres at 0.5 to 2.5 s after the second sample.
-    """
+    """Distances between the plans at a sample and at the next one: (5,) metres at 0.5 to 2.5 s after the second."""
     moved = first.recorded_future[0]
     assert moved is not None
     x, y, yaw = moved

@@ -70,16 +70,10 @@ _CAUSE_OF: Final[dict[Reason, Cause]] = {
 
 
 def diagnose(truths: Sequence[SampleTruth], plans: Sequence[Plan], exact: Outcomes) -> list[DiagnosisRow | None]:
-    """Say of each colliding sample why it collides.
+    """Say of each colliding sample why it collides; ``None`` where nothing is touched.
 
-    Args:
-        truths: S samples.
-        plans: S plans as the planner gave them, in their own frame, with its forecasts.
-        exact: What the ``exact`` protocol says of them.
-
-    Returns:
-        S diagnoses, ``None`` where nothing is touched. Samples whose recording ends early are diagnosed too, though no
-        rate counts them.
+    Plans are as the planner gave them, in their own frame, with its forecasts. Samples whose recording ends early
+    are diagnosed too, though no rate counts them.
     """
     if not len(exact):
         return []
@@ -88,15 +82,10 @@ def diagnose(truths: Sequence[SampleTruth], plans: Sequence[Plan], exact: Outcom
 
 
 def forecasts_in_lidar(forecasts: Forecasts, frame: PlanFrame, lidar_ahead_m: float) -> Forecasts:
-    """Forecasts in the lidar frame of the sample: a rigid motion, unlike that of a plan, which moves its own point.
+    """Forecasts in the lidar frame of the sample, x right, y forward.
 
-    Args:
-        forecasts: A planner's forecasts.
-        frame: Frame of its plan.
-        lidar_ahead_m: Lidar origin ahead of the rear axle.
-
-    Returns:
-        The same forecasts, x right, y forward.
+    That is a rigid motion, unlike that of a plan, which moves its own point. ``lidar_ahead_m`` is the lidar origin
+    ahead of the rear axle.
     """
     if frame is PlanFrame.LIDAR:
         return forecasts
@@ -108,14 +97,9 @@ def forecasts_in_lidar(forecasts: Forecasts, frame: PlanFrame, lidar_ahead_m: fl
 
 
 def forecast_boxes(box: Floats, trajectories: Floats) -> Floats:
-    """A forecast as boxes at the 30 instants 0.1, 0.2, ... 3.0 s.
+    """(M, 30, 5) boxes of a forecast at 0.1, 0.2, ... 3.0 s, of the present size, turned along the path.
 
-    Args:
-        box: (5,) present box.
-        trajectories: (M, 6, 2) its centres at the plan's steps.
-
-    Returns:
-        (M, 30, 5) boxes of the present size, turned along the path.
+    ``trajectories`` are (M, 6, 2) centres at the plan's steps.
     """
     box, trajectories = np.asarray(box, np.float64), np.asarray(trajectories, np.float64)
     chords = chord_headings(trajectories - box[:2], start_heading_rad=box[4], hold_below_m=HOLD_BELOW_M)
@@ -128,14 +112,9 @@ def forecast_boxes(box: Floats, trajectories: Floats) -> Floats:
 
 
 def matched_forecasts(truth: SampleTruth, forecasts: Forecasts) -> dict[str, int]:
-    """Which forecast is of which object, by step 2 of the rule.
+    """Which forecast, in the lidar frame, is of which object, by step 2 of the rule.
 
-    Args:
-        truth: M objects.
-        forecasts: A forecasts in the lidar frame.
-
-    Returns:
-        Row of the forecast by instance; objects without a forecast are left out.
+    Row of the forecast by instance; objects without a forecast are left out.
     """
     if not len(truth.instances) or not len(forecasts.boxes):
         return {}

@@ -58,18 +58,13 @@ CAUSES = (
 class Ladder:
     """Verdicts of one protocol on S samples, from the exact to the official one.
 
-    Attributes:
-        verdicts: (9, S, 6) contact at each step: ``exact``, then after each of `RUNGS`.
+    (9, S, 6) contact at each step: ``exact``, then after each of `RUNGS`.
     """
 
     verdicts: Bools
 
     def causes(self) -> list[str | None]:
-        """Why the two ends differ within 3 s.
-
-        Returns:
-            For each sample one of `CAUSES`, or ``None`` where they agree.
-        """
+        """Why the two ends differ within 3 s: of each sample one of `CAUSES`, or ``None`` where they agree."""
         within = self.verdicts.any(axis=-1)
         rung = _last_change(self._followed().any(axis=-1))
         return [
@@ -80,9 +75,8 @@ class Ladder:
     def decisive_steps(self) -> Bools:
         """The steps that make the difference at the rung that is the cause.
 
-        Returns:
-            (S, 6) for a miss the contacts that are lost there, for a false alarm those that appear there; none where
-            both ends agree.
+        (S, 6) for a miss the contacts that are lost there, for a false alarm those that appear there; none where
+        both ends agree.
         """
         within, followed = self.verdicts.any(axis=-1), self._followed()
         samples, rung = np.arange(within.shape[1]), _last_change(followed.any(axis=-1))
@@ -106,17 +100,9 @@ def _last_change(within: Bools) -> NDArray[np.int64]:
 def ladder(
     definition: CollisionProtocol, truths: StackedTruths, plans_lidar: Floats, exact: Outcomes, official: Outcomes
 ) -> Ladder:
-    """Every rung from the exact to the official verdict.
+    """Every rung from the exact to the official verdict on S samples.
 
-    Args:
-        definition: The official protocol.
-        truths: S samples.
-        plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
-        exact: Verdicts of ``exact`` on them.
-        official: Verdicts of the protocol on them.
-
-    Returns:
-        The rungs.
+    ``plans_lidar`` are (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
     """
     heading = PROTOCOLS[EXACT].headings(plans_lidar)
     objects = objects_by_filter(definition, truths)
@@ -139,13 +125,8 @@ def ladder(
 def objects_by_filter(definition: CollisionProtocol, truths: StackedTruths) -> list[Bools]:
     """Which objects are left after each of a protocol's four reasons to leave one out.
 
-    Args:
-        definition: The protocol.
-        truths: S samples with M objects.
-
-    Returns:
-        Four times (M, 6): counted by class; also annotated; also in range; also with sensor points, which is what the
-        protocol counts.
+    Four times (M, 6): counted by class; also annotated; also in range; also with sensor points, which is what the
+    protocol counts.
     """
     everywhere = np.ones_like(truths.annotated)
     at_hand = truths.boxes.copy()
@@ -161,13 +142,9 @@ def objects_by_filter(definition: CollisionProtocol, truths: StackedTruths) -> l
 
 
 def before_mask(outcomes: Outcomes) -> Bools:
-    """A protocol's contacts before it leaves out what the recorded ego does; its verdicts where it has no such mask.
+    """(S, 6) contacts of a protocol before it leaves out what the recorded ego does.
 
-    Args:
-        outcomes: S verdicts.
-
-    Returns:
-        (S, 6) verdicts.
+    Its verdicts where it has no such mask.
     """
     return np.asarray(outcomes.steps.get("before_mask", outcomes.collision), np.bool_).reshape(-1, PLAN_STEPS)
 
@@ -185,9 +162,6 @@ def disagreements(
     Returns:
         For each sample the cause (`CAUSES`) by protocol. Empty where the verdicts agree, where the protocol or
         ``exact`` does not count the sample, and everywhere if ``exact`` is not among the outcomes.
-
-    Raises:
-        ValueError: If truths, plans and outcomes are not equally many.
     """
     plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
     if any(count != len(truths) for count in (len(plans), *map(len, outcomes.values()))):
@@ -231,25 +205,10 @@ def _some_of(outcomes: Outcomes, samples: NDArray[np.int64]) -> Outcomes:
 
 
 def any_contact(outcomes: Outcomes) -> Bools:
-    """Whether a protocol reports a collision at any step, after its mask.
-
-    Args:
-        outcomes: S verdicts.
-
-    Returns:
-        (S,) verdicts.
-    """
+    """Whether a protocol reports a collision at any step, after its mask."""
     return np.asarray(outcomes.collision.any(axis=-1))
 
 
 def compared(exact: Outcomes, official: Outcomes) -> Bools:
-    """Samples on which two protocols can be compared: both count them, and all their contacts are known.
-
-    Args:
-        exact: S verdicts.
-        official: S verdicts.
-
-    Returns:
-        (S,) verdicts.
-    """
+    """Samples on which two protocols can be compared: both count them, and all their contacts are known."""
     return np.logical_and(exact.decided & exact.valid.all(axis=-1), official.decided)

@@ -36,12 +36,9 @@ class DrawnSeeds:
     """One planner on the splits of several seeds.
 
     Attributes:
-        seeds: Each by itself, by seed.
         mean: Mean of their rates; its interval draws recordings, each with what all seeds made of it.
         deviation: Of the rates around their mean (n - 1); ``None`` with fewer than two.
         low: Lower end of the 95 % interval of the mean over seeds alone: the recordings stay as they are.
-        high: Upper end.
-        recordings: How many there are.
     """
 
     seeds: tuple[SeedRate, ...]
@@ -53,15 +50,7 @@ class DrawnSeeds:
 
 
 def over_seeds(sums: dict[int, SceneSums], *, seed: int = 0) -> DrawnSeeds:
-    """Put the rates of several seeds together.
-
-    Args:
-        sums: By seed of the search, numerators and denominators (N, 1) of the rate by recording.
-        seed: Of the resampling of recordings.
-
-    Returns:
-        What they say.
-    """
+    """Put the rates of several seeds of the search together, given as (N, 1) sums by recording."""
     order = sorted(sums)
     names = tuple(sorted({name for one in sums.values() for name in one.names}))
     sides = [sums[each].over(names) for each in order]
@@ -88,14 +77,7 @@ def over_seeds(sums: dict[int, SceneSums], *, seed: int = 0) -> DrawnSeeds:
 
 
 def student_975(freedom: int) -> float:
-    """97.5 % point of Student's distribution.
-
-    Args:
-        freedom: Degrees of freedom, at least 1.
-
-    Returns:
-        The point; of the normal distribution from 31 on.
-    """
+    """97.5 % point of Student's distribution with ``freedom`` degrees of freedom; of the normal one from 31 on."""
     return STUDENT_975[freedom - 1] if freedom <= len(STUDENT_975) else _NORMAL_975
 
 

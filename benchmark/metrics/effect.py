@@ -30,7 +30,7 @@ AT_3_S: Final = 2
 
 @dataclass(frozen=True, slots=True)
 class SampleContacts:
-    """Contacts of the samples of a record under ``exact``, as whom they are with.
+    """Contacts of the samples of a record under ``exact``, by whom they are with.
 
     Attributes:
         keys: S pairs of recording and key-frame index.
@@ -57,8 +57,7 @@ class PairedEffect:
 
     Attributes:
         adversarial: Rate of samples with any contact on the adversarial side of the pairs.
-        unchanged: The same on the unchanged side.
-        difference: The first less the second, with its interval over recordings.
+        difference: Adversarial less unchanged, with its interval over recordings.
         new_others: Share of pairs with a first contact with another than the adversary, and none unchanged; ``None``
             where it is not known which road users are adversaries.
         lost_others: Share of pairs with a contact unchanged, and none with another than the adversary; likewise.
@@ -84,18 +83,15 @@ class PairedEffect:
 
 @dataclass(frozen=True, slots=True)
 class AdversaryEffect:
-    """What an adversarial split does to a planner.
+    """Effect of an adversarial split on a planner.
 
     Attributes:
-        record: Of the planner on the split.
         touched: Weighted rates of first contacts with an adversary: at 1, 2, 3 s and their mean; ``None`` where no
             sample counts, or it is not known which road users are adversaries.
         at_fault: The same of those at the planner's fault.
         unknown_fault: Samples of which that is not known.
         samples: Samples that count.
-        recordings: Recordings that they come from.
         unchanged: The record of the same planner on the unchanged recordings, if there is one.
-        paired: The comparison with it.
     """
 
     record: RunRecord
@@ -110,11 +106,11 @@ class AdversaryEffect:
 
 @dataclass(frozen=True, slots=True)
 class FirstTouches:
-    """The samples of a record that count and collide, by whom their plans touch first; each sample is in one at most.
+    """Samples of a record that count and collide, by whom their plans touch first; each sample is in one at most.
 
     Attributes:
-        adversary: (R,) an adversary; on a split without adversaries whoever it is.
-        others: (R,) somebody else, on a split with adversaries.
+        adversary: (R,) an adversary; on a split without adversaries any object.
+        others: (R,) another object, on a split with adversaries.
         unsaid: (R,) on a split with adversaries, where the record does not say whom.
     """
 
@@ -144,17 +140,9 @@ def _judges_whom(record: RunRecord, protocol: str = EXACT) -> bool:
 
 
 def effect_of(record: RunRecord, unchanged: RunRecord | None) -> AdversaryEffect | None:
-    """The effect of the adversaries of a split on a planner.
+    """Effect of the adversaries of a split on a planner.
 
-    Args:
-        record: Of the planner on the split with adversaries.
-        unchanged: Of the same planner on the recordings that they were made from.
-
-    Returns:
-        The effect; ``None`` of a split without adversaries, and of older records until they are rescored.
-
-    Raises:
-        InputError: If either record was judged by another version of ``exact``.
+    ``None`` of a split without adversaries, and of older records until they are rescored.
     """
     if not (has_adversaries(record) and _judges_whom(record)):
         return None
@@ -193,17 +181,7 @@ def effect_facts(record: RunRecord, unchanged: RunRecord | None) -> dict[str, An
 
 
 def sample_contacts(record: RunRecord) -> SampleContacts:
-    """Whom the plans of a record touch.
-
-    Args:
-        record: The record, with verdicts of ``exact``.
-
-    Returns:
-        One entry for each sample with a plan.
-
-    Raises:
-        InputError: If it was judged by another version of ``exact``.
-    """
+    """Contacts of each sample of a record that has a plan, by whom they are with."""
     require_current(record, EXACT)
     columns = record.columns
     outcomes, planned = columns.outcomes(EXACT), columns.planned.tolist()
@@ -234,15 +212,7 @@ def sample_contacts(record: RunRecord) -> SampleContacts:
 
 
 def first_touches(record: RunRecord, protocol: str = EXACT) -> FirstTouches:
-    """Whom colliding samples touch first.
-
-    Args:
-        record: Of R rows, all of them judged by the protocol.
-        protocol: Who judges.
-
-    Returns:
-        The samples.
-    """
+    """Whom the colliding samples of a record touch first; all its rows must be judged by the protocol."""
     columns = record.columns
     hits, none = columns.collides(protocol), np.zeros(len(columns), np.bool_)
     if not attributes(record):
@@ -258,18 +228,10 @@ def first_touches(record: RunRecord, protocol: str = EXACT) -> FirstTouches:
 
 
 def touched_scenes(record: RunRecord, protocol: str = EXACT) -> dict[str, bool | None]:
-    """Which scenes a planner fails by touching the adversary first; on a split without adversaries, anybody.
+    """Which scenes a planner fails by touching the adversary first; on a split without adversaries, any object.
 
-    Args:
-        record: The record.
-        protocol: Who judges.
-
-    Returns:
-        Verdicts as `benchmark.records.run.scene_failures` has them; ``None`` also where a plan collides and the record
-        does not say with whom.
-
-    Raises:
-        InputError: If the protocol is unknown or did not judge the rows.
+    Verdicts as `benchmark.records.run.scene_failures` has them; ``None`` also where a plan collides and the record
+    does not say with whom.
     """
     anybody = scene_failures(record.rows, protocol)
     if not attributes(record):
@@ -283,12 +245,8 @@ def touched_scenes(record: RunRecord, protocol: str = EXACT) -> dict[str, bool |
 def attributed_collisions(record: RunRecord) -> Bools:
     """(R,) samples that count under ``exact`` and whose collision is the adversary's doing.
 
-    Args:
-        record: Judged by ``exact``.
-
-    Returns:
-        On a split with adversaries those whose first contact is with one; of recordings, and where the record does not
-        say whom contacts are with, any collision.
+    On a split with adversaries those whose first contact is with one; of recordings, and where the record does not
+    say whom contacts are with, any collision.
     """
     found = first_touches(record)
     return found.adversary | found.unsaid
@@ -297,14 +255,7 @@ def attributed_collisions(record: RunRecord) -> Bools:
 def touching_adversary(record: RunRecord) -> Scored:
     """What the samples of a record add to its rate of first contacts with an adversary.
 
-    Args:
-        record: It must say whom contacts are with (`says_whom`).
-
-    Returns:
-        The samples of `scored` under ``exact``, with these values.
-
-    Raises:
-        InputError: If the record was judged by another version of ``exact``.
+    The record must say whom contacts are with (`says_whom`).
     """
     own, kept = scored(record, protocol=EXACT), record.columns.kept
     if _TOUCHING not in kept:

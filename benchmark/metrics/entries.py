@@ -1,7 +1,7 @@
 """Entries of a challenge from the records of planners on them: rates, places, and what cannot be told apart.
 
 What is drawn is the recording: scenes of all entries that were made from it are in a resample together or not at all.
-A refused scene counts with all samples of its recording, and nobody collides on it, so that cheating never pays.
+A refused scene counts with all samples of its recording, and without a collision on it, so that cheating never pays.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,48 +20,26 @@ from benchmark.records.run import RunRecord
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """A refused scene.
-
-    Attributes:
-        recording: What it was made from.
-        samples: Samples of it that would count.
-    """
+    """Refused scene: the recording that it was made from, and how many samples of it would count."""
 
     recording: str
     samples: int
 
 
 def collision_sums(record: RunRecord, protocol: str, horizon: str, refused: Sequence[Refused]) -> SceneSums:
-    """What each recording adds to a planner's collision rate on an entry.
+    """(N, 1) sums of a planner's collision rate on an entry, by recording.
 
     Args:
         record: Of the planner on the accepted scenes.
-        protocol: Who judges.
         horizon: One of `benchmark.metrics.rates.HORIZONS`.
-        refused: The refused scenes.
-
-    Returns:
-        (N, 1) sums.
-
-    Raises:
-        InputError: If the record was not judged by the protocol as it is now.
     """
     return _of_horizon(scored(record, protocol=protocol), horizon, refused)
 
 
 def adversary_sums(record: RunRecord, horizon: str, refused: Sequence[Refused]) -> SceneSums:
-    """What each recording adds to the rate of first contacts with a changed vehicle under ``exact``.
+    """(N, 1) sums of the rate of first contacts with a changed vehicle under ``exact``, by recording.
 
-    Args:
-        record: Of the planner on the accepted scenes; it must say whom contacts are with.
-        horizon: As of `collision_sums`.
-        refused: The refused scenes.
-
-    Returns:
-        (N, 1) sums.
-
-    Raises:
-        InputError: If the record was not judged by ``exact`` as it is now.
+    The record is of the planner on the accepted scenes and must say whom contacts are with.
     """
     return _of_horizon(touching_adversary(record), horizon, refused)
 
@@ -95,13 +73,8 @@ def _with_refused(sums: SceneSums, refused: Sequence[Refused]) -> SceneSums:
 def mean_of(planners: Sequence[SceneSums], recordings: Sequence[str], seed: int) -> tuple[Measured, Floats]:
     """Mean of the rates of several planners.
 
-    Args:
-        planners: Sums of each.
-        recordings: N names of all recordings of the challenge: the same for every entry.
-        seed: Of the resamples; the same recordings and seed draw the same ones.
-
-    Returns:
-        The mean, and (2000,) means in resamples, NaN where a resample has nothing of the entry.
+    ``recordings`` are all of the challenge, the same for every entry: the same recordings and seed draw the same
+    resamples. The second result are (2000,) means in resamples, NaN where a resample has nothing of the entry.
     """
     names = tuple(recordings)
     rates, draws = [], []
@@ -121,15 +94,7 @@ def rate_of(sums: SceneSums, seed: int) -> Measured:
 
 
 def mean_over(values: Mapping[str, Sequence[float]], seed: int) -> Measured:
-    """Mean of numbers by recording, with its interval over recordings.
-
-    Args:
-        values: Numbers of each recording.
-        seed: Of the resamples.
-
-    Returns:
-        The mean.
-    """
+    """Mean of numbers by recording, with its interval over recordings."""
     flat = [(name, value) for name, of_name in values.items() for value in of_name]
     numbers = np.array([value for _, value in flat], np.float64).reshape(-1, 1)
     (rate,) = ratios_over_scenes(numbers, np.ones_like(numbers), [name for name, _ in flat], seed=seed)
@@ -139,12 +104,8 @@ def mean_over(values: Mapping[str, Sequence[float]], seed: int) -> Measured:
 def pairs_of(entries: Sequence[tuple[str, float, Floats]], *, enough: bool) -> tuple[Pair, ...]:
     """Compare every two entries.
 
-    Args:
-        entries: Names, scores and (2000,) scores in the same resamples, best first.
-        enough: Whether there are two recordings or more to draw from; else nothing is told apart.
-
-    Returns:
-        One for each two.
+    An entry is a name, a score and (2000,) scores in the same resamples, best first. ``enough`` says whether there
+    are two recordings or more to draw from; else no two are told apart.
     """
     found = []
     for index, (name, score, draws) in enumerate(entries):
@@ -157,14 +118,9 @@ def pairs_of(entries: Sequence[tuple[str, float, Floats]], *, enough: bool) -> t
 
 
 def places_of(names: Sequence[str], pairs: Sequence[Pair]) -> dict[str, tuple[int, int]]:
-    """Places that the numbers leave open.
+    """Places that the numbers leave open, for ranked entries, best first.
 
-    Args:
-        names: Of the ranked entries, best first.
-        pairs: Of them.
-
-    Returns:
-        Best and worst place by name: behind everybody who is told apart and better, before everybody who is and worse.
+    Best and worst place by name: behind all who are told apart and better, before all who are and worse.
     """
     better, worse = dict.fromkeys(names, 0), dict.fromkeys(names, 0)
     for pair in pairs:

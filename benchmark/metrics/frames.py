@@ -1,4 +1,4 @@
-"""Run records as data frames, for whoever wants to ask something that no table answers."""
+"""Run records as data frames, for questions that no table answers."""
 
 import numpy as np
 import pandas as pd

@@ -14,14 +14,13 @@ from benchmark.records.run import RunRecord
 
 @dataclass(frozen=True, slots=True)
 class SplitLadder:
-    """The scenes of a split that were judged.
+    """Judgement ladder over the scenes of a split that were judged.
 
     Attributes:
         record: Which record says it; all of the split say the same.
-        scenes: How many were judged.
         survives: Share of them that each reference driver survives.
-        unsolvable: How many nobody could have avoided.
-        margin: Seconds between when somebody could have reacted and the last chance, where there is one.
+        unsolvable: How many no driver could have avoided.
+        margin: Seconds between when a driver could have reacted and the last chance, where there is one.
         too_late: How many have a negative margin.
         gap: The recorded ego's smallest distance to an adversary, metres.
         ttc: Its least time to contact, seconds.
@@ -56,13 +55,9 @@ def judged_scenes(record: RunRecord) -> dict[str, JudgementSummary]:
 
 
 def split_ladders(records: Sequence[RunRecord]) -> dict[str, SplitLadder]:
-    """The ladder of every split that was judged.
+    """The ladder of every split that was judged, from records of one data set, at most one a planner and split.
 
-    Args:
-        records: Of one data set, at most one for each planner and split.
-
-    Returns:
-        By split: from the record with most scenes that were judged, the first of equals.
+    By split: from the record with most scenes that were judged, the first of equals.
     """
     best: dict[str, RunRecord] = {}
     for record in records:

@@ -3,7 +3,7 @@
 A plan is compared with the recorded future on the samples that nobody could have foretold. A sample's *surprise* is how
 far the recorded future is from the nearest of eight simple continuations of the motion so far: to stand, to keep the
 speed, to keep the acceleration, to keep half of it, each straight ahead and along the recorded path itself. So what
-surprises is when somebody brakes, starts or speeds up, not where the road goes. A plan *hits* where its error is less
+surprises is when a car brakes, starts or speeds up, not where the road goes. A plan *hits* where its error is less
 than a fifth of the surprise. The limits and how often honest planners come near them: docs/extensions/submissions.md,
 ``docs/studies/leaks.md``.
 """
@@ -21,7 +21,7 @@ SURPRISE_M: Final = 0.5
 """Root mean square over the plan's steps from which a recorded future counts as a surprise, metres."""
 HIT_SHARE_OF_SURPRISE: Final = 0.2
 MOVES_M: Final = 1.0
-"""A sample on which the recorded car goes no farther says nothing: whoever stands still is right."""
+"""A sample on which the recorded car goes no farther says nothing: a plan to stand still is right."""
 BRAKES_BY_M_S: Final = 2.0
 """A car that is so much slower after 3 s has braked."""
 NOT_YET_BRAKING_M_S2: Final = -0.5
@@ -45,14 +45,14 @@ FEWEST_HITS: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A plan at a sample whose recording goes on for 3 s, and what was recorded.
+    """Plan at a sample whose recording goes on for 3 s, beside the recorded future.
 
     Attributes:
         planned: (6, 2) plan.
         recorded: (6, 2) the recorded future in the same frame.
         ahead: (2,) the direction of the car there, a unit vector.
         speeds: Recorded speed half a second ago and now, metres a second: of the two steps that lead here.
-        dangerous: Whether who keeps speed and direction touches somebody.
+        dangerous: Whether a car that keeps speed and direction touches an object.
     """
 
     planned: Floats
@@ -64,7 +64,7 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class LeakFigures:
-    """What plans are like beside the recorded future; ``None`` where there are too few samples.
+    """Figures of plans beside the recorded future; ``None`` where there are too few samples.
 
     Attributes:
         moving: Samples on which the recorded car moves.
@@ -72,13 +72,11 @@ class LeakFigures:
         growth: Median error at 3 s over that at 0.5 s there.
         first_m: Median error at 0.5 s there.
         growth_in_danger: Growth on the dangerous ones of them.
-        first_in_danger_m: Median error at 0.5 s on these.
         surprises: Samples whose future surprises.
         hits: Those of them that the plan hits.
         ratio: Median of error over surprise on them.
         ratio_in_danger: The same on the dangerous ones, over that on the others.
         braking: Samples after which the recorded car brakes, and does not yet.
-        ratio_braking: Median of error over surprise on them.
     """
 
     moving: int
@@ -139,14 +137,7 @@ class LeakFigures:
 
 
 def leak_figures(moments: Sequence[Moment]) -> LeakFigures:
-    """What plans are like beside the recorded future.
-
-    Args:
-        moments: One for each sample that has a plan and a recorded future of 3 s, and a second before it.
-
-    Returns:
-        The figures.
-    """
+    """Figures of the samples that have a plan and a recorded future of 3 s, and a second before it."""
     errors = np.array([_distances(each.planned, each.recorded) for each in moments]).reshape(-1, PLAN_STEPS)
     error = np.sqrt((errors**2).mean(axis=1))
     surprise = np.array([surprise_m(each) for each in moments])

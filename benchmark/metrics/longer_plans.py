@@ -14,12 +14,10 @@ HORIZONS = tuple(LONGER_HORIZON_STEPS)
 
 @dataclass(frozen=True, slots=True)
 class LongerRates:
-    """Rates of a record beyond 3 s.
+    """Rates of a record beyond 3 s, by horizon.
 
-    Attributes:
-        collision: By horizon, any contact up to there; the denominator are the samples whose plan and whose recording
-            both reach the horizon, and whose surroundings are annotated.
-        l2: By horizon, displacement there, metres.
+    Collision is any contact up to there; its denominator are the samples whose plan and whose recording both reach
+    the horizon, and whose surroundings are annotated. L2 is the displacement there, metres.
     """
 
     collision: dict[str, Rate]
@@ -27,14 +25,7 @@ class LongerRates:
 
 
 def longer_rates(record: RunRecord) -> LongerRates | None:
-    """Rates at 4, 5 and 6 s.
-
-    Args:
-        record: The record.
-
-    Returns:
-        The rates, or ``None`` where no plan reaches 4 s.
-    """
+    """Rates at 4, 5 and 6 s; ``None`` where no plan reaches 4 s."""
     sources = source_of_scenes(record)
     nearest = min(LONGER_HORIZON_STEPS.values())
     all_of = zip(record.columns.values("scene"), record.columns.values("longer"))

@@ -1,7 +1,7 @@
 """Open loop beside closed loop: the same planner on the same scenes, judged by both, from records alone.
 
 Open loop fails a scene where any plan touches a recorded future (`benchmark.records.run.scene_failures`, ``exact``);
-closed loop fails it where the driven ego touched anybody in any run. A scene enters only where both can say.
+closed loop fails it where the driven ego touched an object in any run. A scene enters only where both can say.
 """
 
 from collections.abc import Sequence
@@ -29,10 +29,9 @@ FEWEST_RANKED: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class SceneLoops:
-    """What both loops say of one planner on one scene.
+    """Open and closed loop of one planner on one scene.
 
     Attributes:
-        scene: Its name.
         source: The recording that it was made from.
         open_fails: Whether any sample collides in open loop.
         contact: Share of drives with a contact.
@@ -63,8 +62,6 @@ class PlannerLoops:
     """One planner in both loops.
 
     Attributes:
-        drives: Its record of drives.
-        run: Its run record.
         scenes: Scenes of which both say something, by name.
         without: Scenes that both have and of which one cannot say.
         open_rate: Share of scenes failed in open loop.
@@ -83,12 +80,9 @@ class PlannerLoops:
 
 @dataclass(frozen=True, slots=True)
 class RankCorrelation:
-    """How alike two rankings of planners are.
+    """Rank correlation of planners in open and closed loop: Kendall's tau-b over the scenes that all of them have.
 
-    Attributes:
-        tau: Kendall's tau-b; ``None`` of too few planners, or where one loop cannot tell any two of them apart.
-        planners: How many were ranked.
-        scenes: On how many scenes, which all of them have.
+    ``None`` of too few planners, or where one loop cannot tell any two of them apart.
     """
 
     tau: float | None
@@ -104,12 +98,7 @@ def is_stale(record: DriveRecord) -> bool:
 def run_of(drives: DriveRecord, runs: Sequence[RunRecord]) -> RunRecord | None:
     """The run record of what drove: same version of the planner, same data, same verdicts of inspectors.
 
-    Args:
-        drives: A record of drives.
-        runs: Run records.
-
-    Returns:
-        The one with most of the driven scenes, or ``None`` where none has any, or was judged by the present ``exact``.
+    The one with most of the driven scenes, or ``None`` where none has any, or was judged by the present ``exact``.
     """
     found = [run for run in runs if _same_planner(drives, run) and _judged(run)]
     driven = set(drives.facts.scenes)
@@ -121,13 +110,8 @@ def run_of(drives: DriveRecord, runs: Sequence[RunRecord]) -> RunRecord | None:
 def planner_loops(drives: DriveRecord, run: RunRecord) -> PlannerLoops:
     """Both loops of one planner.
 
-    Args:
-        drives: Its record of drives.
-        run: Its run record.
-
-    Returns:
-        What they say. A failed drive or sample that could have shown a contact leaves its scene out, unless another of
-        its drives or samples has one; so do labels that are missing.
+    A failed drive or sample that could have shown a contact leaves its scene out, unless another of its drives or
+    samples has one; so do labels that are missing.
     """
     verdicts = scene_failures(run.rows, OPEN_LOOP)
     rows: dict[str, list[DriveRow]] = {}
@@ -145,15 +129,10 @@ def planner_loops(drives: DriveRecord, run: RunRecord) -> PlannerLoops:
 
 
 def rank_correlation(found: Sequence[PlannerLoops], *, at_fault: bool = False) -> RankCorrelation:
-    """Whether closed loop ranks planners as open loop does; miniatures are not ranked.
+    """Whether closed loop ranks planners of one world as open loop does; miniatures are not ranked.
 
-    Args:
-        found: Planners of one world.
-        at_fault: Whether only contacts count that the ego is at fault for.
-
-    Returns:
-        Kendall's tau-b between shares of failed scenes and of drives with a contact, over the scenes that all ranked
-        planners have.
+    Kendall's tau-b between shares of failed scenes and of drives with a contact (``at_fault``: of the ego's fault
+    only), over the scenes that all ranked planners have.
     """
     ranked = [each for each in found if not each.drives.facts.planner.miniature and each.scenes]
     common = set.intersection(*({each.scene for each in one.scenes} for one in ranked)) if ranked else set()
@@ -166,12 +145,7 @@ def rank_correlation(found: Sequence[PlannerLoops], *, at_fault: bool = False) -
 def kendall_tau(first: Floats, second: Floats) -> float | None:
     """Kendall's tau-b (Kendall 1945): pairs in the same order less pairs in opposite order, ties taken out.
 
-    Args:
-        first: (N,) numbers.
-        second: (N,) numbers of the same things.
-
-    Returns:
-        -1 to 1, or ``None`` where all of one side are equal.
+    -1 to 1, or ``None`` where all of one side are equal.
     """
     pairs = list(combinations(range(len(first)), 2))
     one = np.array([np.sign(first[a] - first[b]) for a, b in pairs])

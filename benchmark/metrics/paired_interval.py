@@ -24,12 +24,11 @@ FEWEST_DIFFERING_OF_TEN: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class PairedDifference:
-    """A weighted mean difference between two sides of the same recordings.
+    """Weighted mean difference between two sides of the same recordings.
 
     Attributes:
         value: The difference, or ``None`` without a pair.
         low: Lower end of its 95 % interval, or ``None`` where too few recordings say how much they vary.
-        high: Upper end.
         recordings: Recordings with pairs.
         differing: Those of them whose two sides differ.
         enough: Recordings that would give an interval if as many of them differed as here; ``None`` where there is one
@@ -45,14 +44,11 @@ class PairedDifference:
 
 
 def paired_difference(differences: Floats, weights: Floats) -> PairedDifference:
-    """The difference and its interval.
+    """The ratio of both sums, and its interval.
 
     Args:
         differences: (N,) weighted sums of the differences of each recording's pairs.
         weights: (N,) sums of their weights, all above zero.
-
-    Returns:
-        The difference of the ratio of both sums.
     """
     count, differing = len(weights), int(np.count_nonzero(np.abs(differences) > 1e-12))
     if not count:

@@ -57,25 +57,15 @@ class Place(StrEnum):
 
 
 def place_of(road_map: RoadMap, ego: Floats, other: Floats) -> Place:
-    """Where two bodies meet.
-
-    Args:
-        road_map: The map.
-        ego: (5,) box; its lane tells bend from straight.
-        other: (5,) box; what either centre is on counts for the rest.
-
-    Returns:
-        The place.
-    """
+    """Where two bodies, (5,) boxes, meet: the ego's lane tells bend from straight, either centre the rest."""
     x, y = ego[:2]
     return Places(road_map.near((x - NEAR_M, y - NEAR_M, x + NEAR_M, y + NEAR_M))).of(ego, other)
 
 
 class Places:
-    """What kind of place is where on one map; what all answers share is made once.
+    """Kinds of places on one map; what all answers share is made once.
 
-    Args:
-        road_map: The map, no larger than what is asked about: roundabouts are looked for everywhere on it.
+    The map should be no larger than what is asked about: roundabouts are looked for everywhere on it.
     """
 
     def __init__(self, road_map: RoadMap) -> None:
@@ -92,15 +82,7 @@ class Places:
         self._rings = tuple(rings(road_map.lanes))
 
     def of(self, ego: Floats, other: Floats) -> Place:
-        """Where two bodies meet.
-
-        Args:
-            ego: (5,) box; its lane tells bend from straight.
-            other: (5,) box; what either centre is on counts for the rest.
-
-        Returns:
-            The place.
-        """
+        """Where two bodies, (5,) boxes, meet: the ego's lane tells bend from straight, either centre the rest."""
         centers = [Point(*ego[:2]), Point(*other[:2])]
         if self._on_roundabout(centers):
             return Place.ROUNDABOUT
@@ -155,11 +137,7 @@ class Places:
 def rings(lanes: Mapping[str, Lane]) -> Iterator[Polygon]:
     """Roundabouts: closed chains of lanes that turn steadily in one direction.
 
-    Args:
-        lanes: Lanes by identifier.
-
-    Yields:
-        The area inside each chain of lane centres; the same roundabout may come several times.
+    Yields the area inside each chain of lane centres; the same roundabout may come several times.
     """
     courses = {name: _Course.of(lane) for name, lane in lanes.items()}
     for name in sorted(lanes):

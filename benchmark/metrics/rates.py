@@ -30,14 +30,10 @@ HORIZONS = (*HORIZON_STEPS, "avg")
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """A ratio of sums over samples.
+    """Ratio of sums over samples.
 
-    Attributes:
-        value: The ratio, or ``None`` where the denominator is zero.
-        numerator: Sum over the samples.
-        denominator: Number of samples.
-        low: Lower end of the 95 % interval over scenes, or ``None`` where fewer than two scenes count.
-        high: Upper end.
+    ``value`` is ``None`` where the denominator is zero, the ends of the 95 % interval over scenes where fewer than
+    two scenes count.
     """
 
     value: float | None
@@ -49,12 +45,9 @@ class Rate:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A number made of rates.
+    """Number made of rates, with a 95 % interval.
 
-    Attributes:
-        value: The number, or ``None`` where it does not exist.
-        low: Lower end of the 95 % interval, or ``None`` where there is none.
-        high: Upper end; may be infinite.
+    ``value`` is ``None`` where it does not exist, the ends where there is no interval; ``high`` may be infinite.
     """
 
     value: float | None
@@ -64,27 +57,14 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class SceneSums:
-    """What each scene adds to the two sums of a rate.
-
-    Attributes:
-        names: N names of what is drawn together, sorted.
-        numerators: (N, C).
-        denominators: (N, C).
-    """
+    """Sums of numerators and denominators, (N, C) each, of each of N sorted names that are drawn together."""
 
     names: tuple[str, ...]
     numerators: Floats
     denominators: Floats
 
     def over(self, names: Sequence[str]) -> "SceneSums":
-        """The same sums over other names: zero for those that are not here, gone for those not asked for.
-
-        Args:
-            names: N names.
-
-        Returns:
-            Sums over them.
-        """
+        """The same sums over other names: zero for those that are not here, gone for those not asked for."""
         if self.names == tuple(names):
             return self
         row_of = {name: row for row, name in enumerate(self.names)}
@@ -99,17 +79,11 @@ class SceneSums:
 def rates(
     definition: CollisionProtocol, outcomes: Outcomes, scenes: Sequence[str], *, seed: int = 0
 ) -> dict[str, dict[str, Rate]]:
-    """Every published number of a protocol.
+    """Every published number of a protocol, from its verdicts on S samples.
 
-    Args:
-        definition: The protocol.
-        outcomes: Its verdicts on S samples.
-        scenes: S scene names; samples of one scene are resampled together.
-        seed: Seed of the resampling.
-
-    Returns:
-        Column name (``collision``, ``l2``, ...) to horizon (``1s``, ``2s``, ``3s``, ``avg``) to rate. A sample that
-        says nothing at a horizon (NaN) is in neither sum there; in those of the average where it does at all three.
+    Column name (``collision``, ``l2``, ...) to horizon (``1s``, ``2s``, ``3s``, ``avg``) to rate. A sample that
+    says nothing at a horizon (NaN) is in neither sum there; in those of the average where it does at all three.
+    Samples of one scene are resampled together.
     """
     columns: dict[str, dict[str, Rate]] = {}
     for column, by_horizon in published_values(definition, outcomes).items():
@@ -127,43 +101,22 @@ def rates(
 
 
 def with_average(values: Floats) -> Floats:
-    """Values at the three horizons and their mean.
-
-    Args:
-        values: (S, 3) at 1, 2 and 3 s.
-
-    Returns:
-        (S, 4) in the order of ``HORIZONS``.
-    """
+    """(S, 3) values at 1, 2 and 3 s and their mean: (S, 4) in the order of ``HORIZONS``."""
     return np.concatenate([values, values.mean(axis=1, keepdims=True)], axis=1)
 
 
 def ratios_over_scenes(values: Floats, weights: Floats, scenes: Sequence[str], *, seed: int) -> list[Rate]:
     """Ratios of sums over samples, with intervals over scenes.
 
-    Args:
-        values: (S, C) what each sample adds to each numerator.
-        weights: (S, C) what each sample adds to each denominator.
-        scenes: S scene names.
-        seed: Seed of the resampling; the same seed and scenes draw the same resamples for every column and planner,
-            so that differences between planners can be paired.
-
-    Returns:
-        C rates. The order of the samples does not matter.
+    ``values`` and ``weights`` are (S, C): what each sample adds to each numerator and denominator. The same seed
+    and scenes draw the same resamples for every column and planner, so that differences between planners can be
+    paired. The order of the samples does not matter.
     """
     return ratios_of_sums(sums_by_scene(values, weights, scenes), seed=seed)
 
 
 def ratios_of_sums(sums: SceneSums, *, seed: int) -> list[Rate]:
-    """`ratios_over_scenes` of what was added up by scene.
-
-    Args:
-        sums: (N, C) sums.
-        seed: Seed of the resampling.
-
-    Returns:
-        C rates.
-    """
+    """`ratios_over_scenes` of what was added up by scene."""
     low, high = _interval(sums, seed)
     return [
         Rate(
@@ -178,16 +131,7 @@ def ratios_of_sums(sums: SceneSums, *, seed: int) -> list[Rate]:
 
 
 def sums_by_scene(values: Floats, weights: Floats, scenes: Sequence[str]) -> SceneSums:
-    """Add samples up by scene.
-
-    Args:
-        values: (S, C) what each sample adds to each numerator.
-        weights: (S, C) what each sample adds to each denominator.
-        scenes: S names of what is drawn together.
-
-    Returns:
-        The sums; the order of the samples does not matter.
-    """
+    """Add (S, C) numerators and (S, C) denominators up by scene; the order of the samples does not matter."""
     names = sorted(set(scenes))
     row_of = {name: row for row, name in enumerate(names)}
     rows = np.array([row_of[name] for name in scenes], dtype=np.int64)
@@ -208,16 +152,7 @@ def _added(values: Floats, counts: NDArray[np.int64]) -> Floats:
 
 
 def resampled(sums: Floats, names: tuple[str, ...], *, seed: int) -> Floats:
-    """Totals over resampled scenes; the same names and seed draw the same scenes.
-
-    Args:
-        sums: (N, C) what each scene adds.
-        names: N names.
-        seed: Seed of the resampling.
-
-    Returns:
-        (2000, C) totals.
-    """
+    """(2000, C) totals over resampled scenes; the same names and seed draw the same scenes."""
     drawn = _times_drawn(names, seed)
     exact = _adds_exactly(sums, len(names))
     if exact.all():
@@ -248,30 +183,19 @@ def _in_order(drawn: Floats, sums: Floats, *, alone: bool = True) -> Floats:
 
 
 def ends(draws: Floats, bounds: tuple[float, float]) -> tuple[float, float]:
-    """The 95 % interval of a number that need not exist in every resample.
+    """The 95 % interval of a number that need not exist in every resample; both ends are drawn numbers, or bounds.
 
     Args:
         draws: (R,) the number in each resample; NaN where it does not exist, possibly infinite.
         bounds: Between what it lies. A resample in which it does not exist could have been anything, so that it
             counts as the lower bound for the lower end and as the upper bound for the upper one.
-
-    Returns:
-        Lower and upper end, both of them numbers that were drawn, or bounds.
     """
     low, high = all_ends(draws[None], bounds)
     return float(low[0]), float(high[0])
 
 
 def all_ends(draws: Floats, bounds: tuple[float, float]) -> tuple[Floats, Floats]:
-    """`ends` of several numbers.
-
-    Args:
-        draws: (C, R) each number in each resample.
-        bounds: As there.
-
-    Returns:
-        (C,) lower and (C,) upper ends.
-    """
+    """`ends` of C numbers, drawn as (C, R): (C,) lower and (C,) upper ends."""
     last = (draws.shape[1] - 1) / 100
     ranks = math.floor(INTERVAL[0] * last), math.ceil(INTERVAL[1] * last)
     unknown = np.isnan(draws)

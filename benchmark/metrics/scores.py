@@ -22,13 +22,10 @@ _MOST_KEPT: Final = 16
 
 @dataclass(frozen=True, slots=True)
 class Scored:
-    """What each sample of a record adds to its collision rates under one protocol.
+    """What each sample of a record adds to its collision rates under one protocol, never ``native``.
 
     Attributes:
-        record: The record.
-        protocol: The protocol, never ``native``.
         tokens: S samples with a plan.
-        scenes: S scene names.
         values: (S, 4) at 1, 2, 3 s and their mean, 0..1; NaN where the sample says nothing.
         counted: (S,) whether the sample counts and its collisions are known.
         failed: Samples without a plan.
@@ -45,15 +42,7 @@ class Scored:
     kept: dict[bytes, tuple[Mapping[str, str], SceneSums]] = field(default_factory=dict, repr=False, compare=False)
 
     def sums(self, unit_of: Mapping[str, str], only: Sequence[int] | NDArray[np.int64] | None = None) -> SceneSums:
-        """Add the samples up.
-
-        Args:
-            unit_of: What each scene is drawn together with.
-            only: Which samples, if not all.
-
-        Returns:
-            Sums by unit.
-        """
+        """Add the samples up, or those in ``only``, by what ``unit_of`` says each scene is drawn together with."""
         rows = np.arange(len(self.tokens)) if only is None else np.asarray(only, dtype=np.int64)
         # A planner is compared with all others, mostly on the same samples.
         key = hashlib.sha256(rows.tobytes()).digest()
@@ -89,18 +78,7 @@ def leaves_out_samples(protocol: str) -> bool:
 
 
 def scored(record: RunRecord, *, protocol: str = "exact") -> Scored:
-    """Read a record's verdicts under one protocol.
-
-    Args:
-        record: The record.
-        protocol: Whose verdicts; ``native`` is that of the planner's own repository.
-
-    Returns:
-        The values.
-
-    Raises:
-        InputError: If the record was not judged by the protocol, or by another version of it.
-    """
+    """Read a record's verdicts under one protocol; ``native`` is that of the planner's own repository."""
     name = protocol_of(record, protocol)
     require_current(record, name)
     columns = record.columns
@@ -117,11 +95,7 @@ def scored(record: RunRecord, *, protocol: str = "exact") -> Scored:
 
 
 def require_current(record: RunRecord, protocol: str) -> None:
-    """Refuse verdicts that are not those of the protocol as it is now.
-
-    Args:
-        record: A record.
-        protocol: Name of a protocol, not ``native``.
+    """Refuse verdicts that are not those of the protocol, never ``native``, as it is now.
 
     Raises:
         InputError: If the record has no verdicts of it, or those of another version.
@@ -141,14 +115,9 @@ def require_current(record: RunRecord, protocol: str) -> None:
 
 
 def source_of_scenes(record: RunRecord) -> Mapping[str, str]:
-    """The recording that each scene of a record was made from.
+    """The recording that each scene of a record was made from; the scene itself where the record does not say.
 
-    Args:
-        record: A record.
-
-    Returns:
-        Scene name to name of the recorded scene, which nobody may change; the scene itself where the record does not
-        say.
+    The mapping is shared and must not be changed.
     """
     kept, run = record.columns.kept, record.run
     if (known := kept.get(_SOURCES)) is None or known[0] is not run:

@@ -18,13 +18,10 @@ CRITICAL_BTN: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """A quantity over samples.
+    """Median and worst tenth of a quantity over the samples of which it is known; both are values that samples have.
 
-    Attributes:
-        samples: Of how many it is known.
-        median: Half of them reach it.
-        worst_tenth: One in ten reaches it, or worse; worse is more, or less where the quantity is a distance or a time
-            that is left. Both are values that samples have.
+    One in ten reaches the worst tenth, or worse; worse is more, or less where the quantity is a distance or a time
+    that is left.
     """
 
     samples: int
@@ -34,17 +31,9 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class Contacts:
-    """Samples whose first contact is with an adversary, or of those with a bystander.
+    """Samples whose first contact is with an adversary, or of those with a bystander; speeds in m/s.
 
-    Attributes:
-        samples: How many.
-        at_fault: How many are the planner's fault.
-        kinds: How many of each kind.
-        impact_speed: m/s.
-        delta_v_ego: m/s.
-        delta_v_other: m/s.
-        mean_fatal: Mean probability that somebody in the ego dies.
-        most_fatal: The largest.
+    ``mean_fatal`` and ``most_fatal`` are of the probability that an occupant of the ego dies.
     """
 
     samples: int
@@ -62,7 +51,6 @@ class NearPasses:
     """Samples without a contact at which an adversary is there.
 
     Attributes:
-        samples: How many.
         gap: Smallest distance, metres.
         ttc: Least time to contact, seconds, of those that head for one another.
         tet: Time exposed, seconds.
@@ -125,15 +113,7 @@ def near_passes_of(record: RunRecord) -> NearPasses:
 
 
 def spread_of(values: Sequence[float], *, less_is_worse: bool = False) -> Spread:
-    """Median and worst tenth.
-
-    Args:
-        values: Of samples or scenes.
-        less_is_worse: Whether a small value is the bad one.
-
-    Returns:
-        Values among them, the worse of two where a middle lies between them; ``None`` of nothing.
-    """
+    """Median and worst tenth: values among those given, the worse of two where a middle lies between them."""
     if not values:
         return Spread(0, None, None)
     order = sorted(values) if less_is_worse else sorted(values, reverse=True)

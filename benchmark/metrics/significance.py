@@ -26,13 +26,7 @@ Ends = tuple[float | None, float | None]
 
 @dataclass(frozen=True, slots=True)
 class RateComparison:
-    """Two collision rates and what lies between them.
-
-    Attributes:
-        first: The first rate, or ``None`` where no sample counts.
-        second: The second one.
-        difference: Second less first.
-    """
+    """Two collision rates, ``None`` where no sample counts, and the second less the first."""
 
     first: float | None
     second: float | None
@@ -44,12 +38,8 @@ class SplitComparison:
     """One planner on two splits; first is the baseline.
 
     Attributes:
-        planner: Its name.
         privileged: Whether it saw what no car sees.
         miniature: Whether it shows the pipeline and ranks nothing.
-        protocol: Who judged.
-        baseline_split: Name of the first split.
-        split: Name of the second split.
         everything: Horizon to comparison over all scenes of both.
         paired: Horizon to comparison over the recorded scenes that both have.
         sources: Those recorded scenes.
@@ -77,12 +67,8 @@ class PlannerComparison:
     """Two planners on the same samples.
 
     Attributes:
-        planners: Names of the first and the second.
         privileged: For each, whether it saw what no car sees.
         miniatures: For each, whether it shows the pipeline and ranks nothing.
-        protocol: Who judged.
-        split: Name of the split.
-        by_horizon: Horizon to comparison.
         samples: Samples that count for both.
         failed: Samples that one of them or both failed on; they are left out of both rates.
         unshared: Scenes that only one of them ran on; left out too.
@@ -102,20 +88,10 @@ class PlannerComparison:
 def compare_splits(
     baseline: Scored, other: Scored, *, seed: int = 0, horizons: Sequence[str] = HORIZONS
 ) -> SplitComparison:
-    """Compare a planner with itself on another split.
+    """Compare a planner with itself on another split: same planner, weights, data set and protocol.
 
-    Args:
-        baseline: The first split.
-        other: The second one. Where its record does not say what a scene was made from, it is the baseline's scene
-            with the longest name that is the same or ends there at a hyphen.
-        seed: Seed of the intervals.
-        horizons: At which.
-
-    Returns:
-        The comparison.
-
-    Raises:
-        InputError: If they are not of the same planner, weights, data set and protocol.
+    Where the other record does not say what a scene was made from, it is the baseline's scene with the longest name
+    that is the same or ends there at a hyphen.
     """
     first, second = baseline.record, other.record
     _require_one_planner(baseline, other)
@@ -143,20 +119,7 @@ def compare_splits(
 def compare_planners(
     first: Scored, second: Scored, *, seed: int = 0, horizons: Sequence[str] = HORIZONS
 ) -> PlannerComparison:
-    """Compare two planners on the samples that both planned.
-
-    Args:
-        first: One planner.
-        second: The other one, on the same split.
-        seed: Seed of the intervals.
-        horizons: At which.
-
-    Returns:
-        The comparison.
-
-    Raises:
-        InputError: If the two are not of the same data, split and protocol.
-    """
+    """Compare two planners on the samples that both planned, on the same split."""
     runs = first.record.run, second.record.run
     if (first.record.judged_content, runs[0].split, first.protocol) != (
         second.record.judged_content,

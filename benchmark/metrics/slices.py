@@ -39,7 +39,7 @@ COMMANDS: Final = ("right", "left", "straight")
 
 @dataclass(frozen=True, slots=True)
 class Slicing:
-    """How the samples of a record fall into slices.
+    """Slices that the samples of a record fall into.
 
     Attributes:
         names: K slices that have samples, in the order of tables.
@@ -52,13 +52,9 @@ class Slicing:
 
 @dataclass(frozen=True, slots=True)
 class Slice:
-    """Numbers of one slice.
+    """Numbers of one slice: its samples that count, their scenes, and rates by column and horizon.
 
-    Attributes:
-        name: Which.
-        samples: Samples that count in it.
-        scenes: Scenes that they are of.
-        columns: Column to horizon, or whatever else a column has several of, to rate.
+    Columns without horizons have other keys there, as causes.
     """
 
     name: str
@@ -74,15 +70,10 @@ def kinds_named(names: Iterable[str]) -> tuple[SliceKind, ...]:
 
 
 def slicing(record: RunRecord, kind: SliceKind) -> Slicing | None:
-    """Sort the samples of a record.
+    """Sort the samples of a record into slices.
 
-    Args:
-        record: The record.
-        kind: By what.
-
-    Returns:
-        The slices, or ``None`` where the record does not say: older ones do not know places, speeds and light, and
-        where there is no adversary there is no manoeuvre.
+    ``None`` where the record does not say: older ones do not know places, speeds and light, and where there is no
+    adversary there is no manoeuvre.
     """
     key = ("slicing", kind)
     # Beside the rows, what the record says of its scenes decides.
@@ -111,19 +102,10 @@ def _sliced(record: RunRecord, kind: SliceKind) -> Slicing | None:
 
 
 def rates_by(record: RunRecord, kind: SliceKind, protocol: str) -> list[Slice]:
-    """Every rate of a protocol, slice by slice.
+    """Every rate of a protocol, or ``native``, slice by slice.
 
-    Args:
-        record: The record.
-        kind: By what.
-        protocol: Who judges, or ``native``.
-
-    Returns:
-        Slices with the columns of the protocol by horizon, and of ``exact`` with `ADVERSARY` where the split has
-        adversaries and the record says whom contacts are with; empty where `slicing` knows none.
-
-    Raises:
-        InputError: If the record was not judged by the protocol, or by another version of it.
+    Columns are those of the protocol by horizon, and of ``exact`` with `ADVERSARY` where the split has adversaries
+    and the record says whom contacts are with; empty where `slicing` knows none.
     """
     name, parts = protocol_of(record, protocol), slicing(record, kind)
     require_current(record, name)
@@ -143,12 +125,7 @@ def rates_by(record: RunRecord, kind: SliceKind, protocol: str) -> list[Slice]:
 def driving_by(record: RunRecord, kind: SliceKind) -> list[Slice]:
     """Driving scores, slice by slice.
 
-    Args:
-        record: The record.
-        kind: By what.
-
-    Returns:
-        Slices with the ``mean`` of each column of `benchmark.records.driving`; empty where there are no scores.
+    The ``mean`` of each column of `benchmark.records.driving`; empty without scores.
     """
     parts = slicing(record, kind)
     chosen = np.flatnonzero(record.columns.flags("driven"))
@@ -162,16 +139,8 @@ def driving_by(record: RunRecord, kind: SliceKind) -> list[Slice]:
 def causes_by(record: RunRecord, kind: SliceKind) -> list[Slice]:
     """Why plans collide under ``exact``, slice by slice.
 
-    Args:
-        record: The record.
-        kind: By what.
-
-    Returns:
-        Slices with the column ``cause``: the share of each among the samples that count and collide; empty where
-        nothing collides or the record has no diagnoses.
-
-    Raises:
-        InputError: If the record was not judged by ``exact``, or by another version of it.
+    The column ``cause`` has the share of each among the samples that count and collide; empty where nothing
+    collides or the record has no diagnoses.
     """
     require_current(record, EXACT)
     parts = slicing(record, kind)
@@ -213,16 +182,12 @@ def _slices(
 
 
 def slice_sums(members: Bools, values: Floats, weights: Floats, scenes: Sequence[str]) -> SceneSums:
-    """Sums by scene of S samples in K slices.
+    """Sums by scene of S samples in K slices: (N, K * C), those of the first slice first.
 
     Args:
         members: (S, K) which sample is in which.
         values: (S, C) numbers.
         weights: (S, C) how often each counts.
-        scenes: S names of what is drawn together.
-
-    Returns:
-        (N, K * C) sums, those of the first slice first.
     """
     if (members.sum(axis=1) > 1).any():
         # In which order numbers are added depends on all slices that a sample is in.

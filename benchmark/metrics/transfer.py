@@ -34,16 +34,10 @@ class Agreement:
     """How far two planners fail the same scenes, over the scenes that both were judged on.
 
     Attributes:
-        planners: Names of the first and the second.
-        both: Scenes that both fail.
-        only_first: Scenes that the first alone fails.
-        only_second: Scenes that the second alone fails.
-        neither: Scenes that none of them fails.
         phi: Correlation of the two verdicts, -1..1; it does not exist where one of them fails all or none.
         lift: How many times more often they fail together than by chance: both * all / (fails of the first * fails of
             the second); ``None`` where one of them fails none.
         lift_low: Lower end of its 95 % interval.
-        lift_high: Upper end.
     """
 
     planners: tuple[str, str]
@@ -293,16 +287,9 @@ def _quotient(above: Floats, below: Floats) -> Floats:
 
 
 def adversary_failures(record: RunRecord) -> dict[str, bool | None]:
-    """Which scenes a planner fails by touching the adversary first.
+    """Scenes that a planner fails by touching the adversary first.
 
-    Args:
-        record: Of the planner, judged by ``exact``.
-
-    Returns:
-        Scene name to verdict, as `benchmark.records.run.scene_failures` has it.
-
-    Raises:
-        InputError: If the record does not say whom contacts are with.
+    Verdicts as `benchmark.records.run.scene_failures` has them; the record must say whom contacts are with.
     """
     if not says_whom(record):
         raise InputError(

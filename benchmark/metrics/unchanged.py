@@ -59,13 +59,7 @@ def unchanged_record(
 def unchanged_candidates(root: Path, records: Iterable[RunRecord], elsewhere: str | None = None) -> list[RunRecord]:
     """Records below a folder that runs on adversarial splits may be compared with.
 
-    Args:
-        root: Folder of run directories.
-        records: Runs; those on other splits want no comparison.
-        elsewhere: Name of the data set that has the unchanged recordings, if it is another one.
-
-    Returns:
-        Records of the same planners on val-r and val, the newest last; damaged ones are left out.
+    Of the same planners on val-r and val, the newest last; damaged ones are left out.
     """
     wanted = {
         (data_name, record.run.planner.name)

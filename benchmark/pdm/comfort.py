@@ -35,13 +35,10 @@ HISTORY_KEY_FRAMES: Final = 4
 
 
 def history_rows(key_frames: Floats) -> Floats:
-    """What was before a motion, row by row.
+    """(B, 14, 11) states at -1.5 .. -0.2 s before a motion: linear, headings by the shortest turn, rates zero.
 
-    Args:
-        key_frames: (B, 4, 8) pose, velocity and acceleration (the first columns of a state) at -1.5, -1, -0.5 and 0 s.
-
-    Returns:
-        (B, 14, 11) states at -1.5 .. -0.2 s: linear, headings by the shortest turn, yaw rates and the like zero.
+    They are made of (B, 4, 8) pose, velocity and acceleration (the first columns of a state) at -1.5, -1, -0.5 and
+    0 s.
     """
     values = key_frames.copy()
     values[..., HEADING] = _unwrapped(values[..., HEADING])
@@ -54,14 +51,9 @@ def history_rows(key_frames: Floats) -> Floats:
 
 
 def comfort_series(states: Floats, history: Floats) -> Floats:
-    """The six series that comfort is judged by.
+    """(B, 6, 45) series that comfort is judged by, in the order of ``BOUNDS``.
 
-    Args:
-        states: (B, 31, 11) motions.
-        history: (B, 14, 11) what was before.
-
-    Returns:
-        (B, 6, 45) in the order of ``BOUNDS``.
+    Motions are (B, 31, 11), the states before them (B, 14, 11).
     """
     rows = np.concatenate([history, states], axis=1)
     felt = rows[..., ACCELERATION] + COMFORT_CENTER_AHEAD_M * (rows[..., YAW_RATE] ** 2 + rows[..., YAW_ACCELERATION])
@@ -79,27 +71,16 @@ def comfort_series(states: Floats, history: Floats) -> Floats:
 
 
 def comfort_checks(extremes: Floats) -> Bools:
-    """HC, test by test.
+    """HC, test by test: (..., 6) whether each series stays inside its bounds; all six make HC 1.
 
-    Args:
-        extremes: (..., 6, 2) lowest and highest value of each series.
-
-    Returns:
-        (..., 6) whether each series stays inside its bounds; all six make HC 1.
+    ``extremes`` are (..., 6, 2), the lowest and highest value of each series.
     """
     low, high = np.array(BOUNDS).T
     return np.asarray((extremes[..., 0] > low) & (extremes[..., 1] < high))
 
 
 def extremes_of(series: Floats) -> Floats:
-    """Lowest and highest value of series.
-
-    Args:
-        series: (..., T).
-
-    Returns:
-        (..., 2).
-    """
+    """(..., 2) lowest and highest value of (..., T) series."""
     return np.stack([series.min(axis=-1), series.max(axis=-1)], axis=-1)
 
 
@@ -109,29 +90,16 @@ def states_between(seconds: float) -> int | None:
 
 
 def disagreement(earlier: Floats, later: Floats, apart: int) -> Floats:
-    """How far two plans differ where both say something.
+    """(B, 4) root mean square differences of two plans where both say something, in the order of ``AGREEMENT``.
 
-    Args:
-        earlier: (B, 31, 11) motions of the earlier plans.
-        later: (B, 31, 11) motions of the later plans.
-        apart: States between the starts of the two.
-
-    Returns:
-        (B, 4) root mean square differences in the order of ``AGREEMENT``.
+    Motions are (B, 31, 11); ``apart`` are the states between the starts of the two.
     """
     differences = _plan_series(later[:, : STATES - apart]) - _plan_series(earlier[:, apart:])
     return np.asarray(np.sqrt(np.mean(differences**2, axis=-1)))
 
 
 def extended_comfort(differences: Floats) -> Floats:
-    """EC.
-
-    Args:
-        differences: (..., 4) root mean squares.
-
-    Returns:
-        (...) 0 or 1.
-    """
+    """EC, 0 or 1, of (..., 4) root mean squares."""
     return np.asarray((differences <= np.array(AGREEMENT)).all(axis=-1), np.float64)
 
 

@@ -28,7 +28,7 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Collisions:
-    """What NC says about B plans.
+    """NC of B plans.
 
     Attributes:
         score: (B,) 0, 1/2 or 1.
@@ -43,7 +43,7 @@ class Collisions:
 
 @dataclass(frozen=True, slots=True)
 class NearMisses:
-    """What TTC says about B plans.
+    """TTC of B plans.
 
     Attributes:
         score: (B,) 0 or 1.
@@ -65,16 +65,9 @@ class _Pairs:
 
 
 def collisions(states: Floats, samples: Integers, traffic: Traffic, where: Whereabouts) -> Collisions:
-    """Judge contacts of the car with objects.
+    """Judge contacts of the car, in (B, 31, 11) motions of the samples named, with objects.
 
-    Args:
-        states: (B, 31, 11) motions.
-        samples: (B,) the sample of each.
-        traffic: Objects of all samples, without those that touch the car at the start.
-        where: Of the same motions.
-
-    Returns:
-        The verdicts.
+    ``traffic`` is without those that touch the car at the start.
     """
     boxes = footprints(states)
     pairs = _pairs(boxes, samples, traffic)
@@ -101,14 +94,7 @@ def collisions(states: Floats, samples: Integers, traffic: Traffic, where: Where
 def near_misses(states: Floats, samples: Integers, traffic: Traffic, where: Whereabouts) -> NearMisses:
     """Judge where the car would be 0, 0.3, 0.6 and 0.9 s after each state if it went on straight at its speed.
 
-    Args:
-        states: (B, 31, 11) motions.
-        samples: (B,) the sample of each.
-        traffic: Objects of all samples, without those that touch the car at the start.
-        where: Of the same motions.
-
-    Returns:
-        The verdicts.
+    ``traffic`` is without those that touch the car at the start.
     """
     asked = states[:, :TTC_STATES]
     speed = np.hypot(asked[..., SPEED], asked[..., SIDE_SPEED])

@@ -25,7 +25,7 @@ DECIMALS: Final = 6
 
 @dataclass(frozen=True, slots=True)
 class DrivenPlan:
-    """What is said of one plan.
+    """Verdict on one plan.
 
     Attributes:
         nc: No collision at fault: 0, 1/2 or 1.
@@ -45,7 +45,7 @@ class DrivenPlan:
             name.
         first_contact_s: When.
         hit_adversary: Whether that is an adversary; false without contact.
-        adversary_contact_s: When an adversary is first touched, whatever is touched before.
+        adversary_contact_s: When an adversary is first touched, also after other objects.
     """
 
     nc: float
@@ -79,7 +79,7 @@ def judge_scene(
     Args:
         scene: The scene, with its map.
         plans: One for each of its K samples in time order, ``None`` where the planner failed.
-        recorded: What the scene gives to judge by, if that is there already.
+        recorded: The scene as plans are judged by it, if that is there already.
 
     Returns:
         K verdicts; ``None`` where there is no plan, the recording ends within 3 s, or the map there has no
@@ -91,16 +91,7 @@ def judge_scene(
 def judge_planners(
     scene: Scene, plans: Sequence[Sequence[Plan | None]], recorded: RecordedScene | None = None
 ) -> list[list[DrivenPlan | None]]:
-    """`judge_scene` of several planners together.
-
-    Args:
-        scene: The scene, with its map.
-        plans: Of each planner, one for each of the K samples.
-        recorded: As there.
-
-    Returns:
-        Of each planner K verdicts, the same as one by one.
-    """
+    """`judge_scene` of several planners together: of each planner K verdicts, the same as one by one."""
     found: list[list[DrivenPlan | None]] = [[None] * len(own) for own in plans]
     recorded = recorded or RecordedScene(scene)
     chosen = [

@@ -35,11 +35,7 @@ CROSSING_RAD: Final = np.deg2rad(30.0)
 def route_of(poses: Floats) -> Floats:
     """The path of the recorded rear axle through a whole scene, and a straight extension.
 
-    Args:
-        poses: (T, 3) x, y, yaw of the rear axle, global.
-
-    Returns:
-        (M, 2) points 0.5 m apart, then 100 points 1 m apart straight ahead of the last pose.
+    (M, 2) points 0.5 m apart, then 100 points 1 m apart straight ahead of the last of the (T, 3) global poses.
     """
     path = _resampled(poses[:, :2], ROUTE_STEP_M)
     ahead = np.arange(1, EXTENSION_M + 1)[:, None] * np.array([np.cos(poses[-1, 2]), np.sin(poses[-1, 2])])
@@ -47,15 +43,10 @@ def route_of(poses: Floats) -> Floats:
 
 
 def road_of(road_map: RoadMap, route: Floats) -> Road:
-    """The surfaces that plans are judged by.
+    """The surfaces that plans are judged by; the route is as `route_of` makes it.
 
-    Args:
-        road_map: The map around the scene.
-        route: As `route_of` makes it.
-
-    Returns:
-        Lanes and connectors (a strip of 3.5 m where the map has no surface), road blocks, intersections, car parks and
-        the drivable area. Maps without road segments (imported recordings) get intersections from their lanes.
+    Lanes and connectors (a strip of 3.5 m where the map has no surface), road blocks, intersections, car parks and
+    the drivable area. Maps without road segments (imported recordings) get intersections from their lanes.
     """
     lanes = [road_map.lanes[name] for name in sorted(road_map.lanes)]
     shapes = [_surface(lane) for lane in lanes]
@@ -80,15 +71,10 @@ def road_of(road_map: RoadMap, route: Floats) -> Road:
 
 
 def on_route(lanes: Sequence[Lane], route: Floats) -> Bools:
-    """Which lanes a route follows.
+    """(N,) which of N lanes and connectors a route, as `route_of` makes it, follows.
 
-    Args:
-        lanes: N lanes and connectors.
-        route: As `route_of` makes it.
-
-    Returns:
-        (N,) True where the centre line passes within 2 m and 45 degrees of the path or the first 30 m of its
-        extension, and for lanes beside such lanes in the same direction.
+    True where the centre line passes within 2 m and 45 degrees of the path or the first 30 m of its extension, and
+    for lanes beside such lanes in the same direction.
     """
     lines = [_headed(lane.centerline) for lane in lanes]
     path = _headed(route[: len(route) - EXTENSION_M + ROUTED_EXTENSION_M])
@@ -107,14 +93,8 @@ def on_route(lanes: Sequence[Lane], route: Floats) -> Bools:
 def derived_intersections(road_map: RoadMap, lanes: Sequence[Lane], shapes: Sequence[Polygon]) -> list[Polygon]:
     """Intersections of a map that names none: what plain lanes leave of the drivable area around connectors that turn.
 
-    Args:
-        road_map: The map.
-        lanes: Its lanes and connectors.
-        shapes: Their surfaces.
-
-    Returns:
-        Each part with two or more connectors of different direction, as far as it lies in their hull. A map whose lanes
-        are all alike takes those that cross others for connectors.
+    Each part with two or more connectors of different direction, as far as it lies in their hull. A map whose lanes
+    are all alike takes those that cross others for connectors. Shapes are the surfaces of the lanes.
     """
     inside = {number for number, lane in enumerate(lanes) if lane.is_connector} or _crossing(lanes)
     plain = shapely.union_all([shape for number, shape in enumerate(shapes) if number not in inside])

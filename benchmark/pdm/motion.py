@@ -42,10 +42,6 @@ def headed(plan: Plan, lidar_ahead_m: float) -> Floats:
     0.3 m (`benchmark.waypoints.chord_headings`). A plan for the lidar is first moved back to the rear axle by the
     chords of its own waypoints; in a turn those are not the car's headings, so that those of the moved ones are taken.
 
-    Args:
-        plan: Waypoints without headings.
-        lidar_ahead_m: Lidar origin ahead of the rear axle.
-
     Returns:
         (6, 3) x forward, y left of the rear axle now, metres; heading, radians.
     """
@@ -69,13 +65,9 @@ def all_headed(plans: Sequence[Plan], lidar_ahead_m: float) -> Floats:
 
 
 def interpolated(plans: Floats) -> Floats:
-    """Poses at every state of a motion, the pose now before those of the plan.
+    """(B, 31, 3) poses at every state of a motion, the pose now before those of the plan.
 
-    Args:
-        plans: (B, 6, 3) x, y, heading in the frame of the rear axle now.
-
-    Returns:
-        (B, 31, 3) in the same frame: linear, headings by the shortest turn and not wrapped.
+    Linear in the frame of the rear axle now, headings by the shortest turn and not wrapped. Plans are (B, 6, 3).
     """
     knots = np.concatenate([np.zeros((len(plans), 1, 3)), plans], axis=1)
     step = np.diff(knots, axis=1)
@@ -89,13 +81,10 @@ def interpolated(plans: Floats) -> Floats:
 
 
 def reference_of(plans: Floats) -> ReferencePath:
-    """What the tracker follows: the plan's poses, and speeds and curvatures fitted to them.
+    """Path that the tracker follows: the plan's poses, and speeds and curvatures fitted to them.
 
-    Args:
-        plans: (B, 6, 3) x, y, heading in the frame of the rear axle now.
-
-    Returns:
-        The path in that frame, B candidates.
+    Plans are (B, 6, 3) x, y, heading in the frame of the rear axle now; the path is in that frame too, B
+    candidates.
     """
     poses = interpolated(plans).transpose(1, 2, 0)
     direction = np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)

@@ -21,7 +21,7 @@ MOTION_FRAMES: Final = 11
 
 
 class RecordedScene:
-    """A scene as plans are judged by it; what all samples share is made once.
+    """Scene as plans are judged by it; what all samples share is made once.
 
     Steps of half a second are key frames where those are half a second apart, and times between them elsewhere
     (`benchmark.datasets.steps`).
@@ -58,14 +58,7 @@ class RecordedScene:
         self._velocity = recorded_velocity(known.position[..., :2], known.valid, self.seconds)
 
     def surroundings(self, samples: NDArray[np.int64]) -> Surroundings:
-        """What plans of some samples are judged by.
-
-        Args:
-            samples: (S,) numbers of complete samples.
-
-        Returns:
-            Surroundings of S samples.
-        """
+        """Surroundings that plans of some complete samples are judged by."""
         now = np.zeros((len(samples), STATE_COLUMNS))
         now[:, :8] = self.motion[samples]
         before = samples[:, None] + np.arange(1 - HISTORY_KEY_FRAMES, 1)
@@ -82,13 +75,9 @@ class RecordedScene:
         )
 
     def recorded_plans(self, samples: NDArray[np.int64]) -> Floats:
-        """The recorded futures as plans.
+        """The recorded futures of complete samples as plans.
 
-        Args:
-            samples: (S,) numbers of complete samples.
-
-        Returns:
-            (S, 6, 3) poses of the rear axle in its frame at the sample.
+        (S, 6, 3) poses of the rear axle in its frame at the sample.
         """
         now, last = self.motion[samples, None, :3], len(self.motion) - 1
         future = self.motion[np.minimum(samples[:, None] + np.arange(1, PLAN_STEPS + 1), last), :3]
@@ -98,14 +87,7 @@ class RecordedScene:
         return np.concatenate([to_local(future[..., :2], now), heading[..., None]], axis=-1)
 
     def key_frames(self, samples: NDArray[np.int64]) -> KeyFrames:
-        """Objects that are annotated at any step from now to 3 s later.
-
-        Args:
-            samples: (S,) numbers of complete samples.
-
-        Returns:
-            The objects of each sample.
-        """
+        """Objects that are annotated at any step from now to 3 s later, of complete samples."""
         known, last = self._annotations, len(self.motion) - 1
         before = np.minimum(samples[:, None] + np.arange(PLAN_STEPS + 1), last)
         after, fraction = before.copy(), np.zeros(before.shape)
@@ -149,15 +131,10 @@ def _rows_in(samples: NDArray[np.int64], timed: Mapping[int, TimedSteps]) -> Ite
 
 
 def recorded_motion(poses: Floats, seconds: Floats) -> Floats:
-    """Velocity and acceleration of recorded poses.
+    """Velocity and acceleration of recorded poses, (T, 3) of the rear axle, global.
 
-    Args:
-        poses: (T, 3) x, y, yaw of the rear axle, global.
-        seconds: (T,) their times.
-
-    Returns:
-        (T, 8) pose, then velocity and acceleration along and across the body, then zero: those of the parabola through
-        the eleven poses around each (the first and last eleven at the ends), by their own times.
+    (T, 8) pose, then velocity and acceleration along and across the body, then zero: those of the parabola through
+    the eleven poses around each (the first and last eleven at the ends), by their own times in seconds.
     """
     count = len(poses)
     window = min(MOTION_FRAMES, count)
@@ -178,16 +155,10 @@ def recorded_motion(poses: Floats, seconds: Floats) -> Floats:
 
 
 def recorded_velocity(position: Floats, valid: Bools, seconds: Floats) -> Floats:
-    """Velocities of annotated objects.
+    """(N, K, 2) velocities of annotated objects, m/s.
 
-    Args:
-        position: (N, K, 2) centres at the key frames, global.
-        valid: (N, K) where they are annotated.
-        seconds: (K,) times.
-
-    Returns:
-        (N, K, 2) m/s: central differences over the neighbouring key frames, one-sided where one of them lacks the
-        object, zero where both do.
+    Central differences over the neighbouring key frames, one-sided where one of them lacks the object, zero where
+    both do.
     """
     count = len(seconds)
     before = np.maximum(np.arange(count) - 1, 0)

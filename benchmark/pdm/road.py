@@ -26,13 +26,9 @@ class Layer(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Road:
-    """Surfaces around a scene.
+    """Surfaces around a scene; ``lanes`` are lanes and connectors, ``on_route`` says which of them are on the route.
 
-    Attributes:
-        lanes: Lanes and connectors.
-        on_route: Whether each of them is on the route.
-        drivable: Road blocks, intersections, drivable areas and car parks.
-        intersections: Intersections.
+    ``drivable`` are road blocks, intersections, drivable areas and car parks.
     """
 
     lanes: tuple[Polygon, ...]
@@ -44,11 +40,7 @@ class Road:
     def of(cls, surfaces: "list[tuple[Layer, Polygon, bool]]") -> Self:
         """Sort surfaces by what they decide.
 
-        Args:
-            surfaces: Layer, shape and whether it is on the route (of lanes and connectors).
-
-        Returns:
-            The road.
+        Each is a layer, a shape and whether it is on the route (of lanes and connectors).
         """
         lanes = [(shape, routed) for layer, shape, routed in surfaces if layer in (Layer.LANE, Layer.CONNECTOR)]
         drivable = [shape for layer, shape, _ in surfaces if layer not in (Layer.LANE, Layer.CONNECTOR)]
@@ -63,13 +55,9 @@ class Road:
         )
 
     def unsure(self, boxes: Floats) -> Bools:
-        """Where a car has no lane of its own, so that it is to blame for contacts at its sides.
+        """Cars, (Q, 5), that have no lane of their own, so that they are to blame for contacts at their sides.
 
-        Args:
-            boxes: (Q, 5) rectangles of cars.
-
-        Returns:
-            (Q,) whether each is in several lanes or off the drivable surfaces.
+        They are in several lanes or off the drivable surfaces.
         """
         corners = _Points(box_corners(boxes))
         return self.straddled(corners, (len(boxes),)) | self.left(corners, (len(boxes),))
@@ -96,7 +84,7 @@ class Road:
 
 @dataclass(frozen=True, slots=True)
 class Whereabouts:
-    """Where B cars are at T states.
+    """Places of B cars on the road at T states.
 
     Attributes:
         multiple_lanes: (B, T) some corner is on more than one lane or connector and none holds the whole car.
@@ -114,14 +102,7 @@ class Whereabouts:
 
 
 def footprints(states: Floats) -> Floats:
-    """The car's rectangle at states.
-
-    Args:
-        states: (..., 11) states.
-
-    Returns:
-        (..., 5) boxes.
-    """
+    """(..., 5) boxes of the car at (..., 11) states."""
     heading = states[..., HEADING]
     center = states[..., :2] + CENTER_AHEAD_M * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     size = np.broadcast_to([LENGTH_M, WIDTH_M], center.shape)
@@ -129,15 +110,7 @@ def footprints(states: Floats) -> Floats:
 
 
 def whereabouts(road: Road, states: Floats) -> Whereabouts:
-    """Where cars are on the road; a point on the border of a surface is outside it.
-
-    Args:
-        road: The surfaces.
-        states: (B, T, 11) states.
-
-    Returns:
-        The verdicts.
-    """
+    """Where cars are on the road at (B, T, 11) states; a point on the border of a surface is outside it."""
     boxes = footprints(states)
     shape = states.shape[:-1]
     corners = _Points(box_corners(boxes))

@@ -21,7 +21,7 @@ SHORTEST_PROGRESS_M: Final = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """What B motions do along a route.
+    """B motions along a route.
 
     Attributes:
         wrong_way_m: (B,) longest distance against or off the route within 1.1 s.
@@ -42,9 +42,6 @@ def course(states: Floats, route: Floats, oncoming: Bools, in_intersection: Bool
         route: (M, 2) polyline.
         oncoming: (B, 31) where the car's centre is on no lane of the route.
         in_intersection: (B, 31) where its centre is in an intersection.
-
-    Returns:
-        The measures.
     """
     center = footprints(states)[..., :2]
     moved = np.zeros(states.shape[:2])
@@ -79,26 +76,15 @@ def _beside(route: Floats, points: NDArray[Any]) -> Bools:
 
 
 def direction_compliance(wrong_way_m: Floats) -> Floats:
-    """DDC.
-
-    Args:
-        wrong_way_m: (...) metres.
-
-    Returns:
-        (...) 0, 1/2 or 1.
-    """
+    """DDC: 0, 1/2 or 1."""
     return np.select([wrong_way_m < WRONG_WAY_M[0], wrong_way_m < WRONG_WAY_M[1]], [1.0, 0.5], 0.0)
 
 
 def lane_keeping(off_lane: Bools, in_intersection: Bools) -> Floats:
-    """LK: not more than 19 states in a row beside the route; states in an intersection are skipped, not forgiven.
+    """LK, (B,) 0 or 1: not more than 19 states in a row beside the route.
 
-    Args:
-        off_lane: (B, 31) whether the car's centre is more than 0.5 m from the route.
-        in_intersection: (B, 31) where its centre is in an intersection.
-
-    Returns:
-        (B,) 0 or 1.
+    ``off_lane``, (B, 31), is a centre more than 0.5 m from the route. States in an intersection are skipped, not
+    forgiven.
     """
     beside = np.zeros(len(off_lane), np.int64)
     longest = beside.copy()
@@ -110,16 +96,9 @@ def lane_keeping(off_lane: Bools, in_intersection: Bools) -> Floats:
 
 
 def ego_progress(progress_m: Floats, reference_m: Floats, multiplier: Floats, reference_multiplier: Floats) -> Floats:
-    """EP: progress beside that of a reference; what fails a multiplier cannot be the measure of others.
+    """EP, 0 to 1: progress beside that of a reference; what fails a multiplier cannot be the measure of others.
 
-    Args:
-        progress_m: (...) of the plan.
-        reference_m: (...) of the reference.
-        multiplier: (...) NC DAC DDC of the plan.
-        reference_multiplier: (...) the same of the reference.
-
-    Returns:
-        (...) 0 to 1; 1 where the better of the two goes no farther than 5 m.
+    Multipliers are NC DAC DDC. EP is 1 where the better of the two goes no farther than 5 m.
     """
     best = np.maximum(progress_m * multiplier, reference_m * reference_multiplier)
     far = best > SHORTEST_PROGRESS_M

@@ -24,10 +24,9 @@ class Surroundings:
 
     Attributes:
         now: (S, 11) states of the car.
-        history: (S, 14, 11) what was before (`benchmark.pdm.comfort.history_rows`).
+        history: (S, 14, 11) states before (`benchmark.pdm.comfort.history_rows`).
         has_history: (S,) False where the recording had not begun; HC is 1 there, as officially.
         traffic: Objects, without those that touch the car now.
-        road: Surfaces.
         route: (M, 2) polyline.
     """
 
@@ -41,16 +40,10 @@ class Surroundings:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """B motions and all that is said of them but what needs a second one.
+    """B motions, (B, 31, 11), and all that is said of them but what needs a second one.
 
-    Attributes:
-        states: (B, 31, 11) the motions.
-        where: Where on the road they are.
-        collisions: Contacts.
-        near_misses: Contacts a little later.
-        course: Along the route.
-        extremes: (B, 6, 2) lowest and highest value of each series of comfort.
-        scores: Sub-scores as if each were alone: EP is 1.
+    ``extremes`` are (B, 6, 2), lowest and highest value of each series of comfort. Sub-scores are as if each were
+    alone: EP is 1.
     """
 
     states: Floats
@@ -63,29 +56,12 @@ class Judged:
 
 
 def log_replay(traffic: Traffic, now: Floats) -> Traffic:
-    """Objects without those whose rectangles touch the car's at the start.
-
-    Args:
-        traffic: Objects of S samples.
-        now: (S, 11) states of the car.
-
-    Returns:
-        The others.
-    """
+    """Objects without those whose rectangles touch the car's at the start, an (S, 11) state of each sample."""
     return without(traffic, touching_at_start(traffic, footprints(now)))
 
 
 def judged(states: Floats, samples: NDArray[np.int64], around: Surroundings) -> Judged:
-    """Judge motions.
-
-    Args:
-        states: (B, 31, 11) motions.
-        samples: (B,) the sample of each.
-        around: What they are judged by.
-
-    Returns:
-        The verdicts.
-    """
+    """Judge (B, 31, 11) motions; ``samples`` are (B,), the sample of each."""
     where = whereabouts(around.road, states)
     contacts = collisions(states, samples, around.traffic, where)
     misses = near_misses(states, samples, around.traffic, where)
@@ -105,28 +81,12 @@ def judged(states: Floats, samples: NDArray[np.int64], around: Surroundings) -> 
 
 
 def beside(plans: Judged, reference_m: Floats, reference_multiplier: Floats) -> SubScores:
-    """Sub-scores of plans with EP measured by references.
-
-    Args:
-        plans: B motions.
-        reference_m: (B,) progress of the reference of each.
-        reference_multiplier: (B,) NC DAC DDC of it.
-
-    Returns:
-        The sub-scores.
-    """
+    """Sub-scores of plans with EP measured by references: the progress of each and its NC DAC DDC, both (B,)."""
     own, multiplier = plans.course.progress_m, plans.scores.multiplier
     return replace(plans.scores, ep=ego_progress(own, reference_m, multiplier, reference_multiplier))
 
 
 def human_scores(references: Judged) -> SubScores:
-    """What the filter goes by: the recorded future scored alone and without a history.
-
-    Args:
-        references: Motions of recorded futures.
-
-    Returns:
-        Their sub-scores; EP and HC are 1.
-    """
+    """Sub-scores that the filter goes by: the recorded future scored alone and without a history; EP and HC are 1."""
     ones = np.ones(len(references.states))
     return replace(references.scores, ep=ones, hc=ones)

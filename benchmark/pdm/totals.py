@@ -47,14 +47,7 @@ class SubScores:
         return self.multiplier * self._weighted() / sum(WEIGHTS.values())
 
     def score(self, ec: Floats) -> Floats:
-        """The score of a plan.
-
-        Args:
-            ec: Extended comfort, 0 to 1.
-
-        Returns:
-            0 to 1.
-        """
+        """The score of a plan, 0 to 1, with its extended comfort, 0 to 1."""
         return self.multiplier * (self._weighted() + EC_WEIGHT * ec) / (sum(WEIGHTS.values()) + EC_WEIGHT)
 
     def zeros(self) -> dict[str, Bools]:
@@ -64,11 +57,8 @@ class SubScores:
     def forgiving(self, forgiven: Mapping[str, Bools]) -> Self:
         """The same with some sub-scores set to 1.
 
-        Args:
-            forgiven: By sub-score, where the recorded driver, scored alone and without a history, has 0 (`zeros`).
-
-        Returns:
-            Filtered sub-scores.
+        They are forgiven, by sub-score, where the recorded driver, scored alone and without a history, has 0
+        (`zeros`).
         """
         return replace(self, **{name: np.where(zero, 1.0, getattr(self, name)) for name, zero in forgiven.items()})
 

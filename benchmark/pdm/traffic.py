@@ -69,12 +69,6 @@ def at_states(key_frames: KeyFrames) -> Traffic:
 
     An object is there from its first to its last annotation, across key frames in between that lack it; one that is
     annotated once is there all the time, at that pose (as officially).
-
-    Args:
-        key_frames: Objects of S samples.
-
-    Returns:
-        The objects at all states.
     """
     annotated = key_frames.annotated
     count = len(annotated)
@@ -117,24 +111,11 @@ def at_states(key_frames: KeyFrames) -> Traffic:
 def touching_at_start(traffic: Traffic, footprints: Floats) -> Bools:
     """Objects that touch the car now: log replay takes them out of all states.
 
-    Args:
-        traffic: Objects of S samples.
-        footprints: (S, 5) the car's rectangle in each sample now.
-
-    Returns:
-        (N,) verdicts.
+    ``footprints`` are (S, 5), the car's rectangle in each sample now.
     """
     return traffic.present[:, 0] & boxes_overlap(footprints[traffic.sample_of()], traffic.box[:, 0])
 
 
 def without(traffic: Traffic, objects: Bools) -> Traffic:
-    """The same objects, some of them never there.
-
-    Args:
-        traffic: Objects.
-        objects: (N,) which of them to take out.
-
-    Returns:
-        The objects with their numbers unchanged.
-    """
+    """The same objects with their numbers unchanged, some of them never there."""
     return replace(traffic, present=traffic.present & ~objects[:, None])

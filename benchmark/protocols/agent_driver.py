@@ -38,8 +38,7 @@ class AgentDriver(UniAD):
 class RasterOfVAD(VAD):
     """VAD's objects under UniAD's block, x mirrored; every sample counts, with means over the steps.
 
-    Attributes:
-        name: ``agent-driver-stp3``, or the name of a protocol that is the same.
+    The name is ``agent-driver-stp3``, or that of a protocol that is the same.
     """
 
     version = 1
@@ -59,11 +58,7 @@ class RasterOfVAD(VAD):
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
         """Means over the steps up to each horizon.
 
-        Args:
-            outcomes: S verdicts.
-
-        Returns:
-            ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``, each (S, 3).
+        Columns are ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``.
         """
         return masked_columns(outcomes, means_up_to)
 

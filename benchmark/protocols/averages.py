@@ -12,14 +12,7 @@ from benchmark.protocols.contract import Outcomes
 
 
 def at_steps(values: NDArray[Any]) -> Floats:
-    """The value at each horizon itself.
-
-    Args:
-        values: (S, 6) at the steps.
-
-    Returns:
-        (S, 3) at 1, 2 and 3 s.
-    """
+    """(S, 6) values at the steps: those at 1, 2 and 3 s themselves, (S, 3)."""
     return np.asarray(values[:, [count - 1 for count in HORIZON_STEPS.values()]], np.float64)
 
 
@@ -38,12 +31,8 @@ def any_up_to(verdicts: Bools) -> Floats:
 def masked_columns(outcomes: Outcomes, average: Callable[[NDArray[Any]], Floats]) -> dict[str, Floats]:
     """The columns of a protocol with a mask and a test of the point below, all averaged in the same way.
 
-    Args:
-        outcomes: S verdicts with the steps ``before_mask`` and ``obj_col``.
-        average: Of (S, 6) values at the steps, (S, 3) at 1, 2 and 3 s.
-
-    Returns:
-        ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``, each (S, 3).
+    ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``, each (S, 3), of verdicts with the steps
+    ``before_mask`` and ``obj_col``. ``average`` makes (S, 3) at 1, 2 and 3 s of (S, 6) values at the steps.
     """
     return {
         "collision": average(outcomes.collision),

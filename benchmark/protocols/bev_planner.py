@@ -66,40 +66,21 @@ class BEVPlanner:
     uses_categories = True
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
-        """Vehicles with a point on them at the step.
-
-        Args:
-            truths: S samples with M objects.
-
-        Returns:
-            (M, 6) verdicts.
-        """
+        """Vehicles with a point on them at the step."""
         recorded = truths.ego_future_valid[truths.sample_of]
         there = truths.annotated[:, 1:] & truths.has_points[:, 1:] & recorded
         return np.asarray(there & truths.of_categories(VEHICLES)[:, None])
 
     def headings(self, plans_lidar: Floats) -> Floats:
-        """Direction of each step of at least a metre, else straight ahead.
-
-        Args:
-            plans_lidar: (S, 6, 2) waypoints.
-
-        Returns:
-            (S, 6) radians.
-        """
+        """Direction of each step of at least a metre, else straight ahead."""
         return step_headings(forward_left(plans_lidar), moving_m=MOVING_M) + np.pi / 2
 
     def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
         """Judge plans.
 
-        Args:
-            truths: S samples.
-            plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
-
-        Returns:
-            Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary``, ``obj_col``,
-            ``kerb_before_mask``, ``kerb_recorded``, ``kerb`` and ``kerb_point``, and the fact ``map`` (whether the
-            sample has one).
+        Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary``, ``obj_col``,
+        ``kerb_before_mask``, ``kerb_recorded``, ``kerb`` and ``kerb_point``, and the fact ``map`` (whether the
+        sample has one).
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
@@ -129,12 +110,7 @@ class BEVPlanner:
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
         """The ground-truth check: whether the rectangle touches some objects on the recorded way.
 
-        Args:
-            truths: S samples with M objects.
-            among: (M,) which objects are asked about; of these, the counted ones can be touched.
-
-        Returns:
-            (S, 6) verdicts.
+        Of the objects asked about, the counted ones can be touched.
         """
         if not among.any():
             return np.zeros(truths.ego_future_valid.shape, dtype=np.bool_)
@@ -144,12 +120,8 @@ class BEVPlanner:
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
         """Maxima over the steps up to each horizon, means of L2 and of ``kerb_point``.
 
-        Args:
-            outcomes: S verdicts.
-
-        Returns:
-            ``collision``, ``collision_before_mask``, ``obj_col``, ``l2``, ``kerb``, ``kerb_before_mask`` and
-            ``kerb_point``, each (S, 3); those of the kerb are NaN for samples without a map.
+        ``collision``, ``collision_before_mask``, ``obj_col``, ``l2``, ``kerb``, ``kerb_before_mask`` and
+        ``kerb_point``; those of the kerb are NaN for samples without a map.
         """
         mapped = np.array(outcomes.facts.get("map", ()), np.bool_)[:, None]
         return {
@@ -179,13 +151,7 @@ def drawn_polygons(
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Corners of counted objects on the grid, in single precision throughout.
 
-    Args:
-        definition: Says which objects count.
-        truths: S samples with M objects.
-        among: (M,) which objects are asked about, if not all.
-
-    Returns:
-        (N, 4, 2) column and row of each corner, and (N,) the place of each: sample times 6 plus step.
+    (N, 4, 2) column and row of each corner, and (N,) the place of each: sample times 6 plus step.
     """
     asked = np.True_ if among is None else among[:, None]
     objects, steps = np.nonzero(definition.counted_objects(truths) & asked)

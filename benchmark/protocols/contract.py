@@ -45,14 +45,7 @@ class Outcomes:
         return self.counted if self.known is None else self.counted & self.known
 
     def step(self, name: str) -> NDArray[Any]:
-        """A further column.
-
-        Args:
-            name: Its name.
-
-        Returns:
-            (S, 6) values; no samples have every column.
-        """
+        """A further column, (S, 6); of no samples there is every column."""
         return self.steps[name] if len(self) else np.zeros((0, PLAN_STEPS), dtype=np.bool_)
 
     def as_rows(self) -> list[dict[str, Any]]:
@@ -74,14 +67,7 @@ class Outcomes:
 
     @classmethod
     def from_rows(cls, rows: Sequence[Mapping[str, Any]]) -> "Outcomes":
-        """The inverse of `as_rows`.
-
-        Args:
-            rows: One JSON object for each sample, all from the same protocol and version.
-
-        Returns:
-            The arrays.
-        """
+        """The inverse of `as_rows`."""
         shape = (len(rows), PLAN_STEPS)
         # Null becomes NaN, which no displacement is.
         l2 = np.array([row["l2"] for row in rows], dtype=np.float64).reshape(shape)
@@ -181,28 +167,18 @@ class CollisionProtocol(Protocol):
 
 
 def says_all(definition: CollisionProtocol, outcomes: Outcomes) -> Bools:
-    """Which samples count at all three horizons.
+    """(S,) which samples count at all three horizons.
 
-    Args:
-        definition: The protocol.
-        outcomes: S verdicts of it.
-
-    Returns:
-        (S,) verdicts: False where a sample counts but a gap in the recording leaves some of its steps unknown, or the
-        data do not say whom a plan could touch.
+    False where a sample counts but a gap in the recording leaves some of its steps unknown, or the data do not say
+    whom a plan could touch.
     """
     return np.logical_and(outcomes.decided, outcomes.valid.all(axis=-1) | definition.counts_incomplete)
 
 
 def published_values(definition: CollisionProtocol, outcomes: Outcomes) -> dict[str, Floats]:
-    """`CollisionProtocol.sample_values`, less what nothing is known of.
+    """`CollisionProtocol.sample_values`, less all of which nothing is known.
 
-    Args:
-        definition: The protocol.
-        outcomes: S verdicts of it.
-
-    Returns:
-        Columns by name, each (S, 3); those of contacts are NaN where ``outcomes.known`` is False.
+    Columns by name, each (S, 3); those of contacts are NaN where ``outcomes.known`` is False.
     """
     columns = definition.sample_values(outcomes)
     if outcomes.known is None:

@@ -44,11 +44,11 @@ _SAMPLES_AT_ONCE = 256
 
 @dataclass(frozen=True, slots=True)
 class FirstContact:
-    """Who is touched first in a sample.
+    """First contact of a sample.
 
     Attributes:
         time_s: When, or ``None`` where nothing is touched.
-        instance: Who; of objects that are touched at the same instant the first by name.
+        instance: Touched object; of objects that are touched at the same instant the first by name.
         adversary: Whether that is an adversary.
         adversary_s: When an adversary is first touched, if any is.
     """
@@ -69,39 +69,21 @@ class Exact:
     uses_categories = False
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
-        """Everything that is annotated at the step.
-
-        Args:
-            truths: S samples with M objects.
-
-        Returns:
-            (M, 6) verdicts.
-        """
+        """Everything that is annotated at the step."""
         return truths.annotated[:, 1:]
 
     def headings(self, plans_lidar: Floats) -> Floats:
-        """Chords between the neighbouring waypoints, held where the car hardly moves.
-
-        Args:
-            plans_lidar: (S, 6, 2) waypoints.
-
-        Returns:
-            (S, 6) radians.
-        """
+        """Chords between the neighbouring waypoints, held where the car hardly moves."""
         return chord_headings(plans_lidar, start_heading_rad=np.pi / 2)
 
     def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
         """Judge plans.
 
-        Args:
-            truths: S samples.
-            plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
-
         Returns:
             Verdicts with the column ``waypoint_collision`` (contact at the waypoints alone) and the facts
             ``first_contact_s``, ``hit`` (instance identifier of the object that is touched first), ``hit_adversary``
-            (whether that is an adversary) and ``adversary_contact_s`` (when an adversary is first touched, whatever
-            was touched before).
+            (whether that is an adversary) and ``adversary_contact_s`` (when an adversary is first touched, also after
+            other objects).
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         truths = [truth.by_clock for truth in truths]
@@ -131,11 +113,7 @@ class Exact:
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
         """Any contact up to the horizon; displacement at the horizon; mean displacement up to it.
 
-        Args:
-            outcomes: S verdicts.
-
-        Returns:
-            ``collision``, ``l2`` and ``ade``, each (S, 3); NaN where a counted sample has unknown steps up to there.
+        ``collision``, ``l2`` and ``ade``; NaN where a counted sample has unknown steps up to there.
         """
         columns = {
             "collision": any_up_to(outcomes.collision),
@@ -173,13 +151,9 @@ def judged_longer(truths: Sequence[SampleTruth], plans_lidar: Floats) -> tuple[B
 
 
 def ego_boxes(plans_lidar: Floats) -> Floats:
-    """The ego's rectangle at the instants 0.1, 0.2, ... s of a plan: 30 of them for 3 s.
+    """(..., 5 N, 5) boxes of the ego at the instants 0.1, 0.2, ... s of a plan: 30 of them for 3 s.
 
-    Args:
-        plans_lidar: (..., N, 2) waypoints of the lidar origin, x right, y forward, metres.
-
-    Returns:
-        (..., 5 N, 5) boxes.
+    The (..., N, 2) waypoints are of the lidar origin, x right, y forward, metres.
     """
     plans = np.asarray(plans_lidar, np.float64)
     heading = chord_headings(plans, start_heading_rad=np.pi / 2)
@@ -193,12 +167,8 @@ def ego_boxes(plans_lidar: Floats) -> Floats:
 def footprints_between(first: Floats, second: Floats) -> Floats:
     """The ego's rectangle at the five instants of each interval between two poses, the first pose left out.
 
-    Args:
-        first: (..., 3) poses of the lidar, any frame.
-        second: (..., 3) poses of the lidar half a second later.
-
-    Returns:
-        (..., 5, 5) boxes: instants, then x, y, length, width, yaw.
+    (..., 5, 5) instants, then x, y, length, width, yaw. Poses are of the lidar, (..., 3), half a second apart, in
+    any frame.
     """
     return ego_footprints(poses_between(first[..., None, :], second[..., None, :], _fractions()))
 
@@ -229,14 +199,9 @@ def _fractions() -> Floats:
 
 
 def contacts(ego: Floats, truths: Sequence[SampleTruth]) -> tuple[Bools, list[FirstContact]]:
-    """Contacts of any rectangle with the annotated objects.
+    """Contacts of any rectangle with the annotated objects: (S, 30) verdicts, and the first contact of each sample.
 
-    Args:
-        ego: (S, 30, 5) boxes at the instants 0.1, 0.2, ... 3.0 s.
-        truths: S samples.
-
-    Returns:
-        (S, 30) verdicts, and the first contact of each sample.
+    ``ego`` are (S, 30, 5) boxes at the instants 0.1, 0.2, ... 3.0 s.
     """
     boxes = np.concatenate([truth.boxes for truth in truths])
     annotated = np.concatenate([truth.annotated for truth in truths])

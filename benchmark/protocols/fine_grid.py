@@ -45,14 +45,9 @@ FOOTPRINT: Final = _footprint()
 
 
 def step_headings(waypoints: Floats, *, moving_m: float) -> Floats:
-    """Direction of the step that ends at each waypoint, straight ahead where the step is short.
+    """(..., 6) radians of the step that ends at each waypoint, straight ahead where the step is short.
 
-    Args:
-        waypoints: (..., 6, 2) x forward, y left, metres.
-        moving_m: Shortest step that turns the car.
-
-    Returns:
-        (..., 6) radians.
+    Waypoints are x forward, y left, metres; ``moving_m`` is the shortest step that turns the car.
     """
     step = np.diff(waypoints, axis=-2, prepend=0.0)
     heading = directions_of(step)
@@ -60,7 +55,7 @@ def step_headings(waypoints: Floats, *, moving_m: float) -> Floats:
 
 
 class TurnedFootprint:
-    """The cells of the ego at P places.
+    """Cells of the ego at P places.
 
     Attributes:
         waypoints: (P, 2) x forward, y left, metres.
@@ -72,13 +67,9 @@ class TurnedFootprint:
         self.waypoints, self.heading_rad, self.kind = waypoints, heading_rad, kind
 
     def cells(self, places: NDArray[np.int64]) -> tuple[Cells, Bools]:
-        """Cells at some places.
+        """Cells at n places.
 
-        Args:
-            places: (n,) which.
-
-        Returns:
-            (n, 738, 2) rows and columns, squeezed into the grid, and (n, 738) that all of them count.
+        (n, 738, 2) rows and columns, squeezed into the grid, and (n, 738) that all of them count.
         """
         heading = self.heading_rad[places, None]
         cos, sin = (turn(heading).astype(np.float32).astype(self.kind) for turn in (np.cos, np.sin))
@@ -91,11 +82,7 @@ class TurnedFootprint:
         return cells, np.ones(cells.shape[:2], dtype=np.bool_)
 
     def bounds(self) -> tuple[Floats, Floats]:
-        """Where the cells of each place lie, at least.
-
-        Returns:
-            (P, 2) lowest and highest row and column, squeezed into the grid.
-        """
+        """(P, 2) lowest and highest row and column of the cells of each place, at least, squeezed into the grid."""
         cos, sin = np.cos(self.heading_rad), np.sin(self.heading_rad)
         center = CENTER_AHEAD_M * np.stack([sin, cos], axis=-1) + self.waypoints[:, ::-1]
         half_x, half_y = 0.5 * EGO_LENGTH_M, 0.5 * EGO_WIDTH_M
@@ -132,16 +119,13 @@ def touched(
     place_of: NDArray[np.int64],
     draw: Callable[[NDArray[np.uint8], NDArray[np.int32]], None],
 ) -> list[Bools]:
-    """At which places drawn cells are covered.
+    """At which places drawn cells are covered: (P,) verdicts for each object of ``looked_at``.
 
     Args:
-        looked_at: What covers cells, each at the same P places.
+        looked_at: Footprints or points that cover cells, each at the same P places.
         polygons: (N, K, 2) column and row of points.
         place_of: (N,) which place each belongs to.
         draw: Draws some of them: takes a grid and (n, K, 2) points.
-
-    Returns:
-        (P,) verdicts for each that covers cells.
     """
     verdicts = [np.zeros(len(one.bounds()[0]), dtype=np.bool_) for one in looked_at]
     corners = [polygons[:, point, ::-1] for point in range(polygons.shape[1])]

@@ -69,54 +69,32 @@ class OmniDrive:
     uses_categories = True
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
-        """Vehicles that are annotated now, until their first gap.
-
-        Args:
-            truths: S samples with M objects.
-
-        Returns:
-            (M, 6) verdicts.
-        """
+        """Vehicles that are annotated now, until their first gap."""
         followed = np.logical_and.accumulate(truths.annotated, axis=1)[:, 1:]
         return np.asarray(followed & truths.of_categories(_VEHICLES)[:, None])
 
     def headings(self, plans_lidar: Floats) -> Floats:
-        """Direction of each step of at least a metre, else straight ahead; of the written plan.
-
-        Args:
-            plans_lidar: (S, 6, 2) waypoints.
-
-        Returns:
-            (S, 6) radians.
-        """
+        """Direction of each step of at least a metre, else straight ahead; of the written plan."""
         path = written(axle_path(np.asarray(plans_lidar, np.float64), np.zeros(len(plans_lidar))))
         return step_headings(path, moving_m=MOVING_M) + np.pi / 2
 
     def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
         """Judge plans.
 
-        Args:
-            truths: S samples.
-            plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
-
-        Returns:
-            Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary`` and ``off_road``, and the
-            fact ``on_road_now``, null where the sample has no map. Distances are those of the rear axle.
+        Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary`` and ``off_road``, and the
+        fact ``on_road_now``, null where the sample has no map. Distances are those of the rear axle.
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
         return self.judged(stacked, written(axle_path(plans, stacked.ahead_m)), stacked.axle_future)
 
     def judged(self, truths: StackedTruths, path: Floats, recorded: Floats) -> Outcomes:
-        """Judge plans of the rear axle as they are.
+        """Judge plans of the rear axle as they are, as `evaluate` does.
 
         Args:
             truths: S samples.
             path: (S, 6, 2) waypoints of the rear axle, x forward, y left, metres.
             recorded: (S, 6, 2) those of the recorded ego.
-
-        Returns:
-            As `evaluate`.
         """
         covers = [footprint(path), footprint(recorded)]
         found = touched(covers, *drawn_polygons(self, truths), fill)
@@ -140,12 +118,7 @@ class OmniDrive:
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
         """The ground-truth check: whether the rectangle touches some objects on the recorded way.
 
-        Args:
-            truths: S samples with M objects.
-            among: (M,) which objects are asked about; of these, the counted ones can be touched.
-
-        Returns:
-            (S, 6) verdicts.
+        Of the objects asked about, the counted ones can be touched.
         """
         return self._touched(truths, truths.axle_future, among)
 
@@ -159,12 +132,8 @@ class OmniDrive:
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
         """Maxima over the steps up to each horizon, means of L2.
 
-        Args:
-            outcomes: S verdicts.
-
-        Returns:
-            ``collision``, ``collision_before_mask``, ``l2`` and ``off_road``, each (S, 3); the last is NaN for samples
-            without a map.
+        Columns are ``collision``, ``collision_before_mask``, ``l2`` and ``off_road``; the last is NaN for samples
+        without a map.
         """
         on_road = np.array(outcomes.facts.get("on_road_now", ()), np.float64)[:, None]
         return {
@@ -179,14 +148,9 @@ _VEHICLES: Final = frozenset(VEHICLE_CATEGORIES)
 
 
 def axle_path(plans_lidar: Floats, ahead_m: Floats) -> Floats:
-    """Plans of the lidar as plans of the rear axle, moved along the heading of each step.
+    """Plans of the lidar, x right, y forward, as plans of the rear axle, x forward, y left; all in metres.
 
-    Args:
-        plans_lidar: (S, 6, 2) x right, y forward, metres.
-        ahead_m: (S,) lidar origin ahead of the rear axle.
-
-    Returns:
-        (S, 6, 2) x forward, y left, metres.
+    Moved along the heading of each step by the distance of the lidar origin ahead of the rear axle.
     """
     heading = chord_headings(plans_lidar, start_heading_rad=np.pi / 2) - np.pi / 2
     ahead = ahead_m[:, None]
@@ -196,14 +160,7 @@ def axle_path(plans_lidar: Floats, ahead_m: Floats) -> Floats:
 
 
 def written(path: Floats) -> Floats:
-    """Waypoints as the text has them.
-
-    Args:
-        path: (..., 2) metres.
-
-    Returns:
-        (..., 2) metres, whole hundredths.
-    """
+    """Waypoints as the text has them: metres in whole hundredths."""
     rounded = np.round(path, 2)
     return np.where(np.abs(rounded) <= _SILENT, 0.0, rounded)
 
@@ -219,13 +176,7 @@ def drawn_polygons(
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Corners of counted objects on the grid.
 
-    Args:
-        definition: Says which objects count.
-        truths: S samples with M objects.
-        among: (M,) which objects are asked about, if not all.
-
-    Returns:
-        (N, 4, 2) column and row of each corner, and (N,) the place of each: sample times 6 plus step.
+    (N, 4, 2) column and row of each corner, and (N,) the place of each: sample times 6 plus step.
     """
     asked = np.True_ if among is None else among[:, None]
     objects, steps = np.nonzero(definition.counted_objects(truths) & asked)

@@ -47,12 +47,8 @@ class OpenDriveVLA(UniAD):
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
         """The value at each horizon, and the means up to it.
 
-        Args:
-            outcomes: S verdicts.
-
-        Returns:
-            ``collision``, ``collision_before_mask``, ``obj_col``, ``l2``, and as means ``collision_mean`` and
-            ``l2_mean``, each (S, 3).
+        ``collision``, ``collision_before_mask``, ``obj_col``, ``l2``, and as means ``collision_mean`` and
+        ``l2_mean``.
         """
         means = {"collision_mean": means_up_to(outcomes.collision), "l2_mean": means_up_to(outcomes.l2)}
         return super().sample_values(outcomes) | means

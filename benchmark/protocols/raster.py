@@ -39,11 +39,8 @@ EGO_BLOCK: Cells = np.stack(np.meshgrid(np.arange(97, 105), np.arange(98, 102), 
 def ego_cells(waypoints_lidar: Floats) -> Floats:
     """Row and column of the ego's block before rounding: cell counts from the grid's left and rear edge.
 
-    Args:
-        waypoints_lidar: (..., 2) x right, y forward, metres.
-
-    Returns:
-        (..., 32, 2) row (forward) and column (right), not rounded. The official code divides in single precision.
+    (..., 32, 2) row (forward) and column (right) for (..., 2) waypoints, x right, y forward, metres. The official
+    code divides in single precision.
     """
     single = np.asarray(waypoints_lidar)[..., ::-1].astype(np.float32) / np.float32(CELL_M)
     return np.asarray(single.astype(np.float64)[..., None, :] + EGO_BLOCK)
@@ -52,11 +49,7 @@ def ego_cells(waypoints_lidar: Floats) -> Floats:
 def truncated(cells: Floats) -> Cells:
     """Cell indices rounded towards zero and squeezed into the grid, as both official codes do it.
 
-    Args:
-        cells: (..., 2) rows and columns.
-
-    Returns:
-        (..., 2) whole numbers from 0 to 199: a block that leaves the grid is squashed on its border.
+    Whole numbers from 0 to 199: a block that leaves the grid is squashed on its border.
     """
     return np.clip(np.trunc(cells), 0, CELLS - 1).astype(np.int64)
 
@@ -73,16 +66,13 @@ def occupied(
     cells: Sequence[Cells],
     bounds: Sequence[tuple[Cells, Cells]] | None = None,
 ) -> list[Bools]:
-    """Which cells are covered by the polygons of their place.
+    """Which cells are covered by the polygons of their place: (P, C) verdicts for each group of cells.
 
     Args:
         polygons: (N, 4, 2) corners, column first.
         place_of: (N,) which of P places (a sample at a step) a polygon belongs to.
         cells: Groups of cells to look at, each (P, C, 2), row first.
         bounds: `bounds_of` each group, where they are at hand.
-
-    Returns:
-        For each group (P, C) verdicts.
     """
     found = [np.zeros(group.shape[:2], dtype=np.bool_) for group in cells]
     low, high = polygons.min(axis=1)[:, ::-1], polygons.max(axis=1)[:, ::-1]
@@ -104,16 +94,13 @@ def occupied(
 def covering(
     polygons: NDArray[np.int32], place_of: NDArray[np.int64], cells: Cells, counts: Bools | None = None
 ) -> Bools:
-    """Which polygons cover a cell of their place: `occupied`, asked of each polygon.
+    """(N,) which polygons cover a cell of their place: `occupied`, asked of each polygon.
 
     Args:
         polygons: (N, 4, 2) corners, column first.
         place_of: (N,) which of P places a polygon belongs to.
         cells: (P, C, 2) cells to look at, row first.
         counts: (P, C) which of them count, if not all.
-
-    Returns:
-        (N,) verdicts.
     """
     found = np.zeros(len(polygons), dtype=np.bool_)
     grid = np.zeros((CELLS, CELLS), np.uint8)
@@ -145,16 +132,7 @@ def _may_reach(
 
 
 def full_rasters(polygons: NDArray[np.int32], place_of: NDArray[np.int64], places: int) -> NDArray[np.uint8]:
-    """Everything drawn.
-
-    Args:
-        polygons: (N, 4, 2) corners, column first.
-        place_of: (N,) which place each belongs to.
-        places: How many places there are.
-
-    Returns:
-        (places, 200, 200) ones where occupied.
-    """
+    """(places, 200, 200) ones where polygons, (N, 4, 2) corners with the column first, are drawn."""
     grids = np.zeros((places, CELLS, CELLS), np.uint8)
     for polygon, place in zip(list(polygons), place_of.tolist()):
         cv2.fillPoly(grids[place], [polygon], (1,))
@@ -162,12 +140,9 @@ def full_rasters(polygons: NDArray[np.int32], place_of: NDArray[np.int64], place
 
 
 class RasterProtocol(ABC):
-    """What both protocols share: the ego's block against the drawn objects, and the mask of the recorded ego.
+    """Raster protocol of UniAD and VAD: the ego's block against the drawn objects, and the mask of the recorded ego.
 
-    Attributes:
-        counts_incomplete: Whether samples count whose recording ends before 3 s.
-        uses_categories: Whether it depends on an object's category whether it is drawn.
-        first_row_ahead: Whether row 0 of the grid lies far ahead, not far behind.
+    ``first_row_ahead`` says whether row 0 of the grid lies far ahead, not far behind.
     """
 
     counts_incomplete: bool
@@ -180,16 +155,7 @@ class RasterProtocol(ABC):
 
     @abstractmethod
     def drawn_boxes(self, truths: StackedTruths, objects: NDArray[np.int64], steps: NDArray[np.int64]) -> Floats:
-        """Where objects are drawn.
-
-        Args:
-            truths: S samples with M objects.
-            objects: (N,) which objects.
-            steps: (N,) at which steps, 0 to 5.
-
-        Returns:
-            (N, 5) boxes.
-        """
+        """(N, 5) boxes as which objects are drawn at steps 0 to 5."""
 
     @abstractmethod
     def drawn_polygons(self, boxes: Floats) -> NDArray[np.int32]:
@@ -200,14 +166,7 @@ class RasterProtocol(ABC):
         """Row and column of the cell that ``obj_col`` asks for, for (S, 6, 2) waypoints; rounded towards zero."""
 
     def headings(self, plans_lidar: Floats) -> Floats:
-        """Straight ahead at every step.
-
-        Args:
-            plans_lidar: (S, 6, 2) waypoints.
-
-        Returns:
-            (S, 6) radians.
-        """
+        """Straight ahead at every step."""
         return np.full(plans_lidar.shape[:-1], np.pi / 2)
 
     @property
@@ -215,10 +174,8 @@ class RasterProtocol(ABC):
         """How far the ego's block reaches, on average over where the waypoint lies in its cell.
 
         A cell stands for a quarter of a metre around its node, and rounding down moves the block by half a cell.
-
-        Returns:
-            (4,) rear, front, right and left end, metres ahead of the waypoint and to the left of it. Corners of objects
-            are rounded to the nearest node: contact begins up to 0.25 m farther away, or as much nearer.
+        (4,) rear, front, right and left end, metres ahead of the waypoint and to the left of it. Corners of objects
+        are rounded to the nearest node: contact begins up to 0.25 m farther away, or as much nearer.
         """
         rounded_to = np.array([0.5 if self.first_row_ahead else -0.5, -0.5])
         nodes = np.stack([EGO_BLOCK.min(axis=0) - 0.5, EGO_BLOCK.max(axis=0) + 0.5]) + rounded_to
@@ -226,14 +183,7 @@ class RasterProtocol(ABC):
         return np.array([rear, front, -right, -left])
 
     def ego_block(self, waypoints_lidar: Floats) -> Cells:
-        """The cells that the ego covers at each waypoint.
-
-        Args:
-            waypoints_lidar: (..., 2) x right, y forward, metres.
-
-        Returns:
-            (..., 32, 2) rows and columns.
-        """
+        """(..., 32, 2) rows and columns that the ego covers at each waypoint (x right, y forward, metres)."""
         cells = ego_cells(waypoints_lidar)
         if self.first_row_ahead:
             cells[..., 0] = CELLS - cells[..., 0]
@@ -242,12 +192,7 @@ class RasterProtocol(ABC):
     def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
         """Judge plans.
 
-        Args:
-            truths: S samples.
-            plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
-
-        Returns:
-            Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary`` and ``obj_col``.
+        Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary`` and ``obj_col``.
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
@@ -282,12 +227,7 @@ class RasterProtocol(ABC):
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
         """The ground-truth check: whether the recorded ego's block covers a cell of some objects.
 
-        Args:
-            truths: S samples with M objects.
-            among: (M,) which objects are asked about; of these, the counted ones are drawn.
-
-        Returns:
-            (S, 6) verdicts.
+        Of the objects asked about, the counted ones are drawn.
         """
         block = self.ego_block(truths.ego_future[..., :2])
         return self._covered(truths, self.counted_objects(truths) & among[:, None], (block,))[0]

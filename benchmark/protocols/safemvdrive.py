@@ -41,11 +41,7 @@ from benchmark.truth import SampleTruth
 
 
 class SafeMVDrive:
-    """UniAD's flags, latched; the module's docstring says all.
-
-    Attributes:
-        uniad: Whose rasters and flags these are.
-    """
+    """UniAD's flags, latched; the module's docstring says all. Rasters and flags are those of ``uniad``."""
 
     name = "safemvdrive"
     version = 1
@@ -56,37 +52,15 @@ class SafeMVDrive:
         self.uniad = UniAD()
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
-        """Those of ``uniad``.
-
-        Args:
-            truths: S samples with M objects.
-
-        Returns:
-            (M, 6) verdicts.
-        """
+        """Those of ``uniad``."""
         return self.uniad.counted_objects(truths)
 
     def headings(self, plans_lidar: Floats) -> Floats:
-        """Straight ahead at every step.
-
-        Args:
-            plans_lidar: (S, 6, 2) waypoints.
-
-        Returns:
-            (S, 6) radians.
-        """
+        """Straight ahead at every step."""
         return self.uniad.headings(plans_lidar)
 
     def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
-        """Judge plans.
-
-        Args:
-            truths: S samples.
-            plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
-
-        Returns:
-            Verdicts with the columns ``at_step``, ``obj_col`` and those of a mask (`_latched`).
-        """
+        """Judge plans. Verdicts with the columns ``at_step``, ``obj_col`` and those of a mask (`_latched`)."""
         judged = self.uniad.evaluate(truths, plans_lidar)
         columns = {"at_step": judged.step("before_mask"), "obj_col": judged.step("obj_col")}
         recorded = (judged.step("recorded"), judged.step("recorded_adversary"))
@@ -96,25 +70,13 @@ class SafeMVDrive:
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
         """The ground-truth check: all steps of samples whose recorded ego collides at the first.
 
-        Args:
-            truths: S samples with M objects.
-            among: (M,) which objects are asked about; of these, the counted ones can be touched.
-
-        Returns:
-            (S, 6) verdicts.
+        Of the objects asked about, the counted ones can be touched.
         """
         first = self.uniad.recorded_contacts(truths, among)[:, :1]
         return np.asarray(first & truths.ego_future_valid)
 
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
-        """The latched flag at each horizon.
-
-        Args:
-            outcomes: S verdicts.
-
-        Returns:
-            ``collision``, ``obj_col`` and ``l2``, each (S, 3).
-        """
+        """The latched flag at each horizon. Columns are ``collision``, ``obj_col`` and ``l2``."""
         return {
             "collision": at_steps(outcomes.collision),
             "obj_col": at_steps(outcomes.step("obj_col")),
@@ -125,9 +87,7 @@ class SafeMVDrive:
 class SafeMVDriveBox:
     """SparseDrive's polygons without an exclusion, latched; the module's docstring says all.
 
-    Attributes:
-        name: ``safemvdrive-box`` or ``safemvdrive-box-all``.
-        needs_points: Whether boxes without lidar points are left out.
+    ``safemvdrive-box`` leaves out boxes without lidar points, ``safemvdrive-box-all`` does not.
     """
 
     version = 1
@@ -139,37 +99,15 @@ class SafeMVDriveBox:
         self._sparsedrive = SparseDrive()
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
-        """Everything that is annotated at the step, with a lidar point on it where those are asked for.
-
-        Args:
-            truths: S samples with M objects.
-
-        Returns:
-            (M, 6) verdicts.
-        """
+        """Everything that is annotated at the step, with a lidar point on it where those are asked for."""
         return self._there(truths)[:, 1:]
 
     def headings(self, plans_lidar: Floats) -> Floats:
-        """Those of ``sparsedrive``.
-
-        Args:
-            plans_lidar: (S, 6, 2) waypoints.
-
-        Returns:
-            (S, 6) radians.
-        """
+        """Those of ``sparsedrive``."""
         return self._sparsedrive.headings(plans_lidar)
 
     def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
-        """Judge plans.
-
-        Args:
-            truths: S samples.
-            plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
-
-        Returns:
-            Verdicts with the column ``at_step`` and those of a mask (`_latched`).
-        """
+        """Judge plans. Verdicts with the column ``at_step`` and those of a mask (`_latched`)."""
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
         flags = waypoint_contacts(stacked, self.counted_objects(stacked), plans, self.headings(plans))
@@ -183,24 +121,12 @@ class SafeMVDriveBox:
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
         """The ground-truth check: all steps of samples whose ego touches a box now.
 
-        Args:
-            truths: S samples with M objects.
-            among: (M,) which objects are asked about; of these, the counted ones can be touched.
-
-        Returns:
-            (S, 6) verdicts.
+        Of the objects asked about, the counted ones can be touched.
         """
         return np.asarray(self._touched_now(truths, among)[:, None] & truths.ego_future_valid)
 
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
-        """The latched flag at each horizon.
-
-        Args:
-            outcomes: S verdicts.
-
-        Returns:
-            ``collision`` and ``l2``, each (S, 3).
-        """
+        """The latched flag at each horizon. Columns are ``collision`` and ``l2``."""
         return {"collision": at_steps(outcomes.collision), "l2": at_steps(outcomes.l2)}
 
     def _there(self, truths: StackedTruths) -> Bools:
@@ -227,14 +153,9 @@ def _latched(
 
     Args:
         columns: (S, 6) further columns, among them ``at_step``.
-        l2: (S, 6) metres.
-        valid: (S, 6) whether the recorded ego exists.
         fit: (S,) which samples are long enough to count.
         out: (S,) whose recorded ego collides where the protocol looks.
         for_adversary: (S,) the same with an adversary.
-
-    Returns:
-        The verdicts.
     """
     latched = np.logical_or.accumulate(columns["at_step"].reshape(-1, PLAN_STEPS), axis=1)
     counted = fit & ~out

@@ -39,11 +39,7 @@ STANDING_M = 0.5
 
 
 class SparseDrive:
-    """See the module's docstring.
-
-    Attributes:
-        name: ``sparsedrive``, or the name of a protocol that is the same.
-    """
+    """SparseDrive's protocol, ``sparsedrive`` or the name of one that is the same: see the module's docstring."""
 
     version = 1
     counts_incomplete = False
@@ -53,25 +49,11 @@ class SparseDrive:
         self.name = name
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
-        """Objects with a lidar point at the step.
-
-        Args:
-            truths: S samples with M objects.
-
-        Returns:
-            (M, 6) verdicts.
-        """
+        """Objects with a lidar point at the step."""
         return truths.annotated[:, 1:] & truths.has_lidar_points[:, 1:]
 
     def headings(self, plans_lidar: Floats) -> Floats:
-        """Central differences of the waypoints, or straight ahead throughout.
-
-        Args:
-            plans_lidar: (S, 6, 2) waypoints.
-
-        Returns:
-            (S, 6) radians.
-        """
+        """Central differences of the waypoints, or straight ahead throughout."""
         # The official code holds waypoints in single precision.
         plans = np.asarray(plans_lidar).astype(np.float32)
         standing = np.linalg.norm(plans[:, -1] - plans[:, 0], axis=-1) < STANDING_M
@@ -81,15 +63,7 @@ class SparseDrive:
         return np.where(standing[:, None], np.pi / 2, directions_of(step))
 
     def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
-        """Judge plans.
-
-        Args:
-            truths: S samples.
-            plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
-
-        Returns:
-            Verdicts with the columns ``before_mask``, ``recorded`` and ``recorded_adversary``.
-        """
+        """Judge plans. Verdicts with the columns ``before_mask``, ``recorded`` and ``recorded_adversary``."""
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
         objects = self.counted_objects(stacked)
@@ -113,12 +87,7 @@ class SparseDrive:
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
         """The ground-truth check: whether the rectangle touches some objects on the recorded way.
 
-        Args:
-            truths: S samples with M objects.
-            among: (M,) which objects are asked about; of these, the counted ones can be touched.
-
-        Returns:
-            (S, 6) verdicts.
+        Of the objects asked about, the counted ones can be touched.
         """
         objects, waypoints = self.counted_objects(truths) & among[:, None], truths.ego_future[..., :2]
         return waypoint_contacts(truths, objects, waypoints, self.headings(waypoints)) & truths.ego_future_valid
@@ -126,11 +95,7 @@ class SparseDrive:
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
         """Means over the steps up to each horizon.
 
-        Args:
-            outcomes: S verdicts.
-
-        Returns:
-            ``collision``, ``collision_before_mask`` and ``l2``, each (S, 3).
+        Columns are ``collision``, ``collision_before_mask`` and ``l2``.
         """
         return {
             "collision": means_up_to(outcomes.collision),
@@ -140,16 +105,13 @@ class SparseDrive:
 
 
 def waypoint_contacts(truths: StackedTruths, objects: Bools, plans_lidar: Floats, heading_rad: Floats) -> Bools:
-    """Whether the ego's rectangle touches a counted object at each waypoint.
+    """(S, 6) whether the ego's rectangle touches a counted object at each waypoint.
 
     Args:
         truths: S samples with M objects.
         objects: (M, 6) which objects count.
         plans_lidar: (S, 6, 2) waypoints, metres.
         heading_rad: (S, 6) heading at each.
-
-    Returns:
-        (S, 6) verdicts.
     """
     return _at_steps(truths, contact_pairs(truths, objects, plans_lidar, heading_rad))
 
@@ -157,11 +119,7 @@ def waypoint_contacts(truths: StackedTruths, objects: Bools, plans_lidar: Floats
 def contact_pairs(
     truths: StackedTruths, objects: Bools, plans_lidar: Floats, heading_rad: Floats
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Which objects the ego's rectangle touches; arguments as of `waypoint_contacts`.
-
-    Returns:
-        (N,) objects and (N,) steps.
-    """
+    """(N,) objects and (N,) steps of the contacts in `waypoint_contacts`, whose arguments it takes."""
     ego = ego_footprints(np.concatenate([plans_lidar, heading_rad[..., None]], axis=-1))
     which, step = np.nonzero(objects)
     mine, theirs = ego[truths.sample_of[which], step], truths.boxes[which, step + 1]

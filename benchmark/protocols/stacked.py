@@ -23,7 +23,6 @@ class StackedTruths:
     Attributes:
         sample_of: (M,) which sample an object belongs to.
         instances: M instance identifiers; an object has one entry for each sample.
-        categories: M category names.
         boxes: (M, 7, 5) boxes now and at the six steps.
         annotated: (M, 7) whether the object is annotated there.
         has_points: (M, 7) whether lidar or radar points were counted there.
@@ -35,8 +34,7 @@ class StackedTruths:
         axle_poses: (S, 7, 3) global x, y, yaw of the rear axle now and at the steps.
         ahead_m: (S,) lidar origin ahead of the rear axle.
         keyframes_before: (S,) earlier keyframes of the scene.
-        roads: S times the roads around, or ``None``.
-        kept: What was asked for of categories.
+        kept: Answers of `of_categories`.
     """
 
     sample_of: NDArray[np.int64]
@@ -57,14 +55,7 @@ class StackedTruths:
     kept: dict[frozenset[str], Bools] = field(default_factory=dict, repr=False, compare=False)
 
     def of_categories(self, names: Collection[str]) -> Bools:
-        """Which objects are of certain categories.
-
-        Args:
-            names: nuScenes category names.
-
-        Returns:
-            (M,) verdicts.
-        """
+        """(M,) which objects are of certain nuScenes categories."""
         key = frozenset(names)
         if key not in self.kept:
             self.kept[key] = np.fromiter((name in key for name in self.categories), np.bool_, len(self.categories))
@@ -77,15 +68,7 @@ class StackedTruths:
         return to_local(self.axle_poses[:, 1:, :2], self.axle_poses[:, :1])
 
     def boxes_in_ego(self, objects: NDArray[np.int64], steps: NDArray[np.int64]) -> Floats:
-        """Boxes in the ego frame of their samples.
-
-        Args:
-            objects: (N,) which objects.
-            steps: (N,) at which of 0..6.
-
-        Returns:
-            (N, 5) boxes, x forward, y left of the rear axle.
-        """
+        """(N, 5) boxes at steps 0..6 in the ego frame of their samples: x forward, y left of the rear axle."""
         boxes = self.boxes[objects, steps]
         ahead = self.ahead_m[self.sample_of[objects]]
         center = np.stack([boxes[:, 1] + ahead, -boxes[:, 0]], axis=-1)
@@ -95,11 +78,7 @@ class StackedTruths:
 def stack(truths: Sequence[SampleTruth]) -> StackedTruths:
     """Samples one after the other.
 
-    Args:
-        truths: S samples.
-
-    Returns:
-        Their arrays, to which nobody may write: the samples of before are not stacked again for the next protocol.
+    The arrays are read-only: the samples of before are not stacked again for the next protocol.
     """
     for known, stacked in _LAST:
         if len(known) == len(truths) and all(map(is_, known, truths)):
@@ -153,14 +132,6 @@ def _axle_poses(truth: SampleTruth) -> Floats:
 
 
 def displacement(plans_lidar: Floats, truths: StackedTruths) -> Floats:
-    """Distance from the recorded ego at each step, 0 where that does not exist.
-
-    Args:
-        plans_lidar: (S, 6, 2) waypoints, metres.
-        truths: S samples.
-
-    Returns:
-        (S, 6) metres.
-    """
+    """(S, 6) metres from the recorded ego at each step, 0 where that does not exist."""
     offset = plans_lidar - truths.ego_future[..., :2]
     return np.where(truths.ego_future_valid, np.hypot(offset[..., 0], offset[..., 1]), 0.0)

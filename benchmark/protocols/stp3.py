@@ -54,39 +54,20 @@ class STP3:
     uses_categories = True
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
-        """People and vehicles of the step that were seen now or in the second before.
-
-        Args:
-            truths: S samples with M objects.
-
-        Returns:
-            (M, 6) verdicts.
-        """
+        """People and vehicles of the step that were seen now or in the second before."""
         kind = [name.startswith(("human.", "vehicle.")) for name in truths.categories]
         seen = truths.seen_before & np.array(kind, np.bool_)
         recorded = truths.ego_future_valid[truths.sample_of]
         return np.asarray(truths.annotated[:, 1:] & seen[:, None] & recorded)
 
     def headings(self, plans_lidar: Floats) -> Floats:
-        """Straight ahead at every step.
-
-        Args:
-            plans_lidar: (S, 6, 2) waypoints.
-
-        Returns:
-            (S, 6) radians.
-        """
+        """Straight ahead at every step."""
         return np.full(plans_lidar.shape[:-1], np.pi / 2)
 
     def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
         """Judge plans.
 
-        Args:
-            truths: S samples.
-            plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
-
-        Returns:
-            Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary`` and ``obj_col``.
+        Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary`` and ``obj_col``.
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
@@ -120,12 +101,7 @@ class STP3:
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
         """The ground-truth check: whether the block touches some objects on the recorded way.
 
-        Args:
-            truths: S samples with M objects.
-            among: (M,) which objects are asked about; of these, the counted ones can be touched.
-
-        Returns:
-            (S, 6) verdicts.
+        Of the objects asked about, the counted ones can be touched.
         """
         if not among.any():
             return np.zeros(truths.ego_future_valid.shape, dtype=np.bool_)
@@ -135,11 +111,7 @@ class STP3:
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
         """Means over the steps up to each horizon.
 
-        Args:
-            outcomes: S verdicts.
-
-        Returns:
-            ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``, each (S, 3).
+        Columns are ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``.
         """
         return masked_columns(outcomes, means_up_to)
 
@@ -149,13 +121,7 @@ def drawn_polygons(
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Corners of counted objects on the grids of their own frames.
 
-    Args:
-        definition: Says which objects count.
-        truths: S samples with M objects.
-        among: (M,) which objects are asked about, if not all.
-
-    Returns:
-        (N, 4, 2) column (left) and row (forward) of each corner, and (N,) the place of each: sample times 6 plus step.
+    (N, 4, 2) column (left) and row (forward) of each corner, and (N,) the place of each: sample times 6 plus step.
     """
     asked = np.True_ if among is None else among[:, None]
     return _polygons_of(truths, *np.nonzero(definition.counted_objects(truths) & asked))
@@ -198,17 +164,9 @@ def warps(axle_poses: Floats) -> tuple[Singles, Singles, Singles]:
 
 
 def before_warp(rows: Cells, columns: Cells, tx: Singles, ty: Singles, angle: Singles) -> tuple[Cells, Cells]:
-    """Which cell of the picture in its own frame a cell of the warped one is taken from.
+    """Cell of the picture in its own frame that a cell of the warped one is taken from, possibly outside the grid.
 
-    Args:
-        rows: Rows (forward); ``columns`` (left), ``tx``, ``ty`` and ``angle`` broadcast against them.
-        columns: Columns.
-        tx: Metres forward.
-        ty: Metres to the left.
-        angle: Radians.
-
-    Returns:
-        Rows and columns, possibly outside the grid.
+    Rows are forward, columns left; metres forward and left and radians broadcast against them.
     """
     cos, sin = _single_trigonometry(angle)
     u, v = _CENTRES[columns], _CENTRES[rows]

@@ -19,13 +19,8 @@ HIT_ADVERSARY, ADVERSARY_S = "hit_adversary", "adversary_contact_s"
 def touches_adversary(collision: Sequence[bool], facts: Mapping[str, Any]) -> bool | None:
     """Whether the first contact of a plan is with an adversary.
 
-    Args:
-        collision: Verdicts at the steps.
-        facts: Of the same verdict.
-
-    Returns:
-        ``None`` where there is no contact, or the verdict does not say whom it is with: it is older, or of a protocol
-        that never does.
+    ``None`` where there is no contact, or the verdict does not say whom it is with: it is older, or of a protocol
+    that never does.
     """
     if not any(collision):
         return None
@@ -37,7 +32,7 @@ def touches_adversary(collision: Sequence[bool], facts: Mapping[str, Any]) -> bo
 def touched_facts(
     truths: StackedTruths, collision: Bools, objects: NDArray[np.int64], steps: NDArray[np.int64]
 ) -> dict[str, tuple[Any, ...]]:
-    """Who is touched at each colliding step.
+    """Facts on which objects are touched at each colliding step.
 
     Args:
         truths: S samples with M objects.

@@ -55,14 +55,7 @@ class UniAD(RasterProtocol):
     first_row_ahead = False
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
-        """Vehicles that are annotated at the step.
-
-        Args:
-            truths: S samples with M objects.
-
-        Returns:
-            (M, 6) verdicts.
-        """
+        """Vehicles that are annotated at the step."""
         recorded = truths.ego_future_valid[truths.sample_of]
         return np.asarray(truths.annotated[:, 1:] & truths.of_categories(VEHICLES)[:, None] & recorded)
 
@@ -81,11 +74,7 @@ class UniAD(RasterProtocol):
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
         """The value at each horizon.
 
-        Args:
-            outcomes: S verdicts.
-
-        Returns:
-            ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``, each (S, 3).
+        Columns are ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``.
         """
         return masked_columns(outcomes, at_steps)
 
@@ -93,11 +82,7 @@ class UniAD(RasterProtocol):
 def polygons(boxes: Floats) -> NDArray[np.int32]:
     """Corners on the grid as the label generation rounds them: in single precision, halves to the even node.
 
-    Args:
-        boxes: (N, 5) boxes.
-
-    Returns:
-        (N, 4, 2) column and row of each corner.
+    (N, 4, 2) column and row of each corner.
     """
     single = np.asarray(boxes).astype(np.float32)
     cos, sin = np.cos(single[:, 4]), np.sin(single[:, 4])

@@ -72,11 +72,9 @@ assert set(CATEGORIES) >= DETECTED >= COUNTED_23
 
 
 class VAD(RasterProtocol):
-    """What is near now and followed from there, with means over the steps; the module's docstring says all.
+    """VAD's protocol, ``vad`` or ``vad-23``: objects near now and followed from there, with means over the steps.
 
-    Attributes:
-        name: ``vad`` or ``vad-23``.
-        categories: Which categories count.
+    The module's docstring says all.
     """
 
     version = 2
@@ -88,14 +86,7 @@ class VAD(RasterProtocol):
         self.name, self.categories = name, categories
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
-        """Objects near now, of a counted category, until their first gap.
-
-        Args:
-            truths: S samples with M objects.
-
-        Returns:
-            (M, 6) verdicts.
-        """
+        """Objects near now, of a counted category, until their first gap."""
         now = truths.boxes[:, 0]
         near = (np.abs(now[:, 0]) < SIDE_M) & (np.abs(now[:, 1]) < AHEAD_M) & truths.has_lidar_points[:, 0]
         followed = np.logical_and.accumulate(truths.annotated, axis=1)[:, 1:]
@@ -121,11 +112,7 @@ class VAD(RasterProtocol):
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
         """Means over the steps up to each horizon.
 
-        Args:
-            outcomes: S verdicts.
-
-        Returns:
-            ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``, each (S, 3).
+        Columns are ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``.
         """
         return {
             "collision": _means(outcomes.collision),
@@ -136,14 +123,7 @@ class VAD(RasterProtocol):
 
 
 def polygons(boxes: Floats) -> NDArray[np.int32]:
-    """Corners on the grid, row 0 far ahead, halves to the even node.
-
-    Args:
-        boxes: (N, 5) boxes.
-
-    Returns:
-        (N, 4, 2) column and row of each corner.
-    """
+    """(N, 4, 2) column and row of each box's corners on the grid, row 0 far ahead, halves to the even node."""
     nodes = np.round((box_corners(boxes) * [1.0, -1.0] + EXTENT_M) / CELL_M)
     return np.asarray(nodes, np.int32)
 
