@@ -58,10 +58,8 @@ class RowColumns:
 
     Args:
         rows: One for each sample; they are asked again only for verdicts that do not go together in columns.
-        batch: Their columns, where they are at hand.
 
     Attributes:
-        batch: The columns, as `batch_of` makes them.
         kept: What others made of the columns, under a key of theirs that says all that it depends on.
     """
 
@@ -218,9 +216,6 @@ def _named(kind: str, protocol: str, part: str = "") -> str:
 
 def batch_of(rows: Iterable[SampleRow]) -> pa.RecordBatch | None:
     """Columns of R rows, of which few are in memory at a time.
-
-    Args:
-        rows: One for each sample.
 
     Returns:
         Every field of `BriefRow`, as JSON; plans and recorded motion as in `RowColumns`; driving scores, where a row

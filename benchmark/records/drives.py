@@ -148,16 +148,11 @@ def _values(row: DriveRow) -> dict[str, float | None]:
 def summarise(
     rows: Sequence[DriveRow], scene_facts: Mapping[str, SceneFacts], *, seed: int, engine: str = "default"
 ) -> DriveSummary:
-    """What rows say together.
+    """Summary of drives; failed ones are counted and in no column.
 
     Args:
-        rows: One for each drive.
         scene_facts: What each scene was made from: intervals draw recorded scenes with all that was made from them.
-        seed: Seed of the intervals.
-        engine: Which drove: NeuroNCAP's has a table of its own.
-
-    Returns:
-        The summary. Failed drives are counted and in no column.
+        engine: NeuroNCAP's has a table of its own.
     """
     driven = [row for row in rows if row.status == "ok"]
     columns: dict[str, RateRow] = {}
@@ -195,19 +190,11 @@ def columns_of(record: DriveRecord) -> Mapping[str, RateRow]:
 
 
 def write_drives(directory: Path, facts: Mapping[str, Any], rows: Sequence[DriveRow], *, seed: int) -> DriveRecord:
-    """Write a record in place of the one that is there, if any.
+    """Write a record in place of the one that is there, if any, and read it back.
 
     Args:
-        directory: Its directory; nobody else may write to it (`benchmark.machine.storage.only_writer`).
+        directory: Its directory; no other process may write to it (`benchmark.machine.storage.only_writer`).
         facts: `DriveFacts` less schema, status, seed and files.
-        rows: One for each drive.
-        seed: Seed of the intervals.
-
-    Returns:
-        The record as it reads back.
-
-    Raises:
-        InputError: If there are no rows or they cannot be written.
     """
     if not rows:
         raise InputError(f"there are no drives to write to {directory}: no scene was chosen")

@@ -7,14 +7,7 @@ from benchmark.records.run_schema import PlansFrom
 
 
 def file_notes(records: Iterable[RunRecord]) -> list[str]:
-    """One sentence for each run whose plans come from a file: how it is known which sample each belongs to.
-
-    Args:
-        records: Any runs.
-
-    Returns:
-        Sentences.
-    """
+    """One sentence for each run whose plans come from a file: how it is known which sample each belongs to."""
     return [
         f"{record.planner} on {record.run.split}: plans from a file ({found.format}), samples {order_words(found)}."
         for record in records

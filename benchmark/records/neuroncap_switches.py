@@ -79,13 +79,7 @@ class Switches:
 
     @classmethod
     def named(cls, name: str) -> Self:
-        """Switches by the name of what was measured.
-
-        Args:
-            name: ``neuroncap@code`` or ``neuroncap@paper``, with departures as `name` writes them.
-
-        Returns:
-            The switches.
+        """Switches by ``neuroncap@code`` or ``neuroncap@paper``, with departures as `name` writes them.
 
         Raises:
             InputError: If there is no such preset or switch.

@@ -79,17 +79,10 @@ class Rows(Sequence[SampleRow]):
 
     @classmethod
     def read(cls, path: Path, parse: Callable[[Sequence[tuple[int, str]]], Sequence[SampleRow]]) -> "Rows":
-        """Read a file of rows.
+        """Read a file of rows, with their columns.
 
         Args:
-            path: The file.
             parse: Checks some lines, each given with its number.
-
-        Returns:
-            The rows, with their columns.
-
-        Raises:
-            InputError: If the file is damaged.
         """
         from benchmark.records.columns import RowColumns, batch_of
 
@@ -212,11 +205,7 @@ def columns_of(rows: "Sequence[SampleRow] | RowColumns") -> "RowColumns":
 
 
 def kept_rows(rows: Path, sha256: str) -> Rows | None:
-    """Rows with their columns that were read before from a file with that hash, where they are kept in the cache.
-
-    Raises:
-        InputError: If they are, and the file cannot be read.
-    """
+    """Rows with their columns that were read before from a file with that hash, where they are kept in the cache."""
     from benchmark.records.columns import is_made_of_columns
 
     place = kept_place(_FOLDER, rows)
