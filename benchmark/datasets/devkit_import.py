@@ -100,14 +100,7 @@ class _DevkitFinder(MetaPathFinder):
 
 
 def devkit_module(name: str) -> Any:
-    """A module of nuscenes-devkit.
-
-    Args:
-        name: Its name, for example ``nuscenes.nuscenes``.
-
-    Returns:
-        The module; as the devkit's authors meant it where somebody imported it before.
-    """
+    """Module of nuscenes-devkit, as its authors meant it where it was imported before."""
     with _lock, _finding():
         return importlib.import_module(name)
 

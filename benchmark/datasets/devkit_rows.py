@@ -12,16 +12,7 @@ FURTHER_TABLES: Final = ("lidarseg", "panoptic", "image_annotations")
 
 
 def devkit_with(root: Path, version: str, tables: Tables) -> Any:
-    """``NuScenes`` of the devkit with rows that are at hand.
-
-    Args:
-        root: Root of the data set.
-        version: Version folder.
-        tables: The rows by table.
-
-    Raises:
-        InputError: If the devkit does not take them.
-    """
+    """``NuScenes`` of the devkit with rows that are at hand."""
     as_published: Any = devkit_module("nuscenes.nuscenes").NuScenes
 
     class NuScenesWithRows(as_published):  # type: ignore[misc]

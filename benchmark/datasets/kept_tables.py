@@ -39,18 +39,7 @@ _TYPES: Final = {
 
 
 def read_or_kept(folder: Path, rates: FaultList) -> SceneTables | None:
-    """`read_scene_tables`, which it need not do where somebody has opened the same tables before.
-
-    Args:
-        folder: Version folder.
-        rates: Gets scenes with another rate of keyframes than nuScenes.
-
-    Returns:
-        The tables; ``None`` as there.
-
-    Raises:
-        InputError: As there.
-    """
+    """`read_scene_tables`, with nothing to read where the same tables were opened before."""
     looked_ns, stamps = time.time_ns(), _stamps(folder)
     place = kept_at(folder)
     if place is None or sum(stamps[table][2] for table in GROWING_TABLES if table in stamps) < WORTH_BYTES:

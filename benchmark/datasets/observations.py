@@ -26,14 +26,7 @@ def observations_of_scene(
     """What a planner may see at each sample: at each key frame, whatever their rate.
 
     Args:
-        nusc: ``NuScenes`` of the devkit.
-        root: Data set root.
-        scene: The scene.
         samples: Rows of the scene's K samples in time order.
-        can_bus: CAN bus messages of the scene.
-
-    Yields:
-        One observation a sample, in time order.
 
     Raises:
         InputError: If a calibration makes no sense, a file name leaves the root, or some of the scene's images are
@@ -63,10 +56,7 @@ def past_of(scene: Scene, axle_poses: Floats, clock: KeyFrameSteps, index: int) 
     """Where the ego was at steps of half a second up to a sample.
 
     Args:
-        scene: The scene.
         axle_poses: (T, 3) poses of its ego at the frames.
-        clock: Its key frames.
-        index: The sample.
 
     Returns:
         (5, 3) poses of the rear axle, oldest first, and (5,) whether each is known: False before the scene began, and

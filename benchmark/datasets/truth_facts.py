@@ -27,15 +27,7 @@ def truth_facts(data: "DataSet", name: str, truths: Sequence[SampleTruth]) -> Tr
     """Count what is annotated in a scene and where key frames are no steps, and look at what else there is.
 
     Args:
-        data: The data set.
-        name: Scene name.
         truths: One for each sample of the scene, in time order.
-
-    Returns:
-        The counts.
-
-    Raises:
-        InputError: If the scene is broken.
     """
     scene = data.scene(name)
     valid = scene.annotations.valid

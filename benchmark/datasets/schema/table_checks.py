@@ -20,7 +20,6 @@ class CheckedTables:
 
     Attributes:
         rows: Rows that are objects with a token of their own, by table.
-        by_token: The same by table and token.
         unreadable: Tables that are missing or no list of rows; nothing more is said about links into them.
         unsound: Fields that are absent or hold what they must not, by identity of the row.
     """
@@ -59,11 +58,7 @@ def read_checked(folder: Path, faults: FaultList) -> CheckedTables:
     """Read all 13 tables and check their rows.
 
     Args:
-        folder: Version folder.
         faults: Gets missing and unreadable tables, and what the schema says against their rows.
-
-    Returns:
-        What can be checked further.
     """
     rows: dict[str, list[Row]] = {}
     unsound: dict[int, frozenset[str]] = {}
