@@ -139,7 +139,7 @@ READY: Final[Mapping[str, Mapping[str, str]]] = {
 
 
 def read_categories(named: str) -> dict[str, str]:
-    """nuScenes' names by a data set's, of the map that ``--categories`` names; ready maps have other spellings, too.
+    """Map that ``--categories`` names: names of nuScenes by names of the data set, ready maps with other spellings.
 
     Args:
         named: One of `READY`, or a JSON file ``{"name": "nuscenes.category"}``.

@@ -10,7 +10,7 @@ from benchmark.datasets.steps import LONGEST_KNOWN_US, STEP_US, is_step, other_i
 
 
 def check_rates(tables: CheckedTables, faults: FaultList) -> None:
-    """Warn of scenes whose median keyframe interval is not that of nuScenes; ``tables`` need the samples of all scenes."""
+    """Warn of scenes whose median keyframe interval is not that of nuScenes; samples of all scenes are needed."""
     for scene, times_us in _times_of_scenes(tables):
         usual_us = other_interval_us(times_us)
         if usual_us is None:
