@@ -36,7 +36,7 @@ class AnnotationCount:
 
     @property
     def sentence(self) -> str:
-        """How many annotations have unknown categories, and which; no full stop at its end."""
+        """Sentence on the number of annotations of unknown categories, with their names; no full stop at its end."""
         names = sorted(self.unknown, key=lambda name: (-self.unknown[name], name))
         shown = ", ".join(map(repr, names[:_NAMED])) + (", ..." if len(names) > _NAMED else "")
         return (

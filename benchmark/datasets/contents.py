@@ -71,7 +71,7 @@ def _some(names: list[str]) -> str:
 
 
 def contents_text(found: dict[str, Any], width: int | None = None) -> str:
-    """What `contents` found, as lines for a terminal of some width; without a width, the terminal is asked."""
+    """Text of the result of `contents` for a terminal of some width; without a width, the terminal is asked."""
     source = found["made_from"] if isinstance(found["made_from"], dict) else {}
     facts = [
         ("name", found["name"]),

@@ -45,11 +45,11 @@ class OpenTables(ABC):
 
     @abstractmethod
     def annotation_count(self, scene: Row) -> int:
-        """How many annotations a scene has."""
+        """Number of annotations of a scene."""
 
     @abstractmethod
     def annotations_by_category(self, scene: Row) -> Counter[str]:
-        """How many annotations of each category a scene has; takes a reading of its rows."""
+        """Number of annotations of each category in a scene; takes a reading of its rows."""
 
     @abstractmethod
     def keyframe_images(self) -> Iterable[str]:
@@ -77,11 +77,11 @@ class SceneByScene(OpenTables):
         return self._tables.shared[table]
 
     def annotation_count(self, scene: Row) -> int:
-        """How many annotations a scene has."""
+        """Number of annotations of a scene."""
         return self._tables.annotation_count(scene["token"])
 
     def annotations_by_category(self, scene: Row) -> Counter[str]:
-        """How many annotations of each category a scene has."""
+        """Number of annotations of each category in a scene."""
         return self._tables.annotations_by_category(scene["token"])
 
     def keyframe_images(self) -> Iterable[str]:
@@ -117,11 +117,11 @@ class AllScenes(OpenTables):
         return self._tables[table]
 
     def annotation_count(self, scene: Row) -> int:
-        """How many annotations a scene has."""
+        """Number of annotations of a scene."""
         return self.annotations_by_category(scene).total()
 
     def annotations_by_category(self, scene: Row) -> Counter[str]:
-        """How many annotations of each category a scene has."""
+        """Number of annotations of each category in a scene."""
         return self._by_category[scene["token"]]
 
     @cached_property

@@ -16,7 +16,7 @@ def devkit_with(root: Path, version: str, tables: Tables) -> Any:
     as_published: Any = devkit_module("nuscenes.nuscenes").NuScenes
 
     class NuScenesWithRows(as_published):  # type: ignore[misc]
-        """Is given its rows instead of reading files; it reads tables that nobody here does."""
+        """``NuScenes`` that is given its rows and reads no files; it reads tables that this product never uses."""
 
         def __load_table__(self, table: str) -> list[Row]:
             rows: list[Row] = tables[table] if table in tables else super().__load_table__(table)

@@ -31,7 +31,7 @@ def shifts_us(scenes: Sequence[tuple[str, int, int]]) -> dict[str, int]:
 
 
 def exported_order(scenes: Sequence[str], times_us: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Where samples stand in what official code dumps of exported infos without naming them.
+    """Places of samples in dumps by official code of exported infos, which do not name them.
 
     Args:
         scenes: Name of the scene of each of S samples.

@@ -77,7 +77,7 @@ class Steps:
 
 
 def objects_across(steps: Steps, yaw: Floats, size: Floats) -> tuple[int, int]:
-    """How many objects move, and how many of those lie across their motion at most of their moving steps.
+    """Number of objects that move, and of those that lie across their motion at most of their moving steps.
 
     A box lies across its motion if its heading is at right angles to it or it is wider than long.
 

@@ -80,7 +80,7 @@ def stored_judgements(root: Path, version: str) -> dict[str, tuple[SceneJudgemen
 
 
 def stored_realism(root: Path, version: str) -> SplitRealism | None:
-    """How real the adversaries of a data set move, as its builder found; ``None`` where it was not measured."""
+    """Realism of a data set's adversaries, as its builder found it; ``None`` where it was not measured."""
     folders = variant_folders(root)
     # Every variant says the same of all of them.
     found = read_judgements_file((root / folders[0] if folders else root) / version)

@@ -64,7 +64,7 @@ class KeptDigests:
 
 
 def _sound(value: Any) -> dict[str, tuple[Stamp, str]]:
-    """What of a kept file is as it must be."""
+    """Sound part of a kept file."""
     found: dict[str, tuple[Stamp, str]] = {}
     for name, entry in value.items() if isinstance(value, dict) else ():
         match entry:

@@ -59,24 +59,24 @@ def read_or_kept(folder: Path, rates: FaultList) -> SceneTables | None:
 
 
 def kept_at(folder: Path) -> Path | None:
-    """Where what is known of a version folder is kept; nowhere where the user has no home."""
+    """Folder in which facts about a version folder are kept; ``None`` where the user has no home."""
     return kept_place(_FOLDER, folder)
 
 
 def digests_beside(kept: Path) -> Path:
-    """Where the hashes of the same folder's files are kept."""
+    """File with the kept hashes of the same folder's files."""
     return kept.with_suffix(".digests.json")
 
 
 def _stamps(folder: Path) -> dict[str, Stamp]:
-    """Of the tables that are there."""
+    """Stamps of the tables that are there."""
     paths = {table: folder / f"{table}.json" for table in NUSCENES_TABLES}
     return {table: stamp_of(path.stat()) for table, path in paths.items() if path.is_file()}
 
 
 @functools.cache
 def _checks() -> str:
-    """What decides which tables are refused and what is found in them: code of this folder."""
+    """Content key of all that decides which tables are refused and what is found in them: code of this folder."""
     here = Path(__file__).parent
     own = [here / f"{name}.py" for name in ("kept_tables", "scene_tables", "stored_rows")]
     modules = sorted((*here.glob("schema/*.py"), *own))

@@ -23,7 +23,7 @@ PAST_KEYFRAMES: Final = 5
 def observations_of_scene(
     nusc: Any, root: Path, scene: Scene, samples: Sequence[Row], can_bus: CanBus
 ) -> Iterator[Observation]:
-    """What a planner may see at each sample: at each key frame, whatever their rate.
+    """Inputs that a planner may see at each sample: at each key frame, at any rate.
 
     Args:
         samples: Rows of the scene's K samples in time order.
@@ -53,7 +53,7 @@ def observations_of_scene(
 
 
 def past_of(scene: Scene, axle_poses: Floats, clock: KeyFrameSteps, index: int) -> tuple[Floats, Bools]:
-    """Where the ego was at steps of half a second up to a sample.
+    """Positions of the ego at steps of half a second up to a sample.
 
     Args:
         axle_poses: (T, 3) poses of its ego at the frames.

@@ -46,7 +46,7 @@ class DataSet(Protocol):
         """The same with other names of categories replaced."""
 
     def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
-        """How many annotations scenes have, and how many of them are of no category of nuScenes, by name."""
+        """Number of annotations of scenes, and of those of no category of nuScenes, by name."""
 
     def splits(self) -> dict[str, tuple[str, ...]]:
         """Custom splits."""
@@ -58,7 +58,7 @@ class DataSet(Protocol):
         """Sorted names of the scenes of a split, less those that inspectors rejected, or of all."""
 
     def review(self, split: str | None = None) -> SplitReview:
-        """What inspectors said of a split, or of all scenes."""
+        """Verdicts of inspectors on a split, or on all scenes."""
 
     def scene(self, name: str) -> Scene:
         """One scene."""
@@ -85,10 +85,10 @@ class DataSet(Protocol):
         """Content hash."""
 
     def provenance(self) -> dict[str, Any] | None:
-        """How the data set was made, if it says."""
+        """Report on how the data set was made, if it has one."""
 
     def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
-        """Where scenes come from and what is done in them, by name."""
+        """Source of scenes, their manoeuvres and judgements, by name."""
 
 
 class VariantRoots:
@@ -132,7 +132,7 @@ class VariantRoots:
         return type(self)(self.root, self.name, variants)
 
     def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
-        """How many annotations scenes have, and how many of them are of no category of nuScenes."""
+        """Number of annotations of scenes, and of those of no category of nuScenes, by name."""
         found = {}
         for name in names:
             data, inner = self._find(name)
@@ -216,7 +216,7 @@ class VariantRoots:
         return {**next(iter(known.values())), "scenes": scenes}
 
     def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
-        """Where scenes come from and what is done in them; the source has no prefix, so that variants share it."""
+        """Source of scenes, their manoeuvres and judgements; the source has no prefix, so that variants share it."""
         found = {}
         for name in names:
             data, inner = self._find(name)

@@ -23,7 +23,7 @@ KEYFRAMES_BEFORE = 2
 
 
 def truth_of_scene(scene: Scene, sample_tokens: Sequence[str], steps: int = PLAN_STEPS) -> tuple[SampleTruth, ...]:
-    """What really happened around each sample, in time order, for protocols.
+    """Recorded truth around each sample, in time order, for protocols.
 
     Args:
         scene: The scene; its annotations are used as they are, never the interpolated tracks.

@@ -46,7 +46,7 @@ _FASTEST_EGO_MPS: Final = 200.0
 
 @dataclass(frozen=True, slots=True)
 class _Recording:
-    """What a file says about itself; ``value`` is its whole content.
+    """Facts that a file states about itself; ``value`` is its whole content.
 
     Attributes:
         identifier: Scenario name in its source.
@@ -125,7 +125,7 @@ def read_exchanged(path: Path) -> Exchanged:
 
 
 def _foreign_scene(recording: _Recording, ego: SourceTrack, others: Mapping[str, SourceTrack]) -> Scene:
-    """The scene of a file of somebody else."""
+    """Scene of a file that was not exported here."""
     frame_seconds = _frame_seconds(recording, ego)
     position = _ego_position(recording, ego)
     ground_z = None if recording.is_nuscenes else position[:, 2].copy()

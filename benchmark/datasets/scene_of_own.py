@@ -36,7 +36,7 @@ _MOST_PIXELS: Final = 20_000
 
 @dataclass(frozen=True, slots=True)
 class OwnFile:
-    """What was read of a file that was exported here.
+    """Checked content of a file that was exported here.
 
     Attributes:
         raw_tracks: Its tracks as they stand in it.
@@ -137,7 +137,7 @@ def adversaries_of(metadata: Mapping[Any, Any], ids: Sequence[str], path: Path) 
 
 
 def _ego(file: OwnFile) -> EgoTrack:
-    """The recorded poses, unless somebody moved the ego since."""
+    """Recorded poses, unless the ego was moved since."""
     frames = len(file.ego.heading)
     known = EgoTrack(
         _numbers(file.own["ego_position"], (frames, 3)), _unit(_numbers(file.own["ego_rotation"], (frames, 4)))
@@ -188,7 +188,7 @@ def _objects(file: OwnFile, keyframes: NDArray[np.int64]) -> tuple[Agents, Annot
 
 
 def _own_of_track(track: Mapping[Any, Any]) -> Mapping[Any, Any] | None:
-    """What the file adds to a track; nothing to one that somebody added."""
+    """Additions of the file to a track; ``None`` for a track that was added since."""
     metadata = track.get("metadata")
     own = metadata.get(OWN) if isinstance(metadata, dict) else None
     return own if isinstance(own, dict) else None

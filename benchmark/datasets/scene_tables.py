@@ -70,11 +70,11 @@ class SceneTables:
         return {table: [dict(row) for row in shared] for table, shared in self.shared.items()} | rows
 
     def annotation_count(self, token: str) -> int:
-        """How many annotations a scene has; none is read."""
+        """Number of annotations of a scene; none is read."""
         return len(self.numbers_of_scene("sample_annotation", token))
 
     def annotations_by_category(self, token: str) -> Counter[str]:
-        """How many annotations of each category a scene has."""
+        """Number of annotations of each category in a scene."""
         numbers = {table: self.numbers_of_scene(table, token) for table in ("instance", "sample_annotation")}
         rows = {table: self.stored[table].read(np.array(own, np.int64)) for table, own in numbers.items()}
         return counted_by_category({**self.shared, **rows})
@@ -91,7 +91,7 @@ class SceneTables:
 
 
 def counted_by_category(tables: Tables) -> Counter[str]:
-    """How many annotations of each category the tables category, instance and sample_annotation hold."""
+    """Number of annotations of each category, from the tables category, instance and sample_annotation."""
     names = {row["token"]: row["name"] for row in tables["category"]}
     categories = {row["token"]: names[row["category_token"]] for row in tables["instance"]}
     return Counter(categories[row["instance_token"]] for row in tables["sample_annotation"])

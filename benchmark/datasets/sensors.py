@@ -20,7 +20,7 @@ def standard_lidar() -> LidarMount:
 
 
 def read_lidar(nusc: Any, sample: Row) -> LidarMount:
-    """Where LIDAR_TOP sits at a sample, or `standard_lidar` where the data set has none."""
+    """Mount of LIDAR_TOP at a sample, or `standard_lidar` where the data set has none."""
     if LIDAR_NAME not in sample["data"]:
         return standard_lidar()
     row = nusc.get("sample_data", sample["data"][LIDAR_NAME])

@@ -128,7 +128,7 @@ class KeyFrameSteps:
 
 
 def values_at(values: Floats, times_us: NDArray[np.int64], wanted_us: NDArray[np.int64], heading: int = 2) -> Floats:
-    """What was recorded at frames, at other times: linear, headings by the shortest turn.
+    """Values recorded at frames, interpolated to other times: linear, headings by the shortest turn.
 
     Args:
         values: (T, C) values at the frames.

@@ -102,21 +102,21 @@ class PassOverRows:
         )
 
     def stored(self) -> StoredRows:
-        """Where the rows are; call it after the pass."""
+        """Places of the rows; call it after the pass."""
         starts, lengths = np.array(self._starts, dtype=np.int64), np.array(self._lengths, dtype=np.int32)
         return StoredRows(self._path, self._stamp, starts, lengths)
 
 
 def stamp_while_open(stamp: Stamp) -> Stamp:
-    """What of a stamp tells whether a table is still the one that was opened: all but the time of its inode.
+    """Part of a stamp that tells whether a table is still the one that was opened: all but the time of its inode.
 
-    That changes with rights and links too, which are nobody's business while a command runs.
+    That changes with rights and links too, which do not matter while a command runs.
     """
     return stamp[:-1]
 
 
 def _stamp(stream: IO[bytes]) -> Stamp:
-    """What tells whether a file is still the one that it was."""
+    """Stamp that tells whether a file is still the one that it was."""
     return stamp_while_open(stamp_of(os.fstat(stream.fileno())))
 
 

@@ -57,10 +57,10 @@ def _keyframe_row(nusc: Any, sample: Row) -> Row:
 def read_timeline(nusc: Any, samples: list[Row]) -> Timeline:
     """The frames between the first and the last keyframe, every keyframe being each sixth one.
 
-    In a scene whose keyframes do not come at 2 Hz there are as many in between as bring frames nearest to 12 Hz.
-    Where the data set has exactly five sweeps between all keyframes (12 Hz), those rows are the frames. Otherwise
-    the time between two keyframes is divided evenly and the ego interpolated between the poses of whatever sweeps
-    there are (linear position, normalised linear quaternion).
+    In a scene whose keyframes do not come at 2 Hz there are as many in between as bring frames nearest to 12 Hz. Where
+    the data set has exactly five sweeps between all keyframes (12 Hz), those rows are the frames. Otherwise the time
+    between two keyframes is divided evenly and the ego interpolated between the poses of the sweeps that there are
+    (linear position, normalised linear quaternion).
 
     Args:
         samples: Rows of the scene's samples in time order.

@@ -48,7 +48,7 @@ VARIANTS: Final = (
 
 
 class AblationRow(Stored):
-    """What one variant gave; the counts are of vehicles tried, and of their samples that count.
+    """Results of one variant; the counts are of vehicles tried, and of their samples that count.
 
     Attributes:
         discarded: Attempts that did not pass verification, by reason.

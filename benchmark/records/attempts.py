@@ -21,7 +21,7 @@ class _Stored(BaseModel):
 
 
 class Approach(_Stored):
-    """How close two bodies came, when (seconds since the scene's first frame), and on which side of the ego.
+    """Closest approach of two bodies, when (seconds since the scene's first frame), and on which side of the ego.
 
     Attributes:
         side: Side of the ego (`generation.labels.labelling.Side`).
@@ -75,7 +75,7 @@ class TimeToCollision(_Stored):
 
 
 class Labels(_Stored):
-    """What one adversary does to the ego and where; ``docs/manoeuvres.md`` defines every word.
+    """Manoeuvres of one adversary towards the ego, and their place; ``docs/manoeuvres.md`` defines every word.
 
     Attributes:
         occurred: Every kind that occurred, the primary one first.
@@ -110,7 +110,7 @@ class PlanningFrame(_Stored):
 
 
 class MaskedSteps(_Stored):
-    """Steps that the ground-truth check of a protocol takes from every planner, whatever it plans.
+    """Steps that the ground-truth check of a protocol takes from every planner, regardless of the plan.
 
     Attributes:
         adversary: The recorded ego touches an adversary there, as the protocol sees both.
@@ -126,14 +126,14 @@ class Attempt(_Stored):
 
     Attributes:
         discard: Why not (`generation.search.verify.Discard`).
-        because: What shows it (`generation.search.verify.Finding`).
+        because: Evidence of that (`generation.search.verify.Finding`).
         tries: Searches that were made; everything else is about the last one.
         challenge: Ranking score, see `generation.search.ranking.challenge_score`; 0 where discarded.
         closest_approach: Closest approach, where the track is complete.
         least_time_to_collision_s: Smallest time to collision, ``None`` if never within 5 s.
-        masked_steps: By protocol, if kept: steps of all samples that are masked whatever is planned.
-        judgements: If verification passed: what is said of each adversary that the scene has by then, its own last;
-            empty in older files.
+        masked_steps: By protocol, if kept: steps of all samples that are masked for any plan.
+        judgements: If verification passed: judgements of each adversary that the scene has by then, its own last; empty
+            in older files.
         earlier: Adversaries that the scene had already.
         dropped: Why an attempt that passed verification is not written (`generation.search.chains.Dropped`).
         written: Name of the scene that it became.
@@ -162,7 +162,7 @@ class Attempt(_Stored):
 
 
 def read_attempts(path: Path) -> tuple[Attempt, ...]:
-    """What a build tried: the attempts of an ``attempts.jsonl`` of this version or an older one, in their order."""
+    """Attempts of an ``attempts.jsonl`` of this version or an older one, in their order."""
 
     def attempt(number: int, row: Any) -> Attempt:
         return validated(

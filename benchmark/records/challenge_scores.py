@@ -38,7 +38,7 @@ class PlannerOnEntry(Stored):
     Attributes:
         adversary: Share of samples with a first contact with a changed vehicle, under ``exact``; no number in older
             files, and where a record does not say whom contacts are with.
-        collision: Share of samples with a collision under the protocol, whoever it is with.
+        collision: Share of samples with a collision under the protocol, with any vehicle or person.
         attributable: Share with a contact that is its fault, where the careful human survives the scene.
         failed: Samples without a plan; they are in no rate.
     """

@@ -21,7 +21,7 @@ Did = Literal["track", "searched", "slowed"]
 
 
 class ConsideredFrame(Stored):
-    """What an adversary considered in one planning frame.
+    """Candidates and choice of an adversary in one planning frame.
 
     Attributes:
         did: What was done: the track that the scene was made with went on, a candidate of the search was driven, or
@@ -58,12 +58,12 @@ class _ConsideredFile(Stored):
 
 
 def considered_path(directory: Path, scene: str, run: int) -> Path:
-    """Where a record keeps what the adversary of a drive considered."""
+    """File of a record with the candidates of the adversary of a drive."""
     return directory / FOLDER / f"{file_name(scene)}-{run}.json"
 
 
 def write_considered(directory: Path, row: DriveRow, frames: tuple[ConsideredFrame, ...]) -> None:
-    """Keep what the adversary of a drive considered, one entry for each of its planning frames."""
+    """Keep the candidates of a drive's adversary, one entry for each of its planning frames."""
     assert row.adversary is not None
     found = _ConsideredFile(schema_version=SCHEMA, adversary=_key(row.adversary), frames=frames)
     write_json(considered_path(directory, row.scene, row.run), found.model_dump(mode="json"), indent=None)

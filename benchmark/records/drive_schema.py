@@ -28,7 +28,7 @@ Fraction = Share | None
 
 
 class Measured(Stored):
-    """What was measured, apart from the planner: two records that differ in it never share a table.
+    """Settings of a measurement, apart from the planner: two records that differ in it never share a table.
 
     Attributes:
         agents: How the others behave; ``replay`` in NeuroNCAP's engine.
@@ -56,7 +56,7 @@ class Measured(Stored):
 
     @property
     def world(self) -> str:
-        """Engine, agents, latency, what ends a drive: what records of one table share, whatever their planners see."""
+        """Engine, agents, latency, end of a drive: settings that records of one table share, with any sensor."""
         said = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in sorted(self.agents_facts.items()))
         agents = f", agents {self.agents}{f' ({said})' if said else ''}" if self.engine == "default" else ""
         scenarios = "" if self.scenarios == "recorded" else f", {self.scenarios} scenarios"
@@ -135,7 +135,7 @@ class HdRow(Stored):
 
 
 class NeuroncapRow(Stored):
-    """What NeuroNCAP's engine says: NNS, ``None`` of nothing of nothing, and both speeds."""
+    """Results of NeuroNCAP's engine: NNS, ``None`` of nothing of nothing, and both speeds."""
 
     score: Annotated[float, Field(ge=0.0, le=5.0)] | None
     impact_speed: float
@@ -178,7 +178,7 @@ class TickRows(Stored):
 
 
 class AdversaryRow(Stored):
-    """Where an adversary went (`benchmark.closed_loop.adversary.AdversaryTrack`).
+    """Track of an adversary (`benchmark.closed_loop.adversary.AdversaryTrack`).
 
     Attributes:
         start: Frame of the scene at which it left its recording.
@@ -257,7 +257,7 @@ class DriveRow(Stored):
 
     @property
     def fair(self) -> bool | None:
-        """Whether a careful human survives the same encounter; ``None`` where nobody looked."""
+        """Whether a careful human survives the same encounter; ``None`` where that was not asked."""
         return None if self.ladder is None or CAREFUL not in self.ladder else self.ladder[CAREFUL].survives
 
     @model_validator(mode="after")

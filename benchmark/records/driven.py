@@ -25,7 +25,7 @@ _AGAIN: Final = "build the data again"
 
 @dataclass(frozen=True, slots=True)
 class DrivenEgo:
-    """What there is to learn from a scene that a planner drove.
+    """Targets for learning from a scene that a planner drove.
 
     Attributes:
         wanted: (K, 6, 2) global positions of the lidar origin at the plan's steps from each; NaN where there is none.
@@ -80,7 +80,7 @@ def _is_place(value: object) -> bool:
 
 
 def driven_ego(provenance: Mapping[str, Any] | None, scene: str) -> DrivenEgo | None:
-    """What there is to learn from a scene; ``None`` where the ego was not driven by a planner.
+    """Targets for learning from a scene; ``None`` where the ego was not driven by a planner.
 
     Args:
         provenance: What a data set says of how it was made (``challenger.json``), if it does.

@@ -75,7 +75,7 @@ class DriveRecord:
 
     @property
     def content_id(self) -> str:
-        """Twelve hexadecimal digits made of what ran and what came out, whatever the machine and the folder."""
+        """Twelve hexadecimal digits made of the facts and the results, the same on any machine and in any folder."""
         facts = self.facts.model_dump(mode="json", by_alias=True, exclude={"environment", "config", "rescored"})
         return content_key(facts)[:12]
 
@@ -95,7 +95,7 @@ _WITHOUT_OTHERS: Final = ("route", "progress_m", "comfortable", "off_road", "nup
 
 
 def values_of(row: DriveRow) -> dict[str, float | None]:
-    """What a drive that did not fail adds to each column; ``None`` where it says nothing there.
+    """Values that a drive that did not fail adds to each column; ``None`` where it says nothing there.
 
     Columns of NeuroNCAP's engine and of the default one have different names and are never both there. Of a scene that
     is not labelled throughout nothing is said that depends on others.
@@ -272,7 +272,7 @@ def _checked(model: type[_Read], stored: Any, path: Path) -> _Read:
 
 
 def _seconds(row: DriveRow) -> float | None:
-    """How long the ego drove, to the contact where one ended it."""
+    """Time that the ego drove, to the contact where one ended it."""
     if row.contact is not None:
         return row.contact.seconds
     times = row.ticks.time_us

@@ -43,7 +43,7 @@ def summarise_driving(rows: Sequence[SampleRow], scenes: Sequence[str], *, seed:
     ``score_without_ec``, where HC counts as 1 without a history, as officially.
 
     Args:
-        scenes: S names of what is drawn together.
+        scenes: S names of the recorded scenes that are drawn together.
     """
     counted = [(row.driving, scene) for row, scene in zip(rows, scenes, strict=True) if row.driving is not None]
     if not counted:
@@ -57,7 +57,7 @@ def driving_summary(scores: tuple[Floats, Bools], scenes: Sequence[str], planned
     """Means and shares from the columns of `sample_scores`.
 
     Args:
-        scenes: S names of what is drawn together.
+        scenes: S names of the recorded scenes that are drawn together.
         planned: How many samples have a plan.
     """
     values, known = scores

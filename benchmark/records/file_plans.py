@@ -16,6 +16,6 @@ def file_notes(records: Iterable[RunRecord]) -> list[str]:
 
 
 def order_words(found: PlansFrom) -> str:
-    """How the samples of a file are known, in words that fit behind "samples"."""
+    """Words on how the samples of a file are known, to stand behind "samples"."""
     known = "named by the file" if found.order == "tokens" else f"in an order that is {found.order}"
     return f"{known} ({found.shown_by})"

@@ -21,7 +21,7 @@ class Recorded:
 def recorded(folders: Iterable[Path]) -> tuple[Recorded, ...]:
     """Data, split and planner of each record below folders, sorted, each once; the folders need not exist.
 
-    What is damaged is left out, reading the record itself says so.
+    A damaged record is left out: reading it says so.
     """
     found = set()
     for folder in folders:
@@ -49,7 +49,7 @@ def where_planned(folders: Iterable[Path], samples: Sequence[tuple[str, ...]]) -
 
 
 def said_of(found: Iterable[Recorded]) -> str:
-    """What there is, in words: ``there are records of demo (adv: idm; val: idm)``, or that there are none."""
+    """Records in words: ``there are records of demo (adv: idm; val: idm)``, or that there are none."""
     places: dict[str, dict[str, list[str]]] = {}
     for each in found:
         places.setdefault(each.data, {}).setdefault(each.split, []).append(each.planner)

@@ -47,12 +47,12 @@ class DriverContact(Stored):
 
 
 class DriverRun(Stored):
-    """How one reference driver fares.
+    """Fate of one reference driver.
 
     Attributes:
         survives: Whether it hits nothing.
         reacted_s: When it first finds something unsafe; null where it never does, or is no driver that reacts.
-        reacted_to: What made it react first.
+        reacted_to: Party that made it react first.
         beyond_end: Whether it leaves the recorded path, where no road is known.
     """
 
@@ -93,7 +93,7 @@ class Impact(Stored):
 
 
 class EncounterSeverity(Stored):
-    """How near the recorded ego, or one that follows plans, and one other come to a contact.
+    """Nearness of the recorded ego, or one that follows plans, and one other to a contact.
 
     Attributes:
         least_gap_m: Smallest distance of the bodies; null where they are never there together.
@@ -199,7 +199,7 @@ class SceneJudgement(Stored):
 
 
 class JudgementSummary(Stored):
-    """What tables, cards and filters need of a scene; of several adversaries the most severe values.
+    """Part of a scene's judgements for tables, cards and filters; of several adversaries the most severe values.
 
     Attributes:
         unsolvable: Whether no driver could have avoided it (`unsolvable`); null where no adversary is known, as are the
@@ -314,7 +314,7 @@ class ValidityRow(Stored):
 
 
 class SplitRealism(Stored):
-    """How real the adversaries of a split move.
+    """Realism of the motion of a split's adversaries.
 
     Attributes:
         reference: Which recordings they are compared with; null where they are not, and ``not_compared`` says why.

@@ -48,7 +48,7 @@ def aggregated(runs: Runs, switches: Switches) -> Aggregate:
 
 
 def why_invalid(runs: Runs) -> str | None:
-    """What keeps runs from being a complete result, in a sentence, or ``None``.
+    """Reason why runs are no complete result, in a sentence, or ``None``.
 
     Every sequence needs as many runs as the first one, and each run its metrics.
     """

@@ -16,12 +16,12 @@ _ENGINE: Final = "neuroncap@"
 
 @dataclass(frozen=True, slots=True)
 class Switches:
-    """Which reading each quirk is given.
+    """Reading of each quirk.
 
     Attributes:
         reference_speed: Ego speed of the reference impact: of the recording's last two frames, or four seconds after
             the start.
-        reference_dt: Time between those frames: half a second whatever the stamps say, or what they say.
+        reference_dt: Time between those frames: half a second always, or as the stamps say.
         box_centre: Centre of the ego's box ahead of the rear axle: 0.5 m (UniAD's, from the lidar), or 1.39 m.
         ego_length: 4.018 m in single precision, or the car's 4.084 m.
         contact_prefilter: Actors far from the rear axle are not looked at, or all are.
@@ -98,7 +98,7 @@ class Switches:
 
     @property
     def name(self) -> str:
-        """What was measured with them: a preset, and the switches that depart from it by name.
+        """Name of the measurement with them: a preset, and the switches that depart from it by name.
 
         The nearer preset is named, ``code`` where both are as near.
         """

@@ -35,7 +35,7 @@ def published_table(engine: str, rows: Sequence[DriveRow]) -> PublishedTable | N
 
 
 def _metrics(row: DriveRow) -> Metrics | None:
-    """What the published code would have of a run; a failed one left nothing, and without labels there is nothing."""
+    """Metrics of a run in the published code; a failed run left none, and without labels there are none."""
     if row.scores is None or row.scores.neuroncap is None or row.unlabelled:
         return None
     score = row.scores.neuroncap.score

@@ -158,7 +158,7 @@ def note_cost(path: Path, facts: PlannerFacts, scenes: Mapping[str, SceneCost | 
 
 
 def read_cost(path: Path) -> PlannerCost | None:
-    """What a planner took, or ``None`` where nothing was noted, or in a format of before."""
+    """Cost of a planner, or ``None`` where none was noted, or in a format of before."""
     if not path.is_file():
         return None
     stored = read_json(path, RECORD)

@@ -58,7 +58,7 @@ def _differs(name: str, ran: Sequence[Ran], values: Sequence[str | None]) -> boo
 
 
 def version_of(planner: PlannerFacts) -> dict[str, str]:
-    """What tells versions of a planner apart, as text by what it is."""
+    """Differences between versions of planners, as text by their kind."""
     # Records of before name the code of native planners in their settings too (shared_code_sha256).
     settings = {name: value for name, value in planner.settings.items() if not name.endswith("code_sha256")}
     facts: dict[str, Any] = {"seed": planner.seed, **settings}

@@ -54,7 +54,7 @@ class QualityRecord:
 
     @property
     def content_id(self) -> str:
-        """Twelve hexadecimal digits made of what was measured and what came out, whatever the machine or folder."""
+        """Twelve hexadecimal digits made of the facts and the results, the same on any machine and in any folder."""
         facts = self.facts
         return content_key(facts.data.name, facts.data.fingerprint, facts.split, facts.scenes, facts.files)[:12]
 
@@ -87,8 +87,8 @@ class QualityRecord:
 def summarise_quality(scenes: Sequence[SceneRows], facts: Mapping[str, SceneFacts]) -> QualitySummary:
     """Add rows up: every number is a sum over appearances (or frames) divided by their number.
 
-    VBench divides subject consistency likewise: each appearance after a subject's first counts once, whoever's it is.
-    Intervals draw recorded scenes with everything made from them.
+    VBench divides subject consistency likewise: each appearance of any subject after its first counts once. Intervals
+    draw recorded scenes with everything made from them.
     """
     ordered = sorted(scenes, key=lambda rows: rows.scene)
     source = {rows.scene: facts[rows.scene].source if rows.scene in facts else rows.scene for rows in ordered}

@@ -108,12 +108,12 @@ class SplitReview:
 
     @property
     def present(self) -> tuple[str, ...]:
-        """Every scene that is there to be looked at, whatever was said of it."""
+        """Every scene that is there to be looked at, with any verdict or none."""
         return tuple(sorted({*(each.name for each in self.judged if not each.left_out), *self.waiting}))
 
     @property
     def facts(self) -> ReviewFacts | None:
-        """What records say; ``None`` where no verdict stands."""
+        """Facts of the review for records; ``None`` where no verdict stands."""
         if not self.judged:
             return None
         rejected = len(self.rejected)
@@ -130,7 +130,7 @@ class SplitReview:
         return (*(each.name for each in self.judged), *self.waiting)
 
     def sentence(self) -> str:
-        """What is said of it, without the split's name."""
+        """The review in words, without the split's name."""
         outdated = f"; {counted(len(self.outdated), 'older verdict')} on other content" if self.outdated else ""
         return f"{review_words(self.facts)}{outdated}"
 
@@ -150,7 +150,7 @@ NOT_REVIEWED: Final = "not reviewed"
 
 
 def review_words(facts: ReviewFacts | None) -> str:
-    """What inspectors said, in words: ``not reviewed``, or how many scenes they rejected and accepted."""
+    """Verdicts of inspectors in words: ``not reviewed``, or how many scenes they rejected and accepted."""
     if facts is None:
         return NOT_REVIEWED
     return (

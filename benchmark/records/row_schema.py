@@ -91,7 +91,7 @@ class DiagnosisRow(Stored):
 
 
 class DrivingRow(Stored):
-    """What ``nuscenes-pdm`` says of one plan (`benchmark.pdm.judging.DrivenPlan`, which explains each).
+    """Sub-scores of one plan under ``nuscenes-pdm`` (`benchmark.pdm.judging.DrivenPlan`, which explains each).
 
     Older records do not say whom a plan touches: ``hit_adversary`` is null there.
     """
@@ -116,7 +116,7 @@ class DrivingRow(Stored):
 
 
 class LongerRow(Stored):
-    """What ``exact`` says of a plan that goes on beyond 3 s: all its steps up to 6 s, judged as one plan.
+    """Verdict of ``exact`` on a plan that goes on beyond 3 s: all its steps up to 6 s, judged as one plan.
 
     Attributes:
         collision: Contact at each step; null where the data do not say whom a plan could touch.
@@ -139,7 +139,7 @@ class PlanContactRow(Impact):
 
 
 class PlanNearRow(Stored):
-    """How near a plan without contact comes to the adversaries; of several, each number is that of the worst.
+    """Nearness of a plan without contact to the adversaries; of several, each number is that of the worst.
 
     Attributes:
         least_ttc_s: Least time to contact; null where they never head for one another.
@@ -158,7 +158,7 @@ class PlanNearRow(Stored):
 
 
 class PlanSeverityRow(Stored):
-    """How severe a plan is in open loop.
+    """Severity of a plan in open loop.
 
     Attributes:
         contact: The first contact with anything.

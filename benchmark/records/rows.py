@@ -70,7 +70,7 @@ class Rows(Sequence[SampleRow]):
         return made
 
     def add(self, rows: Sequence[SampleRow]) -> None:
-        """Add rows, scene after scene, at the end, before anybody asks for columns."""
+        """Add rows, scene after scene, at the end, before columns are asked for."""
         for scene, those in groupby(rows, key=lambda row: row.scene):
             self._add(scene, list(map(line_of, those)))
 
@@ -156,7 +156,7 @@ class Rows(Sequence[SampleRow]):
 
     @cached_property
     def columns(self) -> "RowColumns":
-        """What tables read of them."""
+        """Columns of the rows, which tables read."""
         from benchmark.records.columns import RowColumns
 
         return RowColumns(Rows(self._blocks))
@@ -259,7 +259,7 @@ def line_of(row: SampleRow) -> str:
 
 @functools.cache
 def _checks() -> str:
-    """What decides which rows are refused and what columns say of them: code, and who checks for it."""
+    """Content key of all that decides which rows are refused and what their columns hold: code, and its checkers."""
     import pydantic
 
     root = Path(__file__).parents[1]

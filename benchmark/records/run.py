@@ -68,11 +68,11 @@ class RunRecord:
         rows: One for each sample, by scene and time; kept compressed, so that going through them takes time
             (`columns` does not).
         summary: Rates.
-        label: What tells this version of the planner from others (`benchmark.records.planner_versions`), if there
+        label: Words that tell this version of the planner from others (`benchmark.records.planner_versions`), if there
             are others.
         reproduced: Whose numbers this version of the planner gave (`benchmark.records.reproduction`), in words;
-            ``None`` where nobody knows.
-        cost: What planning took (`benchmark.records.planner_cost`); no part of what makes two records equal.
+            ``None`` where that is not known.
+        cost: Cost of planning (`benchmark.records.planner_cost`); no part of what makes two records equal.
     """
 
     directory: Path
@@ -84,7 +84,7 @@ class RunRecord:
     cost: PlannerCost | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        """Keep the rows compressed, whoever made them."""
+        """Keep the rows compressed, also where they are given as a list."""
         object.__setattr__(self, "rows", Rows.of(self.rows))
 
     def __repr__(self) -> str:
@@ -112,7 +112,7 @@ class RunRecord:
 
     @property
     def columns(self) -> "RowColumns":
-        """What tables read of the rows."""
+        """Columns of the rows, which tables read."""
         return columns_of(self.rows)
 
     def rows_of(self, scene: str) -> list[SampleRow]:
@@ -121,7 +121,7 @@ class RunRecord:
 
     @property
     def content_id(self) -> str:
-        """Twelve hexadecimal digits made of what ran and what came out, whatever the machine and the folder."""
+        """Twelve hexadecimal digits made of the facts and the results, the same on any machine and in any folder."""
         kept = self.columns.kept
         # Tables ask for it with every number.
         if (known := kept.get(_CONTENT_ID)) is None or known[0] is not self.run:
@@ -140,7 +140,7 @@ class RunRecord:
 
     @property
     def judged_content(self) -> tuple[str, str | None]:
-        """What records that stand beside each other share: the data set's fingerprint and the inspectors' verdicts."""
+        """The data set's fingerprint and the inspectors' verdicts, which records that stand beside each other share."""
         return self.run.data.fingerprint, None if self.run.review is None else self.run.review.content
 
     @property
@@ -400,7 +400,7 @@ def _fault(path: Path, where: str, why: str) -> str:
 
 
 def _named_rows(directory: Path) -> tuple[Path, str] | None:
-    """Where the rows of a record lie, and the hash that it names, if it is one of today."""
+    """Path of a record's rows and the hash that it names, if its schema is the present one."""
     with contextlib.suppress(InputError):
         head = stored_head(directory)
         if head["schema"] == SCHEMA:

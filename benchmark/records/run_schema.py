@@ -61,7 +61,7 @@ LABELS: Final = {"native_protocol", "published_as", "miniature", "wants"}
 
 
 class InputFacts(Stored):
-    """What a data set holds of a scene beside annotations, and what of it cannot be.
+    """Inputs of a scene beside annotations, and those among them that make no sense.
 
     Attributes:
         lanes: Lanes of the map around the ego; 0 where the map has none, or there is no map.
@@ -85,7 +85,7 @@ class InputFacts(Stored):
 
 
 class TruthFacts(Stored):
-    """What the data set holds of the truth of a scene.
+    """Truth that the data set holds of a scene.
 
     Attributes:
         annotations: Boxes at its samples; without any there is no truth, and nothing can be said of contacts.
@@ -112,7 +112,7 @@ class TruthFacts(Stored):
 
 
 class SceneFacts(Stored):
-    """What the data set says of a scene beside its samples.
+    """Facts of a scene beside its samples, from the data set.
 
     Attributes:
         source: Name of the recorded scene that it was made from; its own name if it is a recording.
@@ -120,8 +120,7 @@ class SceneFacts(Stored):
         adversaries: How many vehicles were made to be adversaries; null where the data set does not say, and in older
             records.
         light: Light and weather that its description names, none where it names none; null in older records.
-        judgement: Who could have avoided it, how severe it is and what is wrong with its adversary; null of recordings,
-            where nobody judged it, and in older records.
+        judgement: Null of recordings, where it was not judged, and in older records.
         truth: Null in older records until they are judged anew.
     """
 
@@ -142,7 +141,7 @@ class DataFacts(Stored):
 
 
 class ReviewFacts(Stored):
-    """What inspectors said of the scenes of a split (`benchmark.records.review`).
+    """Verdicts of inspectors on the scenes of a split (`benchmark.records.review`).
 
     Attributes:
         content: Hash of the verdicts: which scene, which content of it, accepted or rejected.
@@ -201,15 +200,15 @@ class PlansFrom(Stored):
 
 
 class RecordFacts(Stored):
-    """What the first file of a record says, of planning and of driving alike.
+    """Facts in the first file of a record, of planning and of driving alike.
 
     Attributes:
         scenes_in_split: How many scenes the split has; more than ``scenes`` means that a part was asked for.
-        scene_facts: Where each scene comes from and what is done in it; empty in run records of schema 1.
+        scene_facts: Empty in run records of schema 1.
         frozen_split: Name of the frozen split that the data were built from, if they were; null in older records.
-        review: What inspectors said of the split's scenes; null where no verdict stands, and in older records.
+        review: Null where no verdict stands, and in older records.
         generated: Which search the scenes come from; null of recordings and in older records.
-        caveats: What the numbers needed and did not get; empty in older records.
+        caveats: Empty in older records.
         status: ``partial`` if the planner failed on any sample, or in any drive.
         environment: Packages, processor, commit: where the planner ran.
     """
@@ -295,7 +294,7 @@ class RateRow(Stored):
 
 
 class ProtocolSummary(Stored):
-    """What one protocol says about a run.
+    """Summary of a run under one protocol.
 
     Attributes:
         columns: Column name (``collision``, ``l2``, ...) to horizon (``1s``, ``2s``, ``3s``, ``avg``) to rate.
@@ -321,7 +320,7 @@ class ProtocolSummary(Stored):
 
 
 class DrivingSummary(Stored):
-    """What ``nuscenes-pdm`` says about a run (`benchmark.records.driving`).
+    """Summary of a run under ``nuscenes-pdm`` (`benchmark.records.driving`).
 
     Attributes:
         columns: Column name (``score``, ``nc``, ``filtered_score``, ...) to its ``mean`` and to the share of plans that

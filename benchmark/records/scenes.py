@@ -100,11 +100,11 @@ class SheetCamera(Stored):
 
 
 class Sheet(Stored):
-    """What is shown of one scene.
+    """Content of the page of one scene.
 
     Attributes:
         source: Recorded scene that it was made from; its own name if it is a recording.
-        labels: What each adversary does (``generation.labels.labelling``), as the data set says it.
+        labels: Labels of each adversary (``generation.labels.labelling``), as the data set says it.
         origin_m: (x, y) in the global frame; all positions are relative to it.
         timestamps_us: One a frame (12 Hz).
         keyframes: Frames that are samples.
@@ -198,7 +198,7 @@ class AttemptFacts(Stored):
 
     @classmethod
     def of(cls, attempt: Attempt) -> "AttemptFacts":
-        """What is shown of an attempt."""
+        """Facts of an attempt."""
         return cls(
             source=attempt.scene,
             agent=attempt.agent,
@@ -209,10 +209,10 @@ class AttemptFacts(Stored):
 
 
 class SplitSheet(Stored):
-    """What is shown of one split.
+    """Content of the page of one split.
 
     Attributes:
-        attempts: What the search tried, for generated splits.
+        attempts: Vehicles that the search tried, for generated splits.
         runtime: Seconds of each stage of generation, if this machine measured them.
         review: Verdicts of inspectors; null where none stands.
         hyper: Settings of the search that its scenes come from; empty where they are not known.
@@ -272,7 +272,7 @@ def scene_folder(root: Path, data_name: str, split: str, scene: str) -> Path:
 
 
 def kept_rounds_path(root: Path, scene: str) -> Path:
-    """Where a generated root has the rounds of the search for a scene's adversary, if they were kept."""
+    """File of a generated root with the rounds of the search for a scene's adversary, if they were kept."""
     return root / KEPT_ROUNDS_FOLDER / f"{file_name(scene)}.json"
 
 

@@ -31,7 +31,7 @@ class TableCounts(_Stored):
 
 
 class Quantiles(_Stored):
-    """Of a distribution that has values."""
+    """Quantiles of a distribution that has values."""
 
     least: float
     tenth: float

@@ -53,7 +53,7 @@ def validated(validate: Callable[[Any], Value], stored: Any, sentence: Callable[
 
     Args:
         validate: Checks it, for example the ``model_validate`` of a model.
-        sentence: What to tell the user, given the place of the first fault (empty for the whole) and what is wrong.
+        sentence: Makes the message for the user, from the place of the first fault (empty for the whole) and its cause.
     """
     try:
         return validate(stored)
@@ -79,7 +79,7 @@ def read_each(places: Iterable[Path], read: Callable[[Path], Record], *, instead
 
 
 def pending(directory: Path, name: str) -> Path:
-    """Where a file of a record lies until all three are written."""
+    """Path of a file of a record until all three are written."""
     return directory / f".{name}.pending"
 
 

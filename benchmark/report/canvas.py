@@ -21,7 +21,7 @@ _FARTHEST_PX = 30_000.0
 
 @dataclass(frozen=True, slots=True)
 class GroundView:
-    """Where metres fall on pixels.
+    """Map from metres on the ground to pixels.
 
     Attributes:
         matrix: (2, 3) affine map from x, y in metres to column and row.

@@ -29,7 +29,7 @@ class AnyRate(Protocol):
 
     @property
     def denominator(self) -> int:
-        """What it was counted over."""
+        """Number of samples, scenes or contacts that it was counted over."""
 
     @property
     def low(self) -> float | None:
@@ -107,7 +107,7 @@ _FACTS: Final = tuple(each.name for each in fields(Cell))
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where numbers come from; makes their cells.
+    """Origin of numbers; makes their cells.
 
     Attributes:
         protocol: Protocol of the verdicts behind them, or ``None`` where they rest on none.
@@ -159,7 +159,7 @@ class Origin:
 
 
 def origin_of(record: RunRecord, protocol: str | None) -> Origin:
-    """Where numbers of a run under a protocol come from."""
+    """Origin of the numbers of a run under a protocol."""
     return Origin(protocol, record_name(record))
 
 

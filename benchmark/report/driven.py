@@ -43,7 +43,7 @@ class DrivenContact:
 
 @dataclass(frozen=True, slots=True)
 class DrivenSheet:
-    """What is shown of one drive.
+    """Everything that is shown of one drive.
 
     Attributes:
         stored: Sheet of the world as it was driven; its pictures are what the planner saw.
@@ -91,7 +91,7 @@ class DrivenSheet:
         return past[-1] if past else None
 
     def candidates_at(self, frame: int) -> CandidatesOverlay | None:
-        """What the adversary considered at the planning frame in force; ``None`` where it did not search."""
+        """Candidates of the adversary at the planning frame in force; ``None`` where it did not search."""
         now = self.considered_at(frame)
         if now is None or not now.candidates:
             return None

@@ -33,7 +33,7 @@ def write_text(
 
     Args:
         at: Pixels; x of its left end, middle or right end, y of the middle of its small letters' line.
-        anchor: What ``at`` is.
+        anchor: Point of the text that ``at`` is.
         plate: Colour of a plate behind it, to be read on anything.
     """
     mask = _mask(text, size_px, bold)

@@ -32,7 +32,7 @@ CANDIDATES_SHOWN: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Where and when a plan first touches something.
+    """Place and time at which a plan first touches something.
 
     Attributes:
         seconds: After the sample.
@@ -48,7 +48,7 @@ class Contact:
 
 
 class Whom(Enum):
-    """Whom a plan touches first."""
+    """Party that a plan touches first."""
 
     ANYBODY = "anybody, in a scene without adversaries"
     ADVERSARY = "the adversary"
@@ -74,7 +74,7 @@ class Verdict:
 
     @property
     def alarms(self) -> bool:
-        """Whether it is what is counted: a contact with the adversary, where there is one."""
+        """Whether it shows the contact that is counted: with the adversary, where there is one."""
         return self.collides is True and self.whom in (Whom.ANYBODY, Whom.ADVERSARY)
 
 
@@ -163,7 +163,7 @@ def _whom(adversary: bool | None) -> Whom:
 
 
 def _contact_seconds(row: SampleRow, protocol: str) -> float | None:
-    """When a plan first touches something: to a tenth of a second under ``exact``, else the end of the step."""
+    """Time at which a plan first touches something: to a tenth of a second under ``exact``, else the step's end."""
     if protocol not in row.outcomes:
         raise InputError(f"scene {row.scene} was not judged by protocol {protocol!r}; run challenger-bench rescore")
     outcome = row.outcomes[protocol]

@@ -100,7 +100,7 @@ Dash = tuple[float, ...]
 
 @dataclass(frozen=True, slots=True)
 class PlannerStyle:
-    """How one planner is drawn.
+    """Style of one planner.
 
     Attributes:
         dash: Pattern of its plan's line.

@@ -93,7 +93,7 @@ def draw_plan(image: Picture, view: GroundView, overlay: PlanOverlay) -> None:
 
 
 def draw_contacts(image: Picture, view: GroundView, overlays: Sequence[PlanOverlay]) -> None:
-    """Where plans first touch something: both rectangles then, a star, and in how many seconds.
+    """First contacts of plans: both rectangles then, a star, and in how many seconds.
 
     The star is hollow if it is with another than the adversary, or with whom is not said.
     """

@@ -120,7 +120,7 @@ def figure_png(figure: Figure) -> bytes:
 
 
 def png_size(picture: bytes) -> tuple[int, int]:
-    """(width, height) of a PNG, pixels; zeros for what is none."""
+    """(width, height) of a PNG, pixels; zeros for a file that is no PNG."""
     if not picture.startswith(b"\x89PNG"):
         return 0, 0
     width, height = struct.unpack(">II", picture[16:24])

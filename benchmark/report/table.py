@@ -54,7 +54,7 @@ _LATEX_LETTERS = "äöüßÄÖÜáàâãåçéèêëíìîïñóòôõøúùûæ
 
 @dataclass(frozen=True, slots=True)
 class LatexForm:
-    """How LaTeX lays a table out, if not as all others.
+    """Layout of a table in LaTeX, if not as all others.
 
     Attributes:
         alignment: Of the columns, with rules between them.
@@ -195,7 +195,7 @@ class Table:
         return "\n".join(lines) + "\n"
 
     def csv(self) -> str:
-        """The table as CSV, heads with their groups first, and what is to be thought of rows of miniatures last."""
+        """The table as CSV, heads with their groups first, and a column on miniatures last."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         said = [[RANKS_NOTHING if miniature else ""] for miniature in self.miniatures] or [[]] * len(self.rows)
@@ -272,7 +272,7 @@ def escape_latex(text: str) -> str:
 
 
 def _latex_character(character: str) -> str:
-    """What every LaTeX can set: ASCII, the usual letters with accents, and of anything else its number."""
+    """Form of a character that every LaTeX can set: ASCII, usual letters with accents, of anything else its number."""
     plain = character.isascii() or character in _LATEX_LETTERS
     return _LATEX_SPECIAL.get(character, character if plain else f"U+{ord(character):04X}")
 

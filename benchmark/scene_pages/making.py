@@ -87,12 +87,12 @@ class Job:
     cell_width_px: int
 
     def folder(self, scene: str) -> Path:
-        """Where a scene's sheet lies."""
+        """Folder of a scene's sheet."""
         return scene_folder(self.root, self.facts.name, self.split, scene)
 
 
 def sheets_in(folder: Path) -> ResultStore[str]:
-    """What was written to a folder, by the hash of ``sheet.json``."""
+    """Sheets written to a folder, by the hash of ``sheet.json``."""
     return ResultStore(folder, str)
 
 
@@ -167,7 +167,7 @@ def written_sheet(job: Job, data: "DataSet", name: str) -> WrittenSheet:
 
 
 def planned_sheet(job: Job, data: "DataSet", name: str) -> WrittenSheet:
-    """What `written_sheet` would do, without sizes."""
+    """Outcome that `written_sheet` would have, without sizes."""
     keyframes, sweeps = _videos(job, data, name)
     made = _kept(job, name, _key(job, name, keyframes, sweeps)) is None
     return WrittenSheet(name, made, len(pictured_frames(data.scene(name), keyframes, sweeps)), 0, 0)
@@ -184,7 +184,7 @@ def _videos(job: Job, data: "DataSet", name: str) -> tuple[Videos, Videos]:
 
 
 def _key(job: Job, scene: str, keyframes: Videos, sweeps: Videos) -> str:
-    """Of everything that decides what is written; sizes of images show those that were rendered anew."""
+    """Key of everything that decides what is written; sizes of images show those that were rendered anew."""
     sizes = [
         (name, view.path.name, view.path.stat().st_size)
         for videos in (keyframes, sweeps)
@@ -233,7 +233,7 @@ def rounds_fit(path: Path, sheet: Sheet) -> bool:
 
 
 def _write_pictures(job: Job, folder: Path, scene: Scene, keyframes: Videos, sweeps: Videos) -> Mapping[str, Any]:
-    """Write all pictures; returns the fields of the sheet that say what is in them."""
+    """Write all pictures; returns the fields of the sheet that describe them."""
     frames = pictured_frames(scene, keyframes, sweeps)
     cells = layout({name: views[0].camera for name, views in keyframes.items()}, job.cell_width_px)
     edges, files = {}, {}

@@ -15,7 +15,7 @@ NEAR_M: Final = 80.0
 
 
 def origin_of(scene: Scene) -> Point:
-    """Where a sheet's positions are counted from: the ego's first position, whole metres."""
+    """Origin of a sheet's positions: the ego's first position, whole metres."""
     x, y = np.rint(scene.ego.position[0, :2])
     return float(x), float(y)
 

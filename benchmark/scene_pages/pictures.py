@@ -90,7 +90,7 @@ def pictured_frames(scene: Scene, keyframes: Videos, sweeps: Videos) -> tuple[Pi
 
 
 def layout(cameras: Mapping[str, Camera], cell_width_px: int) -> tuple[SheetCamera, ...]:
-    """Where each camera stands: the rows of `CAMERA_GRID`, then rows of three of cameras that are not in it.
+    """Cells of the cameras: the rows of `CAMERA_GRID`, then rows of three of cameras that are not in it.
 
     Args:
         cell_width_px: Widest cell; narrower images are not enlarged.

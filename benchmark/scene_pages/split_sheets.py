@@ -52,7 +52,7 @@ def write_split_sheet(
 
 
 def _attempts(data: "DataSet", split: str) -> tuple[AttemptFacts, ...]:
-    """What the search tried; nothing where the root was not generated for this split."""
+    """Attempts of the search; none where the root was not generated for this split."""
     made = data.provenance()
     path = data.root / ATTEMPTS_FILE
     if made is None or made.get("split") != split or not path.is_file():

@@ -28,7 +28,7 @@ _WIDTHS_PX: Final = (16, 4096)
 
 @dataclass(frozen=True, slots=True)
 class SheetSettings:
-    """What to write.
+    """Settings of sheets.
 
     Attributes:
         pictures: Which frames get a picture of all cameras; ``all`` are those at 12 Hz.

@@ -141,7 +141,7 @@ def is_file_name(value: Any) -> bool:
 
 
 def is_file_inside(value: Any) -> bool:
-    """Whether a text is the path of a file below a folder, whatever the system."""
+    """Whether a text is the path of a file below a folder, on any system."""
     if type(value) is not str or not value.isprintable() or not 0 < len(value.encode()) <= LONGEST_PATH_BYTES:
         return False
     path = PurePosixPath(value.replace("\\", "/"))

@@ -19,7 +19,7 @@ _QUATERNIONS = "make sense only if they are read as x, y, z, w; nuScenes has w, 
 
 @dataclass(frozen=True, slots=True)
 class EgoAtSamples:
-    """Where the ego is at S samples of all scenes, scene by scene, in time order.
+    """Poses of the ego at S samples of all scenes, scene by scene, in time order.
 
     Attributes:
         scene: (S,) number of the scene.

@@ -15,7 +15,7 @@ _SHOWN_CHARACTERS: Final = 60
 
 
 def check_table(table: str, content: list[Row], faults: FaultList) -> tuple[list[Row], dict[int, frozenset[str]]]:
-    """Note what is wrong with a whole table, links apart.
+    """Note all faults of a whole table, links apart.
 
     Returns:
         Rows with a sound token of their own; and the fields that are absent or unsound, by identity of
@@ -30,7 +30,7 @@ def check_table(table: str, content: list[Row], faults: FaultList) -> tuple[list
 
 
 def check_rows(table: str, rows: Sequence[Row], faults: FaultList, *, first: int = 0) -> dict[int, frozenset[str]]:
-    """Fields that are absent or hold what they must not, by identity of the row, whatever other rows there are.
+    """Fields that are absent or hold what they must not, by identity of the row, apart from all other rows.
 
     Args:
         first: Number of the first row in its file.

@@ -46,7 +46,7 @@ class CheckedTables:
                 yield row
 
     def get(self, table: str, token: str, *fields: str) -> Row | None:
-        """A row by its token, if it exists and these fields of it can be relied on; what is no text names none."""
+        """A row by its token, a text, if it exists and these fields of it can be relied on."""
         row = self.by_token[table].get(token) if isinstance(token, str) else None
         if row is None or not self.unsound:
             return row
@@ -74,7 +74,7 @@ def read_checked(folder: Path, faults: FaultList) -> CheckedTables:
 
 
 def _content(path: Path, table: str, faults: FaultList) -> list[Row] | None:
-    """The rows in a file, as whoever opens the data set reads them; nothing, and a fault, where it cannot be read."""
+    """Rows in a file, read as for opening the data set; ``None``, and a fault, where it cannot be read."""
     if not path.exists():
         faults.add(
             "missing table", table, "", f"{path.name} is missing; a data set has all 13 tables, if need be empty"
