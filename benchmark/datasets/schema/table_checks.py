@@ -46,7 +46,7 @@ class CheckedTables:
                 yield row
 
     def get(self, table: str, token: str, *fields: str) -> Row | None:
-        """A row by its token, a text, if it exists and these fields of it can be relied on."""
+        """Row of a token, if it exists and these fields of it can be relied on; a token that is no text has none."""
         row = self.by_token[table].get(token) if isinstance(token, str) else None
         if row is None or not self.unsound:
             return row
