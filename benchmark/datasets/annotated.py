@@ -17,13 +17,9 @@ NO_SIZE_M: Final = 1e-3
 
 
 def nearest_valid(valid: Bools) -> NDArray[np.int64]:
-    """Index of the nearest valid entry along the last axis; the earlier one of two equally near.
+    """(N, T) index of the nearest valid entry along the last axis; the earlier one of two equally near.
 
-    Args:
-        valid: (N, T); each row needs at least one valid entry.
-
-    Returns:
-        (N, T) indices.
+    Each row needs at least one valid entry.
     """
     count = valid.shape[-1]
     index = np.arange(count)
@@ -40,8 +36,6 @@ def read_objects(nusc: Any, samples: list[Row], keyframes: NDArray[np.int64]) ->
     gap. Numbers of annotations are the tables' own.
 
     Args:
-        nusc: ``NuScenes`` of the devkit.
-        samples: Rows of the scene's samples in time order.
         keyframes: (K,) frame of each sample.
 
     Returns:
@@ -91,8 +85,6 @@ def tracks_between(
     """Tracks at every frame from annotations at keyframes: linear position, shortest-arc heading.
 
     Args:
-        ids: N instance identifiers.
-        categories: N category names.
         annotations: (N, K) annotations.
         keyframes: (K,) frames, increasing, starting at 0.
 

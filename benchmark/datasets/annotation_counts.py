@@ -16,12 +16,7 @@ _NAMED: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class AnnotationCount:
-    """Annotations of one scene or several.
-
-    Attributes:
-        annotations: How many there are.
-        unknown: How many are of a category that nuScenes does not have, by its name.
-    """
+    """Annotations of one scene or several; ``unknown`` are those of categories that nuScenes does not have."""
 
     annotations: int
     unknown: Mapping[str, int] = field(default_factory=dict)
@@ -41,7 +36,7 @@ class AnnotationCount:
 
     @property
     def sentence(self) -> str:
-        """How many annotations have unknown categories, and which; no full stop at its end."""
+        """Sentence on the number of annotations of unknown categories, with their names; no full stop at its end."""
         names = sorted(self.unknown, key=lambda name: (-self.unknown[name], name))
         shown = ", ".join(map(repr, names[:_NAMED])) + (", ..." if len(names) > _NAMED else "")
         return (
@@ -51,11 +46,7 @@ class AnnotationCount:
 
 
 class CountedData(Protocol):
-    """The part of a data set that counts its annotations.
-
-    Attributes:
-        root: Root folder.
-    """
+    """The part of a data set that counts its annotations."""
 
     root: Path
 
@@ -64,19 +55,7 @@ class CountedData(Protocol):
 
 
 def require_annotated(data: CountedData, split: str, scenes: Sequence[str]) -> AnnotationCount:
-    """Refuse scenes none of which has an annotation.
-
-    Args:
-        data: The data set.
-        split: Of which split they are, for the sentence.
-        scenes: Their names.
-
-    Returns:
-        The counts of all of them.
-
-    Raises:
-        InputError: If there is no truth to judge anything by.
-    """
+    """Refuse scenes none of which has an annotation: there is no truth to judge anything by."""
     found = AnnotationCount.together(list(data.annotation_counts(scenes).values()))
     if not found.annotations:
         which = "none of them" if len(scenes) > 1 else "it"

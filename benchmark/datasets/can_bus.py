@@ -36,8 +36,8 @@ class CanMessages:
     """Messages of one kind, in time order.
 
     Attributes:
-        times_us: (M,) microseconds.
-        values: (M, F) what was asked for.
+        times_us: (M,).
+        values: (M, F), a column for each field that was asked for.
     """
 
     times_us: NDArray[np.int64]
@@ -45,17 +45,10 @@ class CanMessages:
 
     @classmethod
     def read(cls, path: Path, fields: Mapping[str, Kind]) -> Self | None:
-        """Read a message file.
+        """Messages of ``can_bus/<scene>_<message>.json``, or ``None`` if there is no such file or it is empty.
 
         Args:
-            path: ``can_bus/<scene>_<message>.json``.
             fields: What each message holds, ``utime`` among it.
-
-        Returns:
-            The messages, or ``None`` if there is no such file or it is empty.
-
-        Raises:
-            InputError: If the file is broken, a field is missing or holds what it must not.
         """
         if not path.is_file():
             return None
@@ -71,42 +64,21 @@ class CanMessages:
         return cls(times_us[order], values[order])
 
     def before(self, timestamp_us: int) -> Floats | None:
-        """Latest values not later than a time, or ``None`` if there are none within half a second.
-
-        Args:
-            timestamp_us: Now.
-
-        Returns:
-            (F,) values.
-        """
+        """(F,) latest values not later than a time, or ``None`` if there are none within half a second."""
         index = int(np.searchsorted(self.times_us, timestamp_us, side="right")) - 1
         if index < 0 or timestamp_us - int(self.times_us[index]) > _STALE_AFTER_US:
             return None
         return np.asarray(self.values[index])
 
     def before_or_first(self, timestamp_us: int) -> Floats | None:
-        """As `before`; where a scene begins up to half a second ahead of its messages, the first of them.
-
-        Args:
-            timestamp_us: Now.
-
-        Returns:
-            (F,) values.
-        """
+        """As `before`; where a scene begins up to half a second ahead of its messages, the first of them."""
         first_us = int(self.times_us[0])
         if timestamp_us < first_us <= timestamp_us + _STALE_AFTER_US:
             return np.asarray(self.values[0])
         return self.before(timestamp_us)
 
     def after_or_last(self, timestamp_us: int) -> Floats:
-        """The first values later than a time, however much later; the last ones where none are.
-
-        Args:
-            timestamp_us: Now.
-
-        Returns:
-            (F,) values.
-        """
+        """(F,) first values later than a time, however much later; the last ones where none are."""
         index = int(np.searchsorted(self.times_us, timestamp_us, side="right"))
         return np.asarray(self.values[min(index, len(self.times_us) - 1)])
 
@@ -125,18 +97,7 @@ class CanBus:
 
     @classmethod
     def read(cls, root: Path, scene: str) -> Self:
-        """Read the CAN bus files of a scene; any of them may be absent.
-
-        Args:
-            root: Data set root.
-            scene: Scene name.
-
-        Returns:
-            The messages.
-
-        Raises:
-            InputError: If a file is broken.
-        """
+        """Read the CAN bus files of a scene; any of them may be absent."""
         folder = root / "can_bus"
         motion, steering = (
             CanMessages.read(folder / f"{scene}_{message}.json", fields) for message, fields in CAN_BUS.items()
@@ -153,11 +114,6 @@ def ego_state(ego: EgoTrack, timestamps_us: NDArray[np.int64], frame: int, can_b
     Args:
         ego: Recorded motion; only frames up to ``frame`` are looked at.
         timestamps_us: (T,) frame times.
-        frame: Now.
-        can_bus: Messages of the scene.
-
-    Returns:
-        The state, which says where the motion comes from.
     """
     now_us, pose = int(timestamps_us[frame]), ego.pose[frame]
     measured = can_bus.motion.before(now_us) if can_bus.motion else None

@@ -139,16 +139,10 @@ READY: Final[Mapping[str, Mapping[str, str]]] = {
 
 
 def read_categories(named: str) -> dict[str, str]:
-    """The map that ``--categories`` names.
+    """Map that ``--categories`` names: names of nuScenes by names of the data set, ready maps with other spellings.
 
     Args:
         named: One of `READY`, or a JSON file ``{"name": "nuscenes.category"}``.
-
-    Returns:
-        nuScenes' names by names of the data set. Ready maps have nuScenes' own names in other spellings, too.
-
-    Raises:
-        InputError: If there is no such map or file, or the file holds anything else.
     """
     if named in READY:
         return {**{name: name for name in CATEGORIES}, **READY[named]}
@@ -173,15 +167,10 @@ def read_categories(named: str) -> dict[str, str]:
 
 
 def names_in(own: Iterable[str], given: Mapping[str, str]) -> CategoryNames:
-    """The part of a map that renames categories of a data set.
+    """Part of a map that renames categories of a data set: pairs for those that get another name, sorted.
 
-    Args:
-        own: Names that the data set has.
-        given: As `read_categories` gives it.
-
-    Returns:
-        Pairs for those of them that get another name, sorted. A name that is not in the map is looked up without
-        regard to case and to what stands between its words, so that ``CAR`` and ``vehicle_car`` are found.
+    A name that is not in the map is looked up without regard to case and to what stands between its words, so that
+    ``CAR`` and ``vehicle_car`` are found.
     """
     loose = {_loosely(name): to for name, to in reversed([*given.items()])}
     found = {name: given.get(name) or (None if name in KNOWN else loose.get(_loosely(name))) for name in own}

@@ -41,14 +41,7 @@ def contents(data: DataSet) -> dict[str, Any]:
 
 
 def scenes_by_split(data: DataSet) -> tuple[dict[str, tuple[str, ...]], dict[str, str]]:
-    """Scenes of each split that can be evaluated, and why the others cannot be.
-
-    Args:
-        data: The data set.
-
-    Returns:
-        Scene names by split, and sentences by split.
-    """
+    """Scene names of each split that can be evaluated, and a sentence for each of the others why it cannot be."""
     usable: dict[str, tuple[str, ...]] = {}
     unusable: dict[str, str] = {}
     for split in data.split_names():
@@ -78,15 +71,7 @@ def _some(names: list[str]) -> str:
 
 
 def contents_text(found: dict[str, Any], width: int | None = None) -> str:
-    """What `contents` found, for a terminal.
-
-    Args:
-        found: What it returned.
-        width: Columns of the terminal, if it is not to be asked.
-
-    Returns:
-        Lines.
-    """
+    """Text of the result of `contents` for a terminal of some width; without a width, the terminal is asked."""
     source = found["made_from"] if isinstance(found["made_from"], dict) else {}
     facts = [
         ("name", found["name"]),

@@ -45,11 +45,11 @@ class OpenTables(ABC):
 
     @abstractmethod
     def annotation_count(self, scene: Row) -> int:
-        """How many annotations a scene has."""
+        """Number of annotations of a scene."""
 
     @abstractmethod
     def annotations_by_category(self, scene: Row) -> Counter[str]:
-        """How many annotations of each category a scene has; takes a reading of its rows."""
+        """Number of annotations of each category in a scene; takes a reading of its rows."""
 
     @abstractmethod
     def keyframe_images(self) -> Iterable[str]:
@@ -60,23 +60,12 @@ class OpenTables(ABC):
         """``NuScenes`` of the devkit, with the rows of at least one scene.
 
         Args:
-            scene: Row of the scene table.
             adversaries: Instances that were made to be adversaries of the scene.
-
-        Raises:
-            InputError: If a table has changed since it was opened, or the rows of the scene do not go together.
         """
 
 
 class SceneByScene(OpenTables):
-    """The devkit is given the rows of one scene at a time; only the last one is kept.
-
-    Args:
-        root: Root of the data set.
-        version: Version folder.
-        tables: Its tables.
-        categories: Names of categories that are replaced.
-    """
+    """The devkit is given the rows of one scene at a time; only the last one is kept."""
 
     def __init__(self, root: Path, version: str, tables: SceneTables, categories: CategoryNames) -> None:
         self._root, self._version, self._tables = root, version, tables.renamed(categories) if categories else tables
@@ -88,11 +77,11 @@ class SceneByScene(OpenTables):
         return self._tables.shared[table]
 
     def annotation_count(self, scene: Row) -> int:
-        """How many annotations a scene has."""
+        """Number of annotations of a scene."""
         return self._tables.annotation_count(scene["token"])
 
     def annotations_by_category(self, scene: Row) -> Counter[str]:
-        """How many annotations of each category a scene has."""
+        """Number of annotations of each category in a scene."""
         return self._tables.annotations_by_category(scene["token"])
 
     def keyframe_images(self) -> Iterable[str]:
@@ -112,9 +101,6 @@ class AllScenes(OpenTables):
     """The devkit holds all rows.
 
     Args:
-        nusc: ``NuScenes`` of the devkit.
-        tables: Its rows.
-        folder: Version folder.
         categories: Names of categories that were replaced in them.
     """
 
@@ -131,11 +117,11 @@ class AllScenes(OpenTables):
         return self._tables[table]
 
     def annotation_count(self, scene: Row) -> int:
-        """How many annotations a scene has."""
+        """Number of annotations of a scene."""
         return self.annotations_by_category(scene).total()
 
     def annotations_by_category(self, scene: Row) -> Counter[str]:
-        """How many annotations of each category a scene has."""
+        """Number of annotations of each category in a scene."""
         return self._by_category[scene["token"]]
 
     @cached_property
@@ -162,19 +148,11 @@ class AllScenes(OpenTables):
 def open_tables(
     root: Path, version: str, rates: FaultList | None = None, categories: Mapping[str, str] | None = None
 ) -> OpenTables:
-    """Check the tables of a data set.
+    """Check the tables of a data set, all 13 of them, and open them scene by scene where they can be taken apart.
 
     Args:
-        root: Root of the data set.
-        version: Version folder, with all 13 tables.
         rates: Gets scenes with another rate of keyframes than nuScenes.
         categories: What other names of categories mean (`benchmark.datasets.categories.read_categories`).
-
-    Returns:
-        The tables, scene by scene where they can be taken apart.
-
-    Raises:
-        InputError: If a table is broken, or links to nothing.
     """
     folder = root / version
     rates = Refusal(folder=folder) if rates is None else rates

@@ -49,7 +49,7 @@ class _UsedLater:
 
 
 class _Package:
-    """What ``import sklearn.metrics`` binds, with nothing imported yet."""
+    """Stand-in that ``import sklearn.metrics`` binds, with nothing imported yet."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -64,7 +64,7 @@ class _Package:
 
 
 class _Names:
-    """What ``from matplotlib.axes import Axes`` takes its names from."""
+    """Stand-in that ``from matplotlib.axes import Axes`` takes its names from."""
 
     def __init__(self, module: str) -> None:
         self._module = module
@@ -100,14 +100,7 @@ class _DevkitFinder(MetaPathFinder):
 
 
 def devkit_module(name: str) -> Any:
-    """A module of nuscenes-devkit.
-
-    Args:
-        name: Its name, for example ``nuscenes.nuscenes``.
-
-    Returns:
-        The module; as the devkit's authors meant it where somebody imported it before.
-    """
+    """Module of nuscenes-devkit, as its authors meant it where it was imported before."""
     with _lock, _finding():
         return importlib.import_module(name)
 

@@ -12,20 +12,11 @@ FURTHER_TABLES: Final = ("lidarseg", "panoptic", "image_annotations")
 
 
 def devkit_with(root: Path, version: str, tables: Tables) -> Any:
-    """``NuScenes`` of the devkit with rows that are at hand.
-
-    Args:
-        root: Root of the data set.
-        version: Version folder.
-        tables: The rows by table.
-
-    Raises:
-        InputError: If the devkit does not take them.
-    """
+    """``NuScenes`` of the devkit with rows that are at hand."""
     as_published: Any = devkit_module("nuscenes.nuscenes").NuScenes
 
     class NuScenesWithRows(as_published):  # type: ignore[misc]
-        """Is given its rows instead of reading files; it reads tables that nobody here does."""
+        """``NuScenes`` that is given its rows and reads no files; it reads tables that this product never uses."""
 
         def __load_table__(self, table: str) -> list[Row]:
             rows: list[Row] = tables[table] if table in tables else super().__load_table__(table)

@@ -12,14 +12,13 @@ _SHIFTED_APART_US: Final = 10_000_000
 
 
 def shifts_us(scenes: Sequence[tuple[str, int, int]]) -> dict[str, int]:
-    """By how much the times of scenes must be moved for them to stay together and apart from each other.
+    """Shifts by name that keep scenes together and apart from each other in time, for those that need one.
+
+    Those are scenes that begin before all earlier ones have ended for 2 s. Of scenes that begin together the first by
+    name is the earlier one.
 
     Args:
         scenes: Name, first and last time of each, microseconds.
-
-    Returns:
-        Shift by name, for those that need one: scenes that begin before all earlier ones have ended for 2 s. Of scenes
-        that begin together the first by name is the earlier one.
     """
     found: dict[str, int] = {}
     ended: int | None = None
@@ -32,7 +31,7 @@ def shifts_us(scenes: Sequence[tuple[str, int, int]]) -> dict[str, int]:
 
 
 def exported_order(scenes: Sequence[str], times_us: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Where samples stand in what official code dumps of exported infos without naming them.
+    """Places of samples in dumps by official code of exported infos, which do not name them.
 
     Args:
         scenes: Name of the scene of each of S samples.

@@ -17,15 +17,7 @@ def fingerprint_of(root: Path, version: str, images: Iterable[str]) -> str:
     files and of keyframe images. Sweeps and lidar files are read by nothing here and do not count.
 
     Args:
-        root: Data set root.
-        version: Version folder.
         images: Names of image files relative to the root.
-
-    Returns:
-        64 hexadecimal digits.
-
-    Raises:
-        InputError: If a table or map is longer than any is.
     """
     tables = root / version
     hashed = {f"tables/{table}.json": tables / f"{table}.json" for table in NUSCENES_TABLES}

@@ -47,15 +47,12 @@ class Steps:
 
     @classmethod
     def of(cls, owner: NDArray[np.int64], seconds: Floats, position: Floats) -> "Steps":
-        """Steps of R annotations.
+        """Steps of R annotations; none where time does not go on.
 
         Args:
             owner: (R,) number of the object; those of an object stand together, in time order.
             seconds: (R,) times.
             position: (R, 2) metres.
-
-        Returns:
-            The steps; none where time does not go on.
         """
         elapsed, moved = np.diff(seconds), np.diff(position[:, :2], axis=0)
         row = np.flatnonzero((owner[1:] == owner[:-1]) & (elapsed > 0.0))
@@ -80,15 +77,13 @@ class Steps:
 
 
 def objects_across(steps: Steps, yaw: Floats, size: Floats) -> tuple[int, int]:
-    """How many objects move, and how many of those lie across their motion at most of their moving steps.
+    """Number of objects that move, and of those that lie across their motion at most of their moving steps.
+
+    A box lies across its motion if its heading is at right angles to it or it is wider than long.
 
     Args:
-        steps: Of R annotations.
         yaw: (R,) headings, radians.
         size: (R, 2) length and width, metres.
-
-    Returns:
-        Both counts. A box lies across its motion if its heading is at right angles to it or it is wider than long.
     """
     driving = steps.drives
     row, owner = steps.row[driving], steps.owner[driving]
@@ -110,7 +105,7 @@ def in_another_order(quaternions: Floats, direction: Floats | None = None) -> bo
 
     Args:
         quaternions: (R, 4) as they are read: w, x, y, z.
-        direction: (R,) where what they are of drives to, NaN where it does not; not asked without it.
+        direction: (R,) motion of their objects, NaN where these do not move; not asked without it.
 
     Returns:
         Whether most are upside down, lie on a side or look away from the motion as they are read, and hardly any does

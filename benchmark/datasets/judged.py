@@ -24,12 +24,10 @@ Judgements = Mapping[str, tuple[SceneJudgement, ...]]
 
 
 class JudgementsFile(Stored):
-    """The file.
+    """File of judgements, by scene name, one for each adversary.
 
     Attributes:
-        schema_version: Version of the format.
-        scenes: By scene name, one judgement for each adversary.
-        realism: Of all adversaries of the data set together, if somebody looked.
+        realism: Of all adversaries of the data set together, if it was measured.
     """
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
@@ -38,31 +36,16 @@ class JudgementsFile(Stored):
 
 
 def judgements_text(scenes: Judgements, realism: SplitRealism | None = None) -> str:
-    """The content of the file.
-
-    Args:
-        scenes: Judgements by scene name.
-        realism: Of all adversaries together.
-
-    Returns:
-        JSON text, the same for the same judgements.
-    """
+    """Content of the file, the same for the same judgements."""
     said = {name: [each.model_dump(mode="json") for each in judged] for name, judged in scenes.items()}
     told = None if realism is None else realism.model_dump(mode="json")
     return canonical_json({"schema": 1, "scenes": said, "realism": told}) + "\n"
 
 
 def read_judgements(folder: Path) -> dict[str, tuple[SceneJudgement, ...]]:
-    """Read the judgements of one root.
+    """Judgements of one root by scene name; none where there is no file.
 
-    Args:
-        folder: Its version folder.
-
-    Returns:
-        Judgements by scene name; none where there is no file, or of scenes that were judged by other definitions.
-
-    Raises:
-        InputError: If the file is damaged.
+    Scenes that were judged by other definitions are left out.
     """
     found = read_judgements_file(folder)
     return {
@@ -73,17 +56,7 @@ def read_judgements(folder: Path) -> dict[str, tuple[SceneJudgement, ...]]:
 
 
 def read_judgements_file(folder: Path) -> JudgementsFile | None:
-    """Read the whole file of one root.
-
-    Args:
-        folder: Its version folder.
-
-    Returns:
-        What it says, or ``None`` where there is none.
-
-    Raises:
-        InputError: If it is damaged.
-    """
+    """Read the whole file of one root, ``None`` where there is none."""
     path = folder / JUDGEMENTS_FILE
     if not path.is_file():
         return None
@@ -95,18 +68,7 @@ def read_judgements_file(folder: Path) -> JudgementsFile | None:
 
 
 def stored_judgements(root: Path, version: str) -> dict[str, tuple[SceneJudgement, ...]]:
-    """The judgements of a data set that lies in one root or in several.
-
-    Args:
-        root: Of the data set.
-        version: Version folder.
-
-    Returns:
-        Judgements by the names that the data set gives its scenes.
-
-    Raises:
-        InputError: If a file is damaged.
-    """
+    """Judgements of a data set in one root or in several, by the names that it gives its scenes."""
     folders = variant_folders(root)
     if not folders:
         return read_judgements(root / version)
@@ -118,18 +80,7 @@ def stored_judgements(root: Path, version: str) -> dict[str, tuple[SceneJudgemen
 
 
 def stored_realism(root: Path, version: str) -> SplitRealism | None:
-    """How real the adversaries of a data set move, as whoever built it found.
-
-    Args:
-        root: Of the data set.
-        version: Version folder.
-
-    Returns:
-        It, or ``None`` where nobody looked.
-
-    Raises:
-        InputError: If the file is damaged.
-    """
+    """Realism of a data set's adversaries, as its builder found it; ``None`` where it was not measured."""
     folders = variant_folders(root)
     # Every variant says the same of all of them.
     found = read_judgements_file((root / folders[0] if folders else root) / version)

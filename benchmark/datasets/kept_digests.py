@@ -33,24 +33,13 @@ class KeptDigests:
 
     @classmethod
     def of(cls, folder: Path) -> Self:
-        """What is kept.
-
-        Args:
-            folder: Version folder of the root.
-        """
+        """Kept hashes of a root, given its version folder."""
         beside = kept_at(folder)
         place = None if beside is None else digests_beside(beside)
         return cls(place, _sound(None if place is None or not place.is_file() else read_kept_json(place)))
 
     def sha256(self, path: Path) -> str:
-        """Hash of a file's content, 64 hexadecimal digits.
-
-        Args:
-            path: The file.
-
-        Raises:
-            InputError: If it cannot be read or is longer than any table.
-        """
+        """Hash of a file's content, 64 hexadecimal digits; a file longer than any table is refused."""
         name, looked_ns = str(path.resolve()), time.time_ns()
         with open_file(path, TABLE) as stream:
             stamp = stamp_of(os.fstat(stream.fileno()))
@@ -75,7 +64,7 @@ class KeptDigests:
 
 
 def _sound(value: Any) -> dict[str, tuple[Stamp, str]]:
-    """What of a kept file is as it must be."""
+    """Sound part of a kept file."""
     found: dict[str, tuple[Stamp, str]] = {}
     for name, entry in value.items() if isinstance(value, dict) else ():
         match entry:

@@ -39,18 +39,7 @@ _TYPES: Final = {
 
 
 def read_or_kept(folder: Path, rates: FaultList) -> SceneTables | None:
-    """`read_scene_tables`, which it need not do where somebody has opened the same tables before.
-
-    Args:
-        folder: Version folder.
-        rates: Gets scenes with another rate of keyframes than nuScenes.
-
-    Returns:
-        The tables; ``None`` as there.
-
-    Raises:
-        InputError: As there.
-    """
+    """`read_scene_tables`, with nothing to read where the same tables were opened before."""
     looked_ns, stamps = time.time_ns(), _stamps(folder)
     place = kept_at(folder)
     if place is None or sum(stamps[table][2] for table in GROWING_TABLES if table in stamps) < WORTH_BYTES:
@@ -70,24 +59,24 @@ def read_or_kept(folder: Path, rates: FaultList) -> SceneTables | None:
 
 
 def kept_at(folder: Path) -> Path | None:
-    """Where what is known of a version folder is kept; nowhere where the user has no home."""
+    """Folder in which facts about a version folder are kept; ``None`` where the user has no home."""
     return kept_place(_FOLDER, folder)
 
 
 def digests_beside(kept: Path) -> Path:
-    """Where the hashes of the same folder's files are kept."""
+    """File with the kept hashes of the same folder's files."""
     return kept.with_suffix(".digests.json")
 
 
 def _stamps(folder: Path) -> dict[str, Stamp]:
-    """Of the tables that are there."""
+    """Stamps of the tables that are there."""
     paths = {table: folder / f"{table}.json" for table in NUSCENES_TABLES}
     return {table: stamp_of(path.stat()) for table, path in paths.items() if path.is_file()}
 
 
 @functools.cache
 def _checks() -> str:
-    """What decides which tables are refused and what is found in them: code of this folder."""
+    """Content key of all that decides which tables are refused and what is found in them: code of this folder."""
     here = Path(__file__).parent
     own = [here / f"{name}.py" for name in ("kept_tables", "scene_tables", "stored_rows")]
     modules = sorted((*here.glob("schema/*.py"), *own))

@@ -16,14 +16,7 @@ LEAVE_TOGETHER: Final = 3
 
 
 def labelled_keyframes(boxes: NDArray[np.int64]) -> Bools:
-    """Which key frames were labelled.
-
-    Args:
-        boxes: (K,) annotations at each key frame of a scene, in time order.
-
-    Returns:
-        (K,) verdicts.
-    """
+    """Which key frames were labelled, (K,), from the (K,) numbers of annotations of a scene in time order."""
     if not boxes.any():
         return np.zeros(len(boxes), np.bool_)
     there = np.flatnonzero(boxes)

@@ -13,15 +13,8 @@ def listed_scenes(root: Path, split: str | None = None, *, version: str | None =
     """Names of scenes as an opened data set has them (`benchmark.datasets.nuscenes.NuScenesData.scene_names`).
 
     Args:
-        root: A nuScenes-format root, or a folder of variant roots.
         split: A split, or ``None`` for all scenes.
         version: Version folder; needed only where there are several.
-
-    Returns:
-        Names, in the order of the data set.
-
-    Raises:
-        InputError: If there is no such data set or split, or its list of scenes is broken.
     """
     if split is not None:
         review = listed_review(root, split, version=version)
@@ -30,19 +23,7 @@ def listed_scenes(root: Path, split: str | None = None, *, version: str | None =
 
 
 def listed_review(root: Path, split: str, *, version: str | None = None) -> SplitReview:
-    """What inspectors said of a split (`benchmark.datasets.nuscenes.NuScenesData.review`).
-
-    Args:
-        root: A nuScenes-format root, or a folder of variant roots.
-        split: The split.
-        version: Version folder; needed only where there are several.
-
-    Returns:
-        The review.
-
-    Raises:
-        InputError: If there is no such data set or split, or its list of scenes or its file of verdicts is broken.
-    """
+    """Review of a split (`benchmark.datasets.nuscenes.NuScenesData.review`)."""
     variants = variant_folders(root)
     if not variants:
         return _review(root, split, version)

@@ -36,15 +36,7 @@ _NAMED_LAYERS: Final = (
 
 
 def expansion_file(root: Path, location: str) -> Path | None:
-    """Map expansion file of a location.
-
-    Args:
-        root: Data set root.
-        location: nuScenes location name.
-
-    Returns:
-        The file, or ``None`` if the data set has none.
-    """
+    """Map expansion file of a nuScenes location, or ``None`` if the data set has none."""
     if Path(location).name != location:
         return None
     path = root / "maps" / "expansion" / f"{location}.json"
@@ -58,13 +50,7 @@ def read_road_map(path: Path) -> RoadMap:
     area layer, road segments, lanes and car parks make it up.
 
     Args:
-        path: ``maps/expansion/<location>.json``.
-
-    Returns:
-        The map; its location is the file's name.
-
-    Raises:
-        InputError: If the file is not a map expansion of version 1.3 or later, or links to nothing.
+        path: ``maps/expansion/<location>.json``, of version 1.3 or later.
     """
     layers = read_json(path)
     if not isinstance(layers, dict):

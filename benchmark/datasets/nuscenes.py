@@ -110,7 +110,7 @@ class NuScenesData:
         return type(self).open(self.root, version=self.version, name=self.name, categories=dict(categories))
 
     def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
-        """How many annotations scenes have, and how many of them are of no category of nuScenes.
+        """Number of annotations of scenes, and number of those that are of no category of nuScenes.
 
         Args:
             names: Scene names.
@@ -153,7 +153,7 @@ class NuScenesData:
         return tuple(sorted(self._rows)) if split is None else self.review(split).kept(self._listed(split))
 
     def review(self, split: str | None = None) -> SplitReview:
-        """What inspectors said of a split (`benchmark.records.review`); without a split, of all scenes.
+        """Verdicts of inspectors on a split (`benchmark.records.review`); without a split, on all scenes.
 
         Raises:
             InputError: If there is no such split.
@@ -163,7 +163,7 @@ class NuScenesData:
         return review_of_rows(self.root, tokens, self._provenance, split, self._verdicts)
 
     def _listed(self, split: str) -> tuple[str, ...]:
-        """Scenes of a split, whatever inspectors said of them."""
+        """Scenes of a split, with any verdict of inspectors or none."""
         present = tuple(sorted(self._rows))
         return scenes_of_split(split, present, self._splits, where=str(self.root), built_as=self._built_as)
 
@@ -195,7 +195,7 @@ class NuScenesData:
         return scene
 
     def observations(self, name: str) -> Iterator[Observation]:
-        """What a planner may see, one observation a sample, in time order.
+        """Inputs that a planner may see, one observation a sample, in time order.
 
         Args:
             name: Scene name.
@@ -230,7 +230,7 @@ class NuScenesData:
         return videos_of_scene(nusc, self.root, samples_of_scene(nusc, row), sweeps=sweeps)
 
     def truth(self, name: str) -> tuple[SampleTruth, ...]:
-        """What really happened, one truth a sample, in time order.
+        """Recorded truth of each sample, in time order.
 
         Args:
             name: Scene name.
@@ -295,11 +295,11 @@ class NuScenesData:
         return self._fingerprint
 
     def provenance(self) -> dict[str, Any] | None:
-        """How the data set was made (``challenger.json`` in the version folder), or ``None`` if it does not say."""
+        """Report on how the data set was made (``challenger.json`` in the version folder), or ``None`` without one."""
         return self._provenance
 
     def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
-        """Where scenes come from, what their first adversary does and what was said of them (see `scene_facts_of`).
+        """Source of scenes, manoeuvre of their first adversary, and judgements of them (see `scene_facts_of`).
 
         Args:
             names: Scene names.

@@ -23,17 +23,10 @@ PAST_KEYFRAMES: Final = 5
 def observations_of_scene(
     nusc: Any, root: Path, scene: Scene, samples: Sequence[Row], can_bus: CanBus
 ) -> Iterator[Observation]:
-    """What a planner may see at each sample: at each key frame, whatever their rate.
+    """Inputs that a planner may see at each sample: at each key frame, at any rate.
 
     Args:
-        nusc: ``NuScenes`` of the devkit.
-        root: Data set root.
-        scene: The scene.
         samples: Rows of the scene's K samples in time order.
-        can_bus: CAN bus messages of the scene.
-
-    Yields:
-        One observation a sample, in time order.
 
     Raises:
         InputError: If a calibration makes no sense, a file name leaves the root, or some of the scene's images are
@@ -60,13 +53,10 @@ def observations_of_scene(
 
 
 def past_of(scene: Scene, axle_poses: Floats, clock: KeyFrameSteps, index: int) -> tuple[Floats, Bools]:
-    """Where the ego was at steps of half a second up to a sample.
+    """Positions of the ego at steps of half a second up to a sample.
 
     Args:
-        scene: The scene.
         axle_poses: (T, 3) poses of its ego at the frames.
-        clock: Its key frames.
-        index: The sample.
 
     Returns:
         (5, 3) poses of the rear axle, oldest first, and (5,) whether each is known: False before the scene began, and

@@ -36,7 +36,6 @@ class Exchanged:
     """A scene and how it was made, as a file carries both.
 
     Attributes:
-        scene: The scene.
         source_scene: Name of the recorded scene that it was made from; its own name for a recording.
         report: What ``challenger.json`` says of how it was made; JSON values.
     """
@@ -54,16 +53,13 @@ def ego_center(ego: EgoTrack) -> Floats:
 
 
 def track_digest(position: Floats, yaw: Floats, size: Floats, valid: Any) -> str:
-    """Hash of what a track says, by which an edited one is known.
+    """Hash of a track, 64 hexadecimal digits, by which an edited one is known.
 
     Args:
         position: (T, 3) metres.
         yaw: (T,) radians.
         size: (3,) metres.
         valid: (T,) whether it is there; where it is not, nothing counts.
-
-    Returns:
-        64 hexadecimal digits.
     """
     there = np.asarray(valid, np.bool_)
     parts = (np.asarray(position, "<f8")[there], np.asarray(yaw, "<f8")[there], np.asarray(size, "<f8"))

@@ -27,14 +27,13 @@ LEFT_OUT: Final = "left_out"
 
 
 def left_out_of(made: Any, split: str | None) -> dict[str, Judged]:
-    """Scenes of a split that a build left out because they were rejected.
+    """Verdicts on scenes of a split that a build left out because they were rejected, by name.
+
+    A value that is no verdict names no scene.
 
     Args:
         made: What ``challenger.json`` says of the data set, unchecked.
         split: The split; a build says it of its own alone.
-
-    Returns:
-        What was said of each, by name; what is none is no scene.
     """
     said = made.get(LEFT_OUT) if isinstance(made, dict) and split in (None, made.get("split")) else None
     found = {}
@@ -47,35 +46,24 @@ def left_out_of(made: Any, split: str | None) -> dict[str, Judged]:
 def review_of_rows(
     root: Path, tokens: Mapping[str, str], made: Any, split: str | None, verdicts: Mapping[str, Verdict] | None = None
 ) -> SplitReview:
-    """What inspectors said of a split of one root.
+    """Review of a split of one root.
 
     Args:
-        root: The root.
         tokens: Of the rows of the split's scenes, by name.
         made: What ``challenger.json`` says.
-        split: The split.
         verdicts: Those beside the root, if they were read before.
-
-    Returns:
-        The review.
-
-    Raises:
-        InputError: If the file of verdicts is damaged.
     """
     given = read_review(root) if verdicts is None else verdicts
     return standing(given, tokens, left_out_of(made, split))
 
 
 def joined(parts: Mapping[str, SplitReview], outer: Mapping[str, Verdict], tokens: Mapping[str, str]) -> SplitReview:
-    """The review of roots side by side, which may have verdicts each and all together.
+    """Review of roots side by side, which may have verdicts each and all together: what either rejects is rejected.
 
     Args:
         parts: Reviews of the roots by folder.
         outer: Verdicts beside the folder that holds them, by prefixed name.
         tokens: Of the rows of all scenes of the split, by prefixed name.
-
-    Returns:
-        The review; a scene that either rejects is rejected.
     """
     every = [part.under(folder) for folder, part in parts.items()]
     judged = {each.name: each for part in every for each in part.judged}

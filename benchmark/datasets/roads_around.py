@@ -27,11 +27,7 @@ _LINE: Final = 1
 
 
 class RoadSurfaces:
-    """What the samples of a scene share: surfaces of its map, put together once and when they are asked for.
-
-    Attributes:
-        road_map: The map.
-    """
+    """Surfaces of a scene's map that its samples share, put together once and when they are asked for."""
 
     def __init__(self, road_map: RoadMap) -> None:
         self.road_map = road_map
@@ -46,13 +42,9 @@ class RoadSurfaces:
         return shapely.MultiLineString([ring for part in turned for ring in (part.exterior, *part.interiors)])
 
     def near(self, place: Floats) -> tuple[shapely.Geometry, shapely.MultiPolygon]:
-        """Road edges and drivable area of a neighbourhood that the next samples share: no city is searched for each.
+        """Road edges and drivable area within 100 m of a (2,) global place in metres, and more.
 
-        Args:
-            place: (2,) global, metres.
-
-        Returns:
-            Lines and polygons that hold all within 100 m.
+        The next samples share the neighbourhood: no city is searched for each.
         """
         if self._near is None or float(np.abs(self._near[0] - place).max()) > _NEIGHBOURHOOD_M:
             (x, y), half = place, 2.0 * _NEIGHBOURHOOD_M
@@ -80,7 +72,6 @@ class RoadsAround:
     """`benchmark.truth.Roads` of one sample.
 
     Attributes:
-        surfaces: Of the scene.
         axle_pose: (3,) global x, y, yaw of the rear axle.
     """
 

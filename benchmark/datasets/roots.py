@@ -46,7 +46,7 @@ class DataSet(Protocol):
         """The same with other names of categories replaced."""
 
     def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
-        """How many annotations scenes have, and how many of them are of no category of nuScenes, by name."""
+        """Number of annotations of scenes, and of those of no category of nuScenes, by name."""
 
     def splits(self) -> dict[str, tuple[str, ...]]:
         """Custom splits."""
@@ -58,7 +58,7 @@ class DataSet(Protocol):
         """Sorted names of the scenes of a split, less those that inspectors rejected, or of all."""
 
     def review(self, split: str | None = None) -> SplitReview:
-        """What inspectors said of a split, or of all scenes."""
+        """Verdicts of inspectors on a split, or on all scenes."""
 
     def scene(self, name: str) -> Scene:
         """One scene."""
@@ -85,19 +85,17 @@ class DataSet(Protocol):
         """Content hash."""
 
     def provenance(self) -> dict[str, Any] | None:
-        """How the data set was made, if it says."""
+        """Report on how the data set was made, if it has one."""
 
     def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
-        """Where scenes come from and what is done in them, by name."""
+        """Source of scenes, their manoeuvres and judgements, by name."""
 
 
 class VariantRoots:
     """Several roots ``v0/``, ``v1/``, ... presented as one data set.
 
     Attributes:
-        root: Folder that holds the roots.
         version: Version folder of the first root.
-        name: Shown in tables.
         categories: Names of categories that were replaced in any of them.
     """
 
@@ -119,21 +117,7 @@ class VariantRoots:
         rates: FaultList | None = None,
         categories: Mapping[str, str] | None = None,
     ) -> Self:
-        """Open every variant.
-
-        Args:
-            root: Folder that holds ``v0/``, ``v1/``, ...
-            version: Version folder in each; needed only where there are several.
-            name: Shown in tables; the folder's name by default.
-            rates: As in `NuScenesData.open`.
-            categories: As there.
-
-        Returns:
-            The data set.
-
-        Raises:
-            InputError: If a variant cannot be opened.
-        """
+        """Open every variant; the settings are those of `NuScenesData.open`, the name the folder's by default."""
         variants = {
             folder: NuScenesData.open(root / folder, version=version, rates=rates, categories=categories)
             for folder in variant_folders(root)
@@ -148,11 +132,7 @@ class VariantRoots:
         return type(self)(self.root, self.name, variants)
 
     def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
-        """How many annotations scenes have, and how many of them are of no category of nuScenes.
-
-        Raises:
-            InputError: If there is no such scene, or a table cannot be read.
-        """
+        """Number of annotations of scenes, and of those of no category of nuScenes, by name."""
         found = {}
         for name in names:
             data, inner = self._find(name)
@@ -172,20 +152,12 @@ class VariantRoots:
         return tuple(sorted({name for data in self._variants.values() for name in data.split_names()}))
 
     def scene_names(self, split: str | None = None) -> tuple[str, ...]:
-        """Names of the scenes of a split, or of all; variants in order, sorted within each.
-
-        Raises:
-            InputError: If a variant has no such split.
-        """
+        """Names of the scenes of a split, or of all; variants in order, sorted within each."""
         names = tuple(f"{folder}/{name}" for folder, data in self._variants.items() for name in data.scene_names(split))
         return names if split is None or not self._verdicts else self.review(split).kept(names)
 
     def review(self, split: str | None = None) -> SplitReview:
-        """What inspectors said of a split, or of all scenes, beside the variants and beside all of them together.
-
-        Raises:
-            InputError: If a variant has no such split.
-        """
+        """Verdicts on a split, or on all scenes, beside the variants and beside all of them together."""
         parts = {folder: data.review(split) for folder, data in self._variants.items()}
         of_split = {name for folder, part in parts.items() for name in part.under(folder).named}
         tokens = {name: token for name, token in self._tokens().items() if name in of_split}
@@ -196,65 +168,37 @@ class VariantRoots:
         return {f"{folder}/{name}": token for folder, part in every.items() for name, token in part.items()}
 
     def scene(self, name: str) -> Scene:
-        """One scene, called by its prefixed name.
-
-        Raises:
-            InputError: If there is no such scene or something in it is broken.
-        """
+        """One scene, called by its prefixed name."""
         data, inner = self._find(name)
         return replace(data.scene(inner), name=name)
 
     def observations(self, name: str) -> Iterator[Observation]:
-        """One observation a sample, in time order.
-
-        Raises:
-            InputError: As `scene`.
-        """
+        """One observation a sample, in time order."""
         data, inner = self._find(name)
         return (replace(observation, scene=name) for observation in data.observations(inner))
 
     def videos(self, name: str, *, sweeps: bool) -> dict[str, tuple[CameraView, ...]]:
-        """Camera images by camera name, in time order.
-
-        Raises:
-            InputError: As `scene`.
-        """
+        """Camera images by camera name, in time order."""
         data, inner = self._find(name)
         return data.videos(inner, sweeps=sweeps)
 
     def truth(self, name: str) -> tuple[SampleTruth, ...]:
-        """One truth a sample, in time order.
-
-        Raises:
-            InputError: As `scene`.
-        """
+        """One truth a sample, in time order."""
         data, inner = self._find(name)
         return tuple(replace(truth, scene=name) for truth in data.truth(inner))
 
     def keyframe_rows(self, name: str) -> dict[str, str]:
-        """Sample tokens of a scene by the tokens of their keyframe rows in ``sample_data.json``.
-
-        Raises:
-            InputError: As `scene`.
-        """
+        """Sample tokens of a scene by the tokens of their keyframe rows in ``sample_data.json``."""
         data, inner = self._find(name)
         return data.keyframe_rows(inner)
 
     def has_map(self, name: str) -> bool:
-        """Whether the scene's location has a vector map.
-
-        Raises:
-            InputError: If there is no such scene.
-        """
+        """Whether the scene's location has a vector map."""
         data, inner = self._find(name)
         return data.has_map(inner)
 
     def has_lidar(self, name: str) -> bool:
-        """Whether the tables say where the scene's lidar sits.
-
-        Raises:
-            InputError: As `scene`.
-        """
+        """Whether the tables say where the scene's lidar sits."""
         data, inner = self._find(name)
         return data.has_lidar(inner)
 
@@ -272,11 +216,7 @@ class VariantRoots:
         return {**next(iter(known.values())), "scenes": scenes}
 
     def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
-        """Where scenes come from and what is done in them; the source has no prefix, so that variants share it.
-
-        Raises:
-            InputError: If there is no such scene.
-        """
+        """Source of scenes, their manoeuvres and judgements; the source has no prefix, so that variants share it."""
         found = {}
         for name in names:
             data, inner = self._find(name)
@@ -300,21 +240,7 @@ def open_data(
     rates: FaultList | None = None,
     categories: Mapping[str, str] | None = None,
 ) -> DataSet:
-    """Open a nuScenes-format root, or a folder of variant roots.
-
-    Args:
-        root: Root folder.
-        version: Version folder; needed only where there are several.
-        name: Shown in tables; the folder's name by default.
-        rates: As in `NuScenesData.open`.
-        categories: As there.
-
-    Returns:
-        The data set.
-
-    Raises:
-        InputError: If there is no such data set, or it is broken.
-    """
+    """Open a nuScenes-format root, or a folder of variant roots; settings as in `NuScenesData.open`."""
     root = Path(root)
     if variant_folders(root):
         return VariantRoots.open(root, version=version, name=name, rates=rates, categories=categories)

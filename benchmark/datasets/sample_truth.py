@@ -23,15 +23,11 @@ KEYFRAMES_BEFORE = 2
 
 
 def truth_of_scene(scene: Scene, sample_tokens: Sequence[str], steps: int = PLAN_STEPS) -> tuple[SampleTruth, ...]:
-    """What really happened around each sample, for protocols.
+    """Recorded truth around each sample, in time order, for protocols.
 
     Args:
         scene: The scene; its annotations are used as they are, never the interpolated tracks.
-        sample_tokens: K tokens.
         steps: How many steps ahead; six are what protocols take.
-
-    Returns:
-        One truth a sample, in time order.
     """
     lidar_poses = planar_lidar_poses(scene)
     boxes_yaw = yaw_of_quaternion(scene.annotations.rotation)
@@ -53,14 +49,7 @@ def truth_of_scene(scene: Scene, sample_tokens: Sequence[str], steps: int = PLAN
 
 
 def planar_lidar_poses(scene: Scene) -> Floats:
-    """Planar poses of LIDAR_TOP at the keyframes.
-
-    Args:
-        scene: The scene.
-
-    Returns:
-        (K, 3) global x, y of the lidar origin and the heading of the car.
-    """
+    """(K, 3) global x, y of LIDAR_TOP at the keyframes, and the heading of the car."""
     pose = scene.ego.pose[scene.keyframes]
     ahead_m = float(scene.lidar.translation[0])
     pose[:, :2] += ahead_m * np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])
@@ -70,12 +59,11 @@ def planar_lidar_poses(scene: Scene) -> Floats:
 def command_of(future: Floats, valid: Bools) -> Command:
     """Driving command from the recorded future: the side on which its last waypoint lies.
 
+    Right or left from 2 m of lateral displacement at the last valid waypoint, else straight.
+
     Args:
         future: (6, 2+) recorded lidar positions, x right.
         valid: (6,) whether each exists.
-
-    Returns:
-        Right or left from 2 m of lateral displacement at the last valid waypoint, else straight.
     """
     if not valid.any():
         return Command.STRAIGHT
@@ -90,8 +78,6 @@ def ego_future(lidar_poses: Floats, index: int, count: int = PLAN_STEPS) -> tupl
 
     Args:
         lidar_poses: (K, 3) global poses at the keyframes.
-        index: The keyframe.
-        count: How many steps ahead.
 
     Returns:
         (N, 3) x right, y forward, yaw (held past the end) and (N,) whether the keyframe exists.
@@ -105,13 +91,7 @@ def recorded_command(scene: Scene, clock: KeyFrameSteps, lidar_poses: Floats, in
     """Driving command of a sample: from the key frames ahead, or from the same times where those are irregular.
 
     Args:
-        scene: The scene.
-        clock: Its key frames.
         lidar_poses: (K, 3) global poses of the lidar at the key frames.
-        index: The sample.
-
-    Returns:
-        The command.
     """
     if clock.are_key_frames(index, PLAN_STEPS):
         return command_of(*ego_future(lidar_poses, index))

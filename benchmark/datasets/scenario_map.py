@@ -34,14 +34,7 @@ _SURFACE_NEAR_LINE_M: Final = 90.0
 
 
 def features_of_map(road_map: RoadMap) -> tuple[dict[str, Feature], dict[str, Any]]:
-    """A road map for a ScenarioNet file.
-
-    Args:
-        road_map: The map.
-
-    Returns:
-        ``map_features``, and what has no place among them, for the file's own block.
-    """
+    """``map_features`` of a ScenarioNet file, and what has no place among them, for the file's own block."""
     features: dict[str, Feature] = {name: _lane(lane) for name, lane in road_map.lanes.items()}
 
     def put(key: str, feature: Feature) -> None:
@@ -98,18 +91,11 @@ def _points(points: Floats) -> Floats:
 
 
 def map_of_own_features(features: Mapping[Any, Any], own: Any, path: Path) -> RoadMap:
-    """The map that `features_of_map` was given.
+    """The whole map that `features_of_map` was given.
 
     Args:
-        features: ``map_features`` of the file.
         own: What the file's own block says of the map.
         path: The file, for messages.
-
-    Returns:
-        The map, whole.
-
-    Raises:
-        InputError: If a part of it lacks what files that are written here have.
     """
     try:
         return _map(features, own, path)

@@ -46,15 +46,12 @@ _FASTEST_EGO_MPS: Final = 200.0
 
 @dataclass(frozen=True, slots=True)
 class _Recording:
-    """What a file says about itself.
+    """Facts that a file states about itself; ``value`` is its whole content.
 
     Attributes:
-        path: The file.
         identifier: Scenario name in its source.
         dataset: Source, for example ``nuscenes``.
         seconds: (L,) times of its steps.
-        metadata: Everything else.
-        value: The whole content.
     """
 
     path: Path
@@ -70,17 +67,10 @@ class _Recording:
 
 
 def find_scenarionet(folder: Path) -> tuple[Path, ...]:
-    """ScenarioNet files in a folder and below it.
+    """ScenarioNet files in a folder and below it, or a single file: paths of ``sd_*.pkl`` files, sorted.
 
-    Args:
-        folder: A folder, or a single file.
-
-    Returns:
-        Paths of ``sd_*.pkl`` files, sorted; where there are none, of all ``*.pkl`` files but the database's own
-        ``dataset_summary.pkl`` and ``dataset_mapping.pkl``.
-
-    Raises:
-        InputError: If there is no such folder or nothing in it.
+    Where there are none, of all ``*.pkl`` files but the database's own ``dataset_summary.pkl`` and
+    ``dataset_mapping.pkl``.
     """
     if folder.is_file():
         return (folder,)
@@ -110,15 +100,11 @@ def read_scenarionet(path: Path) -> Scene:
     other files the ego's position is its box centre; heights are made relative to the ground under the ego. Tracks that
     the metadata's ``adversaries`` names are the adversaries.
 
-    Args:
-        path: The file.
-
     Returns:
         The scene, without cameras, with a map cropped to 200 m around the ego's path, and described in words
         (`benchmark.datasets.scene_words`).
-
-    Raises:
-        InputError: If the file is refused, broken, or its numbers make no sense.
+        The scene, without cameras, with a map cropped to 200 m around the ego's path, and described in words
+        (`benchmark.datasets.scene_words`).
     """
     return read_exchanged(path).scene
 
@@ -139,7 +125,7 @@ def read_exchanged(path: Path) -> Exchanged:
 
 
 def _foreign_scene(recording: _Recording, ego: SourceTrack, others: Mapping[str, SourceTrack]) -> Scene:
-    """The scene of a file of somebody else."""
+    """Scene of a file that was not exported here."""
     frame_seconds = _frame_seconds(recording, ego)
     position = _ego_position(recording, ego)
     ground_z = None if recording.is_nuscenes else position[:, 2].copy()

@@ -43,8 +43,6 @@ def map_of_features(
     says, and where it says nothing, where one begins at another's end.
 
     Args:
-        features: ``map_features`` of the file.
-        path: The file, for messages.
         location: nuScenes location name to give the map.
         official: Whether the coordinates are those of the real location, and therefore stay.
         ego_path: (L, 2) metres.
@@ -52,9 +50,6 @@ def map_of_features(
     Returns:
         The map within 200 m of the ego's path, and the (2,) shift that was applied: zero, or what makes all
         coordinates positive.
-
-    Raises:
-        InputError: If a feature has no type or coordinates that are not finite.
     """
     read = _read_features(features, path)
     low, high = ego_path.min(axis=0) - _REACH_M, ego_path.max(axis=0) + _REACH_M

@@ -40,7 +40,6 @@ class SourceTrack:
     """One object at every step of its file.
 
     Attributes:
-        category: nuScenes category name.
         position: (L, 3) metres; box centre, but for the ego of nuScenes files.
         heading: (L,) radians.
         size: (3,) length, width, height.
@@ -55,19 +54,9 @@ class SourceTrack:
 
 
 def read_track(track: Any, name: str, steps: int, path: Path) -> SourceTrack | None:
-    """Check one track.
+    """Check one track; ``None`` for one that is never there and for traffic lights.
 
-    Args:
-        track: Entry of ``tracks``.
-        name: Its key.
-        steps: Number of steps of the file.
-        path: The file, for messages.
-
-    Returns:
-        The track, or ``None`` for one that is never there and for traffic lights.
-
-    Raises:
-        InputError: If arrays are missing, have wrong shapes, or are not finite where the object is there.
+    Arrays that are missing, have wrong shapes, or are not finite where the object is there are refused.
     """
     try:
         if not isinstance(track, dict) or not isinstance(track["state"], dict) or not isinstance(track["type"], str):
@@ -131,7 +120,6 @@ def objects_of_tracks(
     Objects that are at no keyframe are left out, because nothing would annotate them.
 
     Args:
-        tracks: N or more tracks by name.
         seconds: (L,) times of the source's steps.
         frame_seconds: (T,) times of frames.
         keyframes: (K,) frames that are keyframes.

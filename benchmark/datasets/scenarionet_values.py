@@ -15,13 +15,7 @@ _LONGEST_NAME: Final = 256
 
 
 def real_numbers(value: Any) -> Floats:
-    """Numbers as an array in double precision.
-
-    Args:
-        value: An array, a list, or anything else that a file may hold in its place.
-
-    Returns:
-        The array, of any shape.
+    """Numbers, in an array or a list of any shape, as an array in double precision.
 
     Raises:
         ValueError: If it is no rectangular array of real numbers.
@@ -36,15 +30,7 @@ def real_numbers(value: Any) -> Floats:
 
 
 def name_of(value: Any, what: str, path: Path) -> str:
-    """A name or number as text.
-
-    Args:
-        value: What the file holds.
-        what: What it names, for the message.
-        path: The file, for the message.
-
-    Returns:
-        The text.
+    """A name or whole number of a file as text; ``what`` and ``path`` are for the message.
 
     Raises:
         InputError: If it is neither text nor a whole number, longer than any name, or cannot be printed.

@@ -22,10 +22,9 @@ def scene_facts_of(
     """Facts of one scene.
 
     Args:
-        name: Scene name.
         made: What ``challenger.json`` says of the scene; empty where it says nothing.
-        description: Of the scene, in words; ``None`` where it is not known.
-        judgements: What is said of its adversaries; empty where nobody judged it.
+        description: In words; ``None`` where it is not known.
+        judgements: Of its adversaries; empty where it was not judged.
 
     Returns:
         Source: as the file says, else the ``scene-0001`` of ``scene-0001-suffix``, else the scene itself. Manoeuvre:
@@ -47,13 +46,10 @@ def scene_facts_of(
 
 
 def frozen_split_of(made: Mapping[str, Any] | None) -> str | None:
-    """Name of the frozen split that a data set was built from.
+    """Name of the frozen split that a data set was built from, or ``None`` where nothing says so.
 
     Args:
         made: What ``challenger.json`` says of the data set, if there is one.
-
-    Returns:
-        The name, or ``None`` where nothing says so.
     """
     said = None if made is None else made.get("frozen")
     name = said.get("name") if isinstance(said, dict) else None
@@ -61,15 +57,7 @@ def frozen_split_of(made: Mapping[str, Any] | None) -> str | None:
 
 
 def with_truth(facts: Mapping[str, SceneFacts], truths: Mapping[str, TruthFacts]) -> dict[str, SceneFacts]:
-    """Facts of scenes with what the data set holds of their truth.
-
-    Args:
-        facts: By scene name.
-        truths: Likewise; scenes that are not named stay as they are.
-
-    Returns:
-        The facts by scene name.
-    """
+    """Facts of scenes with what the data set holds of their truth; scenes without truths stay as they are."""
     return {
         name: fact.model_copy(update={"truth": truths[name]}) if name in truths else fact
         for name, fact in facts.items()

@@ -12,11 +12,7 @@ def scene_inputs(scene: Scene, *, lidar: bool) -> InputFacts:
     """Look at map, rig, boxes and rotations of a scene.
 
     Args:
-        scene: The scene.
         lidar: Whether its data set says where the lidar sits.
-
-    Returns:
-        The facts.
     """
     known, ego, seconds = scene.annotations, scene.ego, scene.seconds[scene.keyframes]
     owner, at = np.nonzero(known.valid)

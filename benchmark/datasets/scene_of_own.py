@@ -36,15 +36,11 @@ _MOST_PIXELS: Final = 20_000
 
 @dataclass(frozen=True, slots=True)
 class OwnFile:
-    """What was read of a file that was exported here.
+    """Checked content of a file that was exported here.
 
     Attributes:
-        path: The file.
-        own: Its own block.
-        metadata: Its metadata.
         raw_tracks: Its tracks as they stand in it.
         tracks: Those that are there at some step, checked, but for the ego's.
-        ego: The ego's.
         features: Parts of its map.
     """
 
@@ -58,18 +54,7 @@ class OwnFile:
 
 
 def own_block(metadata: Mapping[Any, Any], path: Path) -> Mapping[Any, Any] | None:
-    """What a file that was exported here says in its own block.
-
-    Args:
-        metadata: Of the file.
-        path: The file, for messages.
-
-    Returns:
-        The block; ``None`` in a file of somebody else.
-
-    Raises:
-        InputError: If it is of another version.
-    """
+    """Own block of a file that was exported here; ``None`` in any other file."""
     own = metadata.get(OWN)
     if own is None:
         return None
@@ -87,15 +72,6 @@ def scene_of_own(file: OwnFile) -> Exchanged:
 
     A track that is as it was exported keeps its annotations. One that was edited, or is new, is annotated where it is
     at each keyframe. Objects that are at no keyframe are left out, because nothing would annotate them.
-
-    Args:
-        file: What was read.
-
-    Returns:
-        The scene and how it was made.
-
-    Raises:
-        InputError: If something is missing or makes no sense.
     """
     try:
         return _scene(file)
@@ -143,18 +119,10 @@ def _scene(file: OwnFile) -> Exchanged:
 
 
 def adversaries_of(metadata: Mapping[Any, Any], ids: Sequence[str], path: Path) -> tuple[str, ...]:
-    """Who is adversarial, as the metadata of any ScenarioNet file may say (``adversaries``, names of tracks).
+    """Adversaries that the metadata of any ScenarioNet file may name (``adversaries``, names of tracks).
 
     Args:
-        metadata: Of the file.
-        ids: Names of its objects.
-        path: The file, for messages.
-
-    Returns:
-        Names; none where it says nothing.
-
-    Raises:
-        InputError: If it names what is no object of it.
+        ids: Names of its objects; another name among the adversaries is refused.
     """
     said = metadata.get(ADVERSARIES, [])
     if not isinstance(said, list | tuple):
@@ -169,7 +137,7 @@ def adversaries_of(metadata: Mapping[Any, Any], ids: Sequence[str], path: Path) 
 
 
 def _ego(file: OwnFile) -> EgoTrack:
-    """The recorded poses, unless somebody moved the ego since."""
+    """Recorded poses, unless the ego was moved since."""
     frames = len(file.ego.heading)
     known = EgoTrack(
         _numbers(file.own["ego_position"], (frames, 3)), _unit(_numbers(file.own["ego_rotation"], (frames, 4)))
@@ -220,7 +188,7 @@ def _objects(file: OwnFile, keyframes: NDArray[np.int64]) -> tuple[Agents, Annot
 
 
 def _own_of_track(track: Mapping[Any, Any]) -> Mapping[Any, Any] | None:
-    """What the file adds to a track; nothing to one that somebody added."""
+    """Additions of the file to a track; ``None`` for a track that was added since."""
     metadata = track.get("metadata")
     own = metadata.get(OWN) if isinstance(metadata, dict) else None
     return own if isinstance(own, dict) else None

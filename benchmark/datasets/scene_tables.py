@@ -57,15 +57,10 @@ class SceneTables:
     def of_scene(self, token: str, adversaries: Collection[str] = ()) -> dict[str, list[Row]]:
         """Rows that belong to a scene, in the order of the files; the shared tables whole.
 
+        The rows are the caller's own.
+
         Args:
-            token: Of the scene.
             adversaries: Instances that were made to be adversaries of the scene.
-
-        Returns:
-            Rows by table name, the caller's own.
-
-        Raises:
-            InputError: If a file has changed or cannot be read, or what the rows say together cannot be.
         """
         number = next(index for index, row in enumerate(self.shared["scene"]) if row["token"] == token)
         rows = {table: self.stored[table].read(self.rows_of_scenes[table][number]) for table in GROWING_TABLES}
@@ -75,18 +70,11 @@ class SceneTables:
         return {table: [dict(row) for row in shared] for table, shared in self.shared.items()} | rows
 
     def annotation_count(self, token: str) -> int:
-        """How many annotations a scene has; none is read."""
+        """Number of annotations of a scene; none is read."""
         return len(self.numbers_of_scene("sample_annotation", token))
 
     def annotations_by_category(self, token: str) -> Counter[str]:
-        """How many annotations of each category a scene has.
-
-        Args:
-            token: Of the scene.
-
-        Raises:
-            InputError: If a file has changed or cannot be read.
-        """
+        """Number of annotations of each category in a scene."""
         numbers = {table: self.numbers_of_scene(table, token) for table in ("instance", "sample_annotation")}
         rows = {table: self.stored[table].read(np.array(own, np.int64)) for table, own in numbers.items()}
         return counted_by_category({**self.shared, **rows})
@@ -103,11 +91,7 @@ class SceneTables:
 
 
 def counted_by_category(tables: Tables) -> Counter[str]:
-    """How many annotations of each category there are.
-
-    Args:
-        tables: The tables category, instance and sample_annotation.
-    """
+    """Number of annotations of each category, from the tables category, instance and sample_annotation."""
     names = {row["token"]: row["name"] for row in tables["category"]}
     categories = {row["token"]: names[row["category_token"]] for row in tables["instance"]}
     return Counter(categories[row["instance_token"]] for row in tables["sample_annotation"])
@@ -123,15 +107,11 @@ def read_scene_tables(folder: Path, rates: FaultList) -> SceneTables | None:
     """Pass over the tables of a version folder.
 
     Args:
-        folder: Version folder.
         rates: Gets scenes with another rate of keyframes than nuScenes.
 
     Returns:
         The tables, or ``None`` if by a chance of one in millions of millions two tokens cannot be told apart: then
         the tables must be read whole.
-
-    Raises:
-        InputError: If a file cannot be read, or holds what it must not.
     """
     collecting = gc.isenabled()
     # Rows hold no circles, so looking for some among millions of them is time lost.
@@ -264,14 +244,7 @@ class _Reading:
 
 
 class _RowsByToken:
-    """Numbers of rows by hash of their token.
-
-    Args:
-        hashes: One for each row.
-
-    Attributes:
-        alike: Two rows with the same hash, or none.
-    """
+    """Numbers of rows by hash of their token, one hash for each row; ``alike`` are two rows with the same hash."""
 
     def __init__(self, hashes: Numbers) -> None:
         self._order = np.argsort(hashes, kind="stable")
@@ -296,14 +269,7 @@ def read_shared(folder: Path, faults: FaultList) -> CheckedTables:
     """The tables that do not grow with the scenes.
 
     Args:
-        folder: Version folder.
         faults: Gets what the schema says against their rows.
-
-    Returns:
-        Their rows.
-
-    Raises:
-        InputError: If a file cannot be read.
     """
     names = [table for table in NUSCENES_TABLES if table not in GROWING_TABLES]
     return CheckedTables.of_sound_rows(
@@ -312,20 +278,12 @@ def read_shared(folder: Path, faults: FaultList) -> CheckedTables:
 
 
 def read_rows(folder: Path, table: str) -> list[Row]:
-    """All rows of a table.
-
-    Raises:
-        InputError: If it cannot be read, or is not a JSON list of objects.
-    """
+    """All rows of a table."""
     return list(chain.from_iterable(PassOverRows(folder / f"{table}.json").batches()))
 
 
 def camera_mounts(tables: Tables) -> frozenset[str]:
-    """Tokens of the calibrated cameras.
-
-    Args:
-        tables: The tables sensor and calibrated_sensor.
-    """
+    """Tokens of the calibrated cameras, from the tables sensor and calibrated_sensor."""
     modality = {row["token"]: row["modality"] for row in tables["sensor"]}
     mounts = tables["calibrated_sensor"]
     return frozenset(row["token"] for row in mounts if modality.get(row["sensor_token"]) == "camera")

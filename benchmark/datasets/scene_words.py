@@ -42,13 +42,9 @@ _DAY_HOURS, _NIGHT_HOURS = range(8, 17), (20, 21, 22, 23, 0, 1, 2, 3, 4)
 
 
 def place_and_light(metadata: Mapping[str, Any]) -> list[str]:
-    """Where and when a ScenarioNet recording was made, as far as it says so in words that are known.
+    """City, light and weather of a ScenarioNet recording, as far as it says so in words that are known.
 
-    Args:
-        metadata: Of the file.
-
-    Returns:
-        City, light and weather; what is not known is left out. Places of nuScenes are named with its maps already.
+    Places of nuScenes are named with its maps already.
     """
     said = {name: value.strip() for name, value in metadata.items() if isinstance(value, str)}
     words = [_CITIES.get(said.get("map", "").lower(), ""), _LIGHTS.get(_one_of(said, "time_of_day", "timeofday"), "")]
@@ -59,14 +55,7 @@ def place_and_light(metadata: Mapping[str, Any]) -> list[str]:
 
 
 def traffic_and_road(scene: Scene) -> list[str]:
-    """What happens in a scene and on which road.
-
-    Args:
-        scene: The scene; its description is not looked at.
-
-    Returns:
-        A few words each.
-    """
+    """Traffic and road of a scene, a few words each; its description is not looked at."""
     return [*_traffic(scene), *_road(scene)]
 
 

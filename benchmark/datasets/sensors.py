@@ -20,15 +20,7 @@ def standard_lidar() -> LidarMount:
 
 
 def read_lidar(nusc: Any, sample: Row) -> LidarMount:
-    """Where LIDAR_TOP sits at a sample, or `standard_lidar` where the data set has none.
-
-    Args:
-        nusc: ``NuScenes`` of the devkit.
-        sample: Row of the sample table.
-
-    Returns:
-        The mount.
-    """
+    """Mount of LIDAR_TOP at a sample, or `standard_lidar` where the data set has none."""
     if LIDAR_NAME not in sample["data"]:
         return standard_lidar()
     row = nusc.get("sample_data", sample["data"][LIDAR_NAME])
@@ -37,45 +29,21 @@ def read_lidar(nusc: Any, sample: Row) -> LidarMount:
 
 
 def read_cameras(nusc: Any, sample: Row) -> tuple[Camera, ...]:
-    """Calibrated cameras at a sample, those of nuScenes first and in its order.
-
-    Args:
-        nusc: ``NuScenes`` of the devkit.
-        sample: Row of the sample table.
-
-    Returns:
-        Cameras, possibly none.
-    """
+    """Calibrated cameras at a sample, those of nuScenes first and in its order; possibly none."""
     return tuple(_camera(nusc, row) for row in _camera_rows(nusc, sample))
 
 
 def read_views(nusc: Any, root: Path, sample: Row) -> dict[str, CameraView]:
-    """Images of a sample by camera name; files are opened only when a view is loaded.
+    """Images of a sample by camera name, in the order of `read_cameras`.
 
-    Args:
-        nusc: ``NuScenes`` of the devkit.
-        root: Data set root.
-        sample: Row of the sample table.
-
-    Returns:
-        Views in the order of `read_cameras`.
+    Files are opened only when a view is loaded.
     """
     views = (view_of(nusc, root, row, _camera(nusc, row)) for row in _camera_rows(nusc, sample))
     return {view.camera.name: view for view in views}
 
 
 def view_of(nusc: Any, root: Path, row: Row, camera: Camera) -> CameraView:
-    """One image.
-
-    Args:
-        nusc: ``NuScenes`` of the devkit.
-        root: Data set root.
-        row: Row of the sample_data table.
-        camera: Its camera.
-
-    Returns:
-        The view; its file is opened only when it is loaded.
-    """
+    """One image, from its row of the sample_data table; its file is opened only when it is loaded."""
     pose = nusc.get("ego_pose", row["ego_pose_token"])
     path = root / row["filename"]
     return CameraView(

@@ -19,17 +19,9 @@ class NoSuchSplit(InputError):
 
 
 def read_splits(root: Path, version: str) -> dict[str, tuple[str, ...]]:
-    """Read the custom splits of a data set: ``<version>/splits.json``, or ``splits.json`` in the root.
+    """Custom splits of a data set: ``<version>/splits.json``, or ``splits.json`` in the root.
 
-    Args:
-        root: Data set root.
-        version: Version folder.
-
-    Returns:
-        Scene names by split, in the order of the file; empty where there is no such file.
-
-    Raises:
-        InputError: If the file is not an object of lists of names.
+    Scene names by split, in the order of the file; empty where there is no such file.
     """
     path = splits_file(root / version, root)
     return {} if path is None else _checked(read_json(path), path)
@@ -63,14 +55,10 @@ def scenes_of_split(
     where no official list names any.
 
     Args:
-        split: Name of the split.
         present: Scene names of the data set.
         custom: Content of ``splits.json``.
         where: The data set, for messages.
         built_as: Split that the data set was built as, if it says so.
-
-    Returns:
-        Sorted scene names.
 
     Raises:
         NoSuchSplit: If there is no such split.
@@ -99,15 +87,6 @@ def evaluated_split(
 ) -> str:
     """The split that is meant where none is named: ``val`` where there is one, else the only one.
 
-    Args:
-        present: Scene names of the data set.
-        custom: Content of ``splits.json``.
-        where: The data set, for the message.
-        built_as: Split that the data set was built as, if it says so.
-
-    Returns:
-        Its name.
-
     Raises:
         InputError: If there are several and none is ``val``.
     """
@@ -122,16 +101,7 @@ def evaluated_split(
 def split_names(
     present: Sequence[str], custom: Mapping[str, Sequence[str]], built_as: str | None = None
 ) -> tuple[str, ...]:
-    """Splits that a data set has, whether `scenes_of_split` takes them or says what is wrong with them.
-
-    Args:
-        present: Scene names of the data set.
-        custom: Content of ``splits.json``.
-        built_as: Split that the data set was built as, if it says so.
-
-    Returns:
-        Their sorted names.
-    """
+    """Sorted names of a data set's splits, whether `scenes_of_split` takes them or says what is wrong with them."""
     return tuple(sorted({*custom, *_known(present, custom, built_as)}))
 
 

@@ -26,7 +26,7 @@ _QUANTILES: Final = {"least": 0.0, "tenth": 0.1, "median": 0.5, "ninetieth": 0.9
 
 
 class Statistics(SplitStatistics):
-    """What `statistics` found in the data set at ``root``."""
+    """Numbers that `statistics` found in the data set at ``root``."""
 
     root: str
 

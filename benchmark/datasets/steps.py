@@ -37,13 +37,9 @@ def is_step(interval_us: int) -> bool:
 
 
 def other_interval_us(timestamps_us: "list[int] | NDArray[np.int64]") -> float | None:
-    """Median interval of key frames that do not come at 2 Hz.
+    """Median interval of key frames that do not come at 2 Hz, microseconds, from K increasing times.
 
-    Args:
-        timestamps_us: K times of a scene, increasing.
-
-    Returns:
-        Microseconds; ``None`` where it is that of nuScenes, or there is no interval.
+    ``None`` where it is that of nuScenes, or there is no interval.
     """
     intervals_us = [int(then) - int(now) for now, then in pairwise(timestamps_us)]
     usual_us = float(median(intervals_us)) if intervals_us else float(STEP_US)
@@ -55,7 +51,7 @@ class TimedSteps:
     """N times among the key frames of a scene.
 
     Attributes:
-        times_us: (N,) the times.
+        times_us: (N,).
         before: (N,) key frame at or before each; the first or last one outside the recording.
         after: (N,) key frame at or after each.
         fraction: (N,) 0 at the former, towards 1 at the latter.
@@ -80,7 +76,7 @@ class KeyFrameSteps:
     """The key frames of a scene as a clock.
 
     Args:
-        timestamps_us: (K,) times, increasing.
+        timestamps_us: (K,), increasing.
     """
 
     def __init__(self, timestamps_us: NDArray[np.int64]) -> None:
@@ -103,28 +99,20 @@ class KeyFrameSteps:
         return np.concatenate([[0], np.cumsum(np.diff(self.times_us) > LONGEST_KNOWN_US)])
 
     def are_key_frames(self, index: int, steps: int) -> bool:
-        """Whether steps are key frames.
+        """Whether steps are key frames: all of them up to there, as far as they exist, half a second apart.
 
         Args:
-            index: The sample.
             steps: How many steps ahead; back where it is negative.
-
-        Returns:
-            Whether all key frames up to there, as far as there are so many, are half a second apart.
         """
         last = len(self.times_us) - 1
         first, end = sorted((index, min(max(index + steps, 0), last)))
         return bool(self._irregular[first] == self._irregular[end])
 
     def at(self, index: int, steps: NDArray[np.int64]) -> TimedSteps:
-        """Steps of a sample by the clock.
+        """Steps of a sample among the key frames, by the clock.
 
         Args:
-            index: The sample.
             steps: (N,) numbers of steps of half a second, negative ones before the sample.
-
-        Returns:
-            Where they are among the key frames.
         """
         times, last = self.times_us, len(self.times_us) - 1
         wanted = times[index] + STEP_US * np.asarray(steps, np.int64)
@@ -140,7 +128,7 @@ class KeyFrameSteps:
 
 
 def values_at(values: Floats, times_us: NDArray[np.int64], wanted_us: NDArray[np.int64], heading: int = 2) -> Floats:
-    """What was recorded at frames, at other times: linear, headings by the shortest turn.
+    """Values recorded at frames, interpolated to other times: linear, headings by the shortest turn.
 
     Args:
         values: (T, C) values at the frames.
@@ -163,11 +151,7 @@ def require_two_hz(scene: Scene, what: str) -> None:
     """Refuse a scene for what counts frames and key frames instead of looking at the clock.
 
     Args:
-        scene: The scene.
         what: What needs key frames at 2 Hz, in words.
-
-    Raises:
-        InputError: If its key frames come at another rate.
     """
     interval_us = other_interval_us(scene.timestamps_us[scene.keyframes])
     if interval_us is not None:

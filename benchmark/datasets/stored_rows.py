@@ -31,10 +31,9 @@ _BETWEEN_OBJECTS: Final = re.compile(rf"[{_SPACE}]*,[{_SPACE}]*(?=\{{)")
 
 @dataclass(frozen=True, slots=True)
 class StoredRows:
-    """Where the rows of a table are.
+    """Places of a table's rows in its file.
 
     Attributes:
-        path: The table.
         stamp: Of the file as it was when the places were noted.
         starts: (N,) first byte of each row.
         lengths: (N,) bytes.
@@ -46,17 +45,7 @@ class StoredRows:
     lengths: NDArray[np.int32]
 
     def read(self, numbers: NDArray[np.int64]) -> list[Row]:
-        """Rows by number.
-
-        Args:
-            numbers: (M,) increasing numbers of rows.
-
-        Returns:
-            M rows.
-
-        Raises:
-            InputError: If the file cannot be read or has changed.
-        """
+        """M rows by their (M,) increasing numbers; a file that has changed is refused."""
         starts = self.starts[numbers]
         ends = starts + self.lengths[numbers]
         pieces = np.split(np.arange(len(numbers)), np.flatnonzero(starts[1:] > ends[:-1] + _READ_THROUGH_BYTES) + 1)
@@ -77,11 +66,7 @@ class StoredRows:
 
 
 class PassOverRows:
-    """One pass over a table, batch by batch.
-
-    Args:
-        path: The table.
-    """
+    """One pass over a table, batch by batch."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -89,14 +74,7 @@ class PassOverRows:
         self._starts, self._lengths = array("q"), array("i")
 
     def batches(self) -> Iterator[list[Row]]:
-        """The rows in their order.
-
-        Yields:
-            Some thousand rows.
-
-        Raises:
-            InputError: If the file cannot be read, or is not a JSON list of objects.
-        """
+        """The rows in their order, some thousand at a time."""
         batch: list[Row] = []
         try:
             with self._path.open("rb") as stream:
@@ -124,30 +102,26 @@ class PassOverRows:
         )
 
     def stored(self) -> StoredRows:
-        """Where the rows are; call it after the pass."""
+        """Places of the rows; call it after the pass."""
         starts, lengths = np.array(self._starts, dtype=np.int64), np.array(self._lengths, dtype=np.int32)
         return StoredRows(self._path, self._stamp, starts, lengths)
 
 
 def stamp_while_open(stamp: Stamp) -> Stamp:
-    """What of a stamp tells whether a table is still the one that was opened: all but the time of its inode.
+    """Part of a stamp that tells whether a table is still the one that was opened: all but the time of its inode.
 
-    That changes with rights and links too, which are nobody's business while a command runs.
+    That changes with rights and links too, which do not matter while a command runs.
     """
     return stamp[:-1]
 
 
 def _stamp(stream: IO[bytes]) -> Stamp:
-    """What tells whether a file is still the one that it was."""
+    """Stamp that tells whether a file is still the one that it was."""
     return stamp_while_open(stamp_of(os.fstat(stream.fileno())))
 
 
 class _Text:
-    """Text of a file, decoded as it is read, with the place in bytes of the character that is next.
-
-    Raises:
-        ValueError: If it is not UTF-8.
-    """
+    """Text of a file, decoded as it is read, with the place in bytes of the character that is next."""
 
     def __init__(self, stream: IO[bytes]) -> None:
         self._stream = stream

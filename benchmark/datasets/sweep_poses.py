@@ -21,10 +21,8 @@ def read_sweep_poses(
     keyframe the last one is repeated.
 
     Args:
-        nusc: ``NuScenes`` of the devkit.
         samples: Rows of the scene's K samples in time order.
         keyframes: (K,) frame of each.
-        cameras: Camera channels.
 
     Returns:
         Poses at the frames from the first to the last of these, or ``None`` where a sensor has no sweeps at all or

@@ -17,14 +17,7 @@ def count_rows(folder: Path, names: Collection[str] | None) -> TableCounts:
     """Count the rows that belong to some scenes.
 
     Args:
-        folder: Version folder with the tables.
-        names: Names of the scenes; ``None`` for every row of the tables, whatever it belongs to.
-
-    Returns:
-        The numbers.
-
-    Raises:
-        InputError: If a table is absent, not a JSON list of objects, lacks a field that links it, or has a row twice.
+        names: Names of the scenes; ``None`` for every row of the tables, linked to a scene or not.
     """
     every = names is None
     named, scene_count = _linked(folder / "scene.json", "name", names, "token")
@@ -61,14 +54,7 @@ def table_rows(path: Path, *needed: str) -> Iterator[Row]:
     """Rows of one table, one after the other, as the file is read.
 
     Args:
-        path: The table.
         needed: Fields that must be there and be text.
-
-    Yields:
-        Rows.
-
-    Raises:
-        InputError: If the file is absent, not a JSON list of objects, or a row lacks a field.
     """
     for number, row in enumerate(chain.from_iterable(PassOverRows(path).batches())):
         if not all(isinstance(row.get(field), str) for field in needed):

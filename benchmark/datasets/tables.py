@@ -13,14 +13,7 @@ Tables = Mapping[str, list[Row]]
 
 
 def version_folders(root: Path) -> tuple[str, ...]:
-    """Names of the folders in a root that hold nuScenes tables, sorted; a single table is enough to count.
-
-    Args:
-        root: Root folder of a data set.
-
-    Returns:
-        Folder names, possibly none.
-    """
+    """Names of the folders in a root that hold nuScenes tables, sorted; a single table is enough to count."""
     found = []
     for folder in sorted(root.iterdir()):
         if not folder.is_dir() or folder.name.startswith("."):
@@ -34,12 +27,8 @@ def version_folders(root: Path) -> tuple[str, ...]:
 def variant_folders(root: Path) -> tuple[str, ...]:
     """Names of the variant roots in a folder: ``v0``, ``v1``, ... in numeric order.
 
-    Args:
-        root: Any path.
-
-    Returns:
-        Folder names; none unless at least one of them holds a version folder. An unfinished variant beside finished
-        ones is among them, so that opening fails and nothing is computed from a part of the data.
+    None unless at least one of them holds a version folder. An unfinished variant beside finished ones is among them,
+    so that opening fails and nothing is computed from a part of the data.
     """
     if not root.is_dir():
         return ()
@@ -50,18 +39,7 @@ def variant_folders(root: Path) -> tuple[str, ...]:
 
 
 def find_version(root: Path, version: str | None) -> str:
-    """The version folder to read, with all 13 tables in it.
-
-    Args:
-        root: Root folder of a data set.
-        version: Asked for by the user, or ``None`` to take the only one.
-
-    Returns:
-        The folder's name.
-
-    Raises:
-        InputError: If the root is no folder, holds no or several versions, or a table is missing.
-    """
+    """Name of the version folder to read, with all 13 tables in it; without a ``version``, the only one."""
     if not root.exists():
         raise InputError(f"there is no folder {root}; give the root of a nuScenes-format data set")
     if not root.is_dir():
@@ -92,15 +70,7 @@ def _require_all_tables(folder: Path) -> None:
 
 
 def splits_file(folder: Path, root: Path) -> Path | None:
-    """Where a data set says which splits it has.
-
-    Args:
-        folder: Version folder.
-        root: Data set root.
-
-    Returns:
-        ``splits.json`` in the former, else in the latter; ``None`` where neither has one.
-    """
+    """Path of ``splits.json`` in the version folder, else in the root; ``None`` where neither has one."""
     return next((path for path in (folder / "splits.json", root / "splits.json") if path.is_file()), None)
 
 

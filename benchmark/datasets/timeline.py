@@ -20,9 +20,8 @@ class Timeline:
     """Frames of a scene.
 
     Attributes:
-        timestamps_us: (T,) frame times.
+        timestamps_us: (T,).
         keyframes: (K,) frame of each sample: 0, 6, 12, ... where samples come at 2 Hz.
-        ego: Ego motion at the frames.
     """
 
     timestamps_us: NDArray[np.int64]
@@ -31,15 +30,7 @@ class Timeline:
 
 
 def samples_of_scene(nusc: Any, scene: Row) -> list[Row]:
-    """Samples of a scene in time order.
-
-    Args:
-        nusc: ``NuScenes`` of the devkit.
-        scene: Row of the scene table.
-
-    Returns:
-        Rows of the sample table.
-    """
+    """Samples of a scene in time order."""
     samples: list[Row] = []
     token = scene["first_sample_token"]
     while token:
@@ -66,17 +57,13 @@ def _keyframe_row(nusc: Any, sample: Row) -> Row:
 def read_timeline(nusc: Any, samples: list[Row]) -> Timeline:
     """The frames between the first and the last keyframe, every keyframe being each sixth one.
 
-    In a scene whose keyframes do not come at 2 Hz there are as many in between as bring frames nearest to 12 Hz.
-    Where the data set has exactly five sweeps between all keyframes (12 Hz), those rows are the frames. Otherwise
-    the time between two keyframes is divided evenly and the ego interpolated between the poses of whatever sweeps
-    there are (linear position, normalised linear quaternion).
+    In a scene whose keyframes do not come at 2 Hz there are as many in between as bring frames nearest to 12 Hz. Where
+    the data set has exactly five sweeps between all keyframes (12 Hz), those rows are the frames. Otherwise the time
+    between two keyframes is divided evenly and the ego interpolated between the poses of the sweeps that there are
+    (linear position, normalised linear quaternion).
 
     Args:
-        nusc: ``NuScenes`` of the devkit.
         samples: Rows of the scene's samples in time order.
-
-    Returns:
-        The timeline.
     """
     rows = _rows_between(nusc, samples)
     times_us = np.array([row["timestamp"] for row in rows], dtype=np.int64)

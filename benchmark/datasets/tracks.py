@@ -24,15 +24,12 @@ class RecordedTracks:
     """One track file as it is, N tracks of M samples together.
 
     Attributes:
-        source: Name.
-        licence: Licence in words.
         hz: Samples per second.
         pointers: (N + 1,) track i is samples ``pointers[i]:pointers[i + 1]``.
         x: (M,) recorded point, metres.
         y: (M,) metres.
         heading: (M,) radians, as recorded (wrapped or not).
         length: (N,) metres; not finite where unknown.
-        kinds: N class names.
         is_ego: (N,) whether the track is that of the recording car.
     """
 
@@ -49,17 +46,7 @@ class RecordedTracks:
 
 
 def read_recorded_tracks(path: Path) -> RecordedTracks:
-    """Read one track file.
-
-    Args:
-        path: An npz file in the neutral format; nothing in it is unpickled.
-
-    Returns:
-        All tracks of it.
-
-    Raises:
-        InputError: If the file is broken, lacks an array, or holds numbers that cannot be tracks.
-    """
+    """Read all tracks of an npz file in the neutral format; nothing in it is unpickled."""
     try:
         arrays = read_npz(path)
     except (OSError, ValueError) as error:

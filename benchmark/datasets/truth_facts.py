@@ -24,18 +24,10 @@ is never so still: its recorded pose trembles by hundredths of a millimetre."""
 
 
 def truth_facts(data: "DataSet", name: str, truths: Sequence[SampleTruth]) -> TruthFacts:
-    """Count what is annotated in a scene and where key frames are no steps, and look at what else there is.
+    """Count annotations in a scene and key frames that are no steps, and look at all other inputs.
 
     Args:
-        data: The data set.
-        name: Scene name.
         truths: One for each sample of the scene, in time order.
-
-    Returns:
-        The counts.
-
-    Raises:
-        InputError: If the scene is broken.
     """
     scene = data.scene(name)
     valid = scene.annotations.valid

@@ -17,16 +17,10 @@ def videos_of_scene(
     """Images by camera name in time order; files are opened only when a view is loaded.
 
     Args:
-        nusc: ``NuScenes`` of the devkit.
-        root: Data set root.
-        samples: Rows of the scene's samples in time order.
         sweeps: Also the images between keyframes, from the first keyframe to the last.
 
     Returns:
         Views by camera, cameras in the order of `read_views` of the first sample.
-
-    Raises:
-        InputError: If a camera's rows turn back in time.
     """
     videos: dict[str, list[CameraView]] = {}
     for index, sample in enumerate(samples):

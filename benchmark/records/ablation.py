@@ -26,14 +26,7 @@ RECORD: Final = "ablation.json"
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """One row of the study.
-
-    Attributes:
-        name: Folder and key.
-        label: As the paper calls it.
-        multi_round: Whether trajectories are refined in several rounds.
-        scored: Whether trajectories are scored.
-    """
+    """One row of the ablation study; ``label`` is the paper's name of it."""
 
     name: str
     label: str
@@ -55,15 +48,10 @@ VARIANTS: Final = (
 
 
 class AblationRow(Stored):
-    """What one variant gave.
+    """Results of one variant; the counts are of vehicles tried, and of their samples that count.
 
     Attributes:
-        name: Of the variant.
-        attempted: Vehicles tried.
-        kept: Attempts that passed verification.
-        discarded: The others, by reason.
-        samples_attempted: Samples that count, over all attempts.
-        samples_kept: Samples that count, over kept attempts.
+        discarded: Attempts that did not pass verification, by reason.
         colliding_samples: Samples of kept attempts in which the planner collides within three seconds.
         rate_attempted: Colliding samples over ``samples_attempted``, with its interval over recorded scenes.
         rate_kept: Colliding samples over ``samples_kept``.
@@ -91,18 +79,10 @@ class AblationRow(Stored):
 
 
 class AblationReport(Stored):
-    """``ablation.json``.
+    """``ablation.json``; ``hyper`` are the settings of the full search, ``rows`` in the order of the paper's table.
 
     Attributes:
-        schema_version: Version of the format.
-        data: The recorded scenes.
-        scenes: Their names.
-        planner: Who was run.
-        protocol: Who says what a collision is, with its version.
         seed: Of vehicles, search and intervals.
-        hyper: Settings of the full search.
-        prior_fingerprint: Of the diffusion model.
-        rows: In the order of the paper's table.
     """
 
     schema_version: int = Field(alias="schema")
@@ -149,17 +129,7 @@ class AblationReport(Stored):
 
 
 def read_ablation(path: Path) -> AblationReport:
-    """Read a study.
-
-    Args:
-        path: An ``ablation.json``.
-
-    Returns:
-        The study.
-
-    Raises:
-        InputError: If it is absent, damaged, or of a newer version.
-    """
+    """The study in an ``ablation.json``."""
     value = read_json(path)
     schema = value.get("schema") if isinstance(value, dict) else None
     if isinstance(schema, int) and schema > SCHEMA:
@@ -172,17 +142,7 @@ def read_ablation(path: Path) -> AblationReport:
 
 
 def find_ablations(folder: Path) -> list[AblationReport]:
-    """Every study below a folder.
-
-    Args:
-        folder: Where to look; it need not exist.
-
-    Returns:
-        Studies in the order of their paths.
-
-    Raises:
-        InputError: If one of them is damaged.
-    """
+    """Every study below a folder, which need not exist, in the order of their paths."""
     return read_each(sorted(folder.rglob(RECORD)), read_ablation)
 
 

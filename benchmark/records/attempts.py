@@ -21,11 +21,9 @@ class _Stored(BaseModel):
 
 
 class Approach(_Stored):
-    """How close two bodies came.
+    """Closest approach of two bodies, when (seconds since the scene's first frame), and on which side of the ego.
 
     Attributes:
-        gap_m: Distance between the bodies.
-        time_s: When, seconds since the scene's first frame.
         side: Side of the ego (`generation.labels.labelling.Side`).
     """
 
@@ -61,7 +59,6 @@ class Encroachment(_Stored):
 
     Attributes:
         seconds: Time between them; 0 if both were there at once, as abreast in a bend.
-        ego_first: Whether the ego was there first.
         time_s: When the other vehicle was there, seconds since the scene's first frame.
     """
 
@@ -78,12 +75,10 @@ class TimeToCollision(_Stored):
 
 
 class Labels(_Stored):
-    """What one adversary does to the ego and where; ``docs/manoeuvres.md`` defines every word.
+    """Manoeuvres of one adversary towards the ego, and their place; ``docs/manoeuvres.md`` defines every word.
 
     Attributes:
-        manoeuvre: The primary kind.
         occurred: Every kind that occurred, the primary one first.
-        closest_approach: Closest approach.
         time_to_collision: ``None`` if it was never within 5 s.
         encroachment: Closest succession on the same piece of the ego's path, ``None`` if there was none.
         place: Where the closest approach happened (`benchmark.metrics.places.Place`).
@@ -98,10 +93,9 @@ class Labels(_Stored):
 
 
 class PlanningFrame(_Stored):
-    """Trace of one planning frame.
+    """Trace of one planning frame of the search.
 
     Attributes:
-        frame: Frame index.
         round: Round of the executed candidate.
         score: Its final score over all rounds, ``None`` if no candidate was finite.
         best_scores: Best final score of each round, normalised within the round.
@@ -116,7 +110,7 @@ class PlanningFrame(_Stored):
 
 
 class MaskedSteps(_Stored):
-    """Steps that the ground-truth check of a protocol takes from every planner, whatever it plans.
+    """Steps that the ground-truth check of a protocol takes from every planner, regardless of the plan.
 
     Attributes:
         adversary: The recorded ego touches an adversary there, as the protocol sees both.
@@ -131,22 +125,15 @@ class Attempt(_Stored):
     """One vehicle of one recorded scene that was tried as an adversary.
 
     Attributes:
-        scene: Recorded scene.
-        agent: Instance identifier.
-        seed: User's seed.
-        kept: Whether the scene survived verification.
         discard: Why not (`generation.search.verify.Discard`).
-        because: What shows it (`generation.search.verify.Finding`).
-        launch_frame: Frame of the launch, ``None`` if there was none.
+        because: Evidence of that (`generation.search.verify.Finding`).
         tries: Searches that were made; everything else is about the last one.
         challenge: Ranking score, see `generation.search.ranking.challenge_score`; 0 where discarded.
         closest_approach: Closest approach, where the track is complete.
         least_time_to_collision_s: Smallest time to collision, ``None`` if never within 5 s.
-        labels: What the adversary does, if kept.
-        masked_steps: By protocol, if kept: steps of all samples that are masked whatever is planned.
-        judgements: If verification passed: what is said of each adversary that the scene has by then, its own last;
-            empty in older files.
-        plans: Trace.
+        masked_steps: By protocol, if kept: steps of all samples that are masked for any plan.
+        judgements: If verification passed: judgements of each adversary that the scene has by then, its own last; empty
+            in older files.
         earlier: Adversaries that the scene had already.
         dropped: Why an attempt that passed verification is not written (`generation.search.chains.Dropped`).
         written: Name of the scene that it became.
@@ -175,17 +162,7 @@ class Attempt(_Stored):
 
 
 def read_attempts(path: Path) -> tuple[Attempt, ...]:
-    """Read what a build tried.
-
-    Args:
-        path: An ``attempts.jsonl``, of this version or an older one.
-
-    Returns:
-        The attempts in their order.
-
-    Raises:
-        InputError: If the file cannot be read, or a line is none of an attempt.
-    """
+    """Attempts of an ``attempts.jsonl`` of this version or an older one, in their order."""
 
     def attempt(number: int, row: Any) -> Attempt:
         return validated(
@@ -205,14 +182,11 @@ def reports_of(report: Any) -> list[dict[str, Any]]:
 
 
 def stored_labels(report: Any) -> list[Any]:
-    """What ``challenger.json`` says of the manoeuvres of a scene's adversaries.
+    """Labels of each adversary that has any, as ``challenger.json`` has them, not checked (`Labels`).
 
     Args:
-        report: Report on a scene: on its adversary, or on each of several below ``adversaries``; any JSON value of a
-            stranger's data set.
-
-    Returns:
-        The labels of each adversary that has any, not checked (`Labels`).
+        report: Report on a scene: on its adversary, or on each of several below ``adversaries``; any JSON value, as it
+            comes from a stranger's data set.
     """
     labels = (each.get("labels") for each in reports_of(report))
     return [found for found in labels if found is not None]

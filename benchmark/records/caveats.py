@@ -30,10 +30,9 @@ OF_THE_DOOR: Final[frozenset[CaveatKind]] = frozenset({"as-is"})
 
 
 class Caveat(Stored):
-    """What a number needed and did not get.
+    """A thing that a number needed and did not get.
 
     Attributes:
-        kind: What is concerned.
         sentence: What was missing and what that does to the numbers; no full stop at its end.
     """
 
@@ -42,14 +41,7 @@ class Caveat(Stored):
 
 
 def in_order(caveats: Iterable[Caveat]) -> list[Caveat]:
-    """Caveats in the order of their kinds, each once.
-
-    Args:
-        caveats: Of one record.
-
-    Returns:
-        The same caveats.
-    """
+    """Caveats in the order of their kinds, each once."""
     each_once = dict.fromkeys((caveat.kind, caveat.sentence) for caveat in caveats)
     ordered = sorted(each_once, key=lambda pair: KINDS.index(pair[0]))
     return [Caveat(kind=kind, sentence=sentence) for kind, sentence in ordered]

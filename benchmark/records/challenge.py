@@ -26,17 +26,14 @@ class Reason(Stored):
 
 
 class ChangedVehicle(Stored):
-    """A vehicle that differs from the recording.
+    """A vehicle that differs from the recording, from ``from_s`` on; times since the scene's first keyframe.
 
     Attributes:
         instance: Token in the entry.
         recorded: Token in the recording.
-        category: What it is.
-        from_s: Time of the first keyframe at which it differs, seconds since the first one of the scene.
-        farthest_m: How far it is from where it was recorded at most, where it was.
+        farthest_m: Largest distance from where it was recorded.
         least_gap_ego_m: Distance to the recorded ego, from there on; ``None`` where it was not measured.
-        least_gap_others_m: Distance to the nearest of all others; ``None`` where it was not, or nobody is near.
-        nearest_ego_s: When it is nearest to the ego, seconds since the first keyframe.
+        least_gap_others_m: Distance to the nearest of all others; ``None`` where it was not measured or none is near.
     """
 
     instance: str
@@ -50,12 +47,9 @@ class ChangedVehicle(Stored):
 
 
 class SceneVerdict(Stored):
-    """What is said of one scene.
+    """Verdict on one scene of an entry; without ``reasons`` it is accepted.
 
     Attributes:
-        scene: Its name in the entry.
-        recording: Name of the recorded scene that it was compared with.
-        reasons: Why it is refused; none if it is accepted.
         notes: What could not be asked, and what else an organiser may want to know; no reason to refuse it.
         changed: Vehicles that differ from the recording; those that are let be first.
         images: Images that were looked at.
@@ -82,18 +76,11 @@ class ComparedData(Stored):
 
 
 class EntryVerdict(Stored):
-    """What is said of an entry.
+    """Verdict on an entry.
 
     Attributes:
-        format: Of the file.
-        schema_version: Version of the format.
-        version: Of this program.
-        entry: The entry.
-        base: The recordings.
-        challenge: Name of the challenge.
         rules: Fingerprint of its rules: verdicts by others are not comparable.
         reasons: Why the entry as a whole is refused.
-        scenes: Verdicts on its scenes.
     """
 
     format: Literal["challenger-bench challenge verdict"] = VERDICT_FORMAT
@@ -118,35 +105,14 @@ class EntryVerdict(Stored):
 
 
 def write_verdict(folder: Path, verdict: EntryVerdict) -> Path:
-    """Write the verdict on an entry.
-
-    Args:
-        folder: Where.
-        verdict: What is said.
-
-    Returns:
-        The file.
-
-    Raises:
-        InputError: If nothing can be written there.
-    """
+    """Write the verdict on an entry into a folder."""
     path = folder / VERDICT_FILE
     write_json(path, verdict.model_dump(mode="json", by_alias=True))
     return path
 
 
 def read_verdict(path: Path) -> EntryVerdict:
-    """Read a verdict.
-
-    Args:
-        path: The file.
-
-    Returns:
-        What it says.
-
-    Raises:
-        InputError: If it cannot be read, or is none.
-    """
+    """Read a verdict on an entry."""
     return validated(
         EntryVerdict.model_validate,
         read_json(path),

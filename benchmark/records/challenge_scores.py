@@ -21,9 +21,8 @@ class Measured(Stored):
     """A number with its 95 % interval over recordings.
 
     Attributes:
-        value: The number; ``None`` where it does not exist.
-        low: Lower end; ``None`` where fewer than two recordings count.
-        high: Upper end.
+        value: ``None`` where it does not exist.
+        low: ``None`` where fewer than two recordings count.
         denominator: How many samples, scenes or contacts it was counted over.
     """
 
@@ -39,7 +38,7 @@ class PlannerOnEntry(Stored):
     Attributes:
         adversary: Share of samples with a first contact with a changed vehicle, under ``exact``; no number in older
             files, and where a record does not say whom contacts are with.
-        collision: Share of samples with a collision under the protocol, whoever it is with.
+        collision: Share of samples with a collision under the protocol, with any vehicle or person.
         attributable: Share with a contact that is its fault, where the careful human survives the scene.
         failed: Samples without a plan; they are in no rate.
     """
@@ -51,28 +50,21 @@ class PlannerOnEntry(Stored):
 
 
 class EntryScore(Stored):
-    """One entry.
+    """Scores of one entry; rates are means over the planners, shares are of the accepted scenes.
 
     Attributes:
-        entry: The data set.
-        scenes: How many it has.
-        refused: Names of those that are refused.
+        refused: Names of the scenes that are refused.
         reasons: Why it is not ranked as a whole; none if it is.
         best_place: Its best place that the numbers leave open; ``None`` if it is not ranked.
-        worst_place: Its worst one.
-        adversary: Mean over the planners of first contacts with a changed vehicle, under ``exact``.
-        collision: Mean over the planners of contacts with anybody, under the protocol.
-        attributable: Mean over the planners.
-        planners: By name of the planner.
-        careful_survives: Share of accepted scenes that the careful and competent human survives.
+        adversary: First contacts with a changed vehicle, under ``exact``.
+        collision: Contacts with anything, under the protocol.
         least_gap_m: Distance of the recorded ego from the changed vehicles, mean over accepted scenes.
         critical: Share of accepted scenes in which the two are ever within 1.5 s of contact at constant velocities.
         delta_v_m_s: Change of velocity of the ego where a plan first touches a changed vehicle, mean over all planners;
-            of contacts with anybody in older files.
+            of contacts with anything in older files.
         without_fault: Share of accepted scenes in whose tracks no fault was found (``docs/realism.md``).
         realism_feature: The worst of the features of motion that are compared with recordings.
         realism: 1 less its divergence: the larger, the more real.
-        not_compared: Why realism was not.
     """
 
     entry: ComparedData
@@ -96,11 +88,9 @@ class EntryScore(Stored):
 
 
 class Pair(Stored):
-    """Two ranked entries.
+    """Two ranked entries, the one with the higher score first.
 
     Attributes:
-        first: Name of the one with the higher score.
-        second: Name of the other.
         difference: First less second, in resamples of the same recordings.
         told_apart: Whether the interval leaves zero out.
     """
@@ -115,18 +105,10 @@ class ChallengeScores(Stored):
     """Entries of a challenge, best first, those that are not ranked last.
 
     Attributes:
-        format: Of the file.
-        schema_version: Version of the format.
-        version: Of this program.
-        challenge: Name of the challenge.
         rules: Fingerprint of its rules.
-        base: The recordings.
-        protocol: Who judged the plans.
         horizon: ``1s``, ``2s``, ``3s`` or ``avg``.
         ranks: Which of its rates an entry is ranked by; ``collision`` in older files and under another protocol than
             ``exact``.
-        planners: Who planned.
-        entries: The entries.
         pairs: Of the ranked ones.
     """
 
@@ -145,35 +127,14 @@ class ChallengeScores(Stored):
 
 
 def write_scores(folder: Path, scores: ChallengeScores) -> Path:
-    """Write the scores of a challenge; a challenge of the same name is replaced.
-
-    Args:
-        folder: Where.
-        scores: The scores.
-
-    Returns:
-        The file.
-
-    Raises:
-        InputError: If nothing can be written there.
-    """
+    """Write the scores of a challenge; a challenge of the same name is replaced."""
     path = folder / f"scores-{file_name(scores.challenge)}.json"
     write_json(path, scores.model_dump(mode="json", by_alias=True))
     return path
 
 
 def read_scores(path: Path) -> ChallengeScores:
-    """Read the scores of a challenge.
-
-    Args:
-        path: The file.
-
-    Returns:
-        The scores.
-
-    Raises:
-        InputError: If it cannot be read, or holds no scores.
-    """
+    """Read the scores of a challenge."""
     return validated(
         ChallengeScores.model_validate,
         read_json(path),
@@ -182,15 +143,5 @@ def read_scores(path: Path) -> ChallengeScores:
 
 
 def find_scores(folder: Path) -> list[ChallengeScores]:
-    """Scores of every challenge in a folder.
-
-    Args:
-        folder: Where they lie; it need not exist.
-
-    Returns:
-        Them, in the order of their files.
-
-    Raises:
-        InputError: If one of them is damaged.
-    """
+    """Scores of every challenge in a folder, which need not exist, in the order of their files."""
     return read_each(sorted(folder.glob(_PATTERN)), read_scores)

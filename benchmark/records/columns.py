@@ -58,10 +58,8 @@ class RowColumns:
 
     Args:
         rows: One for each sample; they are asked again only for verdicts that do not go together in columns.
-        batch: Their columns, where they are at hand.
 
     Attributes:
-        batch: The columns, as `batch_of` makes them.
         kept: What others made of the columns, under a key of theirs that says all that it depends on.
     """
 
@@ -75,7 +73,7 @@ class RowColumns:
         return int(self.batch.num_rows)
 
     def values(self, field: str) -> Sequence[Any]:
-        """(R,) values of a field of `BriefRow`, one for each row; nobody may change the list."""
+        """(R,) values of a field of `BriefRow`, one for each row; the list must not be changed."""
         return _values(self, field)
 
     def flags(self, field: str) -> Bools:
@@ -85,7 +83,7 @@ class RowColumns:
 
     @property
     def brief(self) -> list[BriefRow]:
-        """What is light of each row."""
+        """Light part of each row."""
         return list(map(BriefRow, *map(self.values, _BRIEF)))
 
     def brief_at(self, places: Sequence[int]) -> list[BriefRow]:
@@ -169,7 +167,7 @@ class RowColumns:
         return dict(zip(map(sys.intern, scenes), np.split(np.argsort(codes, kind="stable"), ends)))
 
     def _numbers(self, name: str, rows: Bools) -> NDArray[Any]:
-        """Of some rows."""
+        """Numeric column of some rows."""
         column = self.batch.column(name)
         values = numpy_of(column.values).reshape(len(self), -1)
         values = values[:, 0] if column.type.list_size == 1 else values
@@ -179,7 +177,7 @@ class RowColumns:
         return values
 
     def _json(self, name: str, rows: Bools) -> tuple[Any, ...]:
-        """Of some rows."""
+        """Column of JSON values of some rows."""
         different, codes = self._coded(name)
         return tuple(map(different.__getitem__, codes[rows].tolist()))
 
@@ -218,9 +216,6 @@ def _named(kind: str, protocol: str, part: str = "") -> str:
 
 def batch_of(rows: Iterable[SampleRow]) -> pa.RecordBatch | None:
     """Columns of R rows, of which few are in memory at a time.
-
-    Args:
-        rows: One for each sample.
 
     Returns:
         Every field of `BriefRow`, as JSON; plans and recorded motion as in `RowColumns`; driving scores, where a row

@@ -21,11 +21,9 @@ Did = Literal["track", "searched", "slowed"]
 
 
 class ConsideredFrame(Stored):
-    """One planning frame.
+    """Candidates and choice of an adversary in one planning frame.
 
     Attributes:
-        frame: Of the scene.
-        time_us: When it was.
         did: What was done: the track that the scene was made with went on, a candidate of the search was driven, or
             none was allowed and it went on or braked on the path that was meant.
         candidates: (B, M) global x, y of the search's candidates, half a second apart; none where it did not search.
@@ -60,36 +58,19 @@ class _ConsideredFile(Stored):
 
 
 def considered_path(directory: Path, scene: str, run: int) -> Path:
-    """Where a record keeps what the adversary of a drive considered."""
+    """File of a record with the candidates of the adversary of a drive."""
     return directory / FOLDER / f"{file_name(scene)}-{run}.json"
 
 
 def write_considered(directory: Path, row: DriveRow, frames: tuple[ConsideredFrame, ...]) -> None:
-    """Keep what the adversary of a drive considered.
-
-    Args:
-        directory: Of the record.
-        row: The drive; it has an adversary.
-        frames: One for each of its planning frames.
-
-    Raises:
-        InputError: If it cannot be written.
-    """
+    """Keep the candidates of a drive's adversary, one entry for each of its planning frames."""
     assert row.adversary is not None
     found = _ConsideredFile(schema_version=SCHEMA, adversary=_key(row.adversary), frames=frames)
     write_json(considered_path(directory, row.scene, row.run), found.model_dump(mode="json"), indent=None)
 
 
 def read_considered(directory: Path, row: DriveRow) -> tuple[ConsideredFrame, ...] | None:
-    """What the adversary of a drive considered.
-
-    Args:
-        directory: Of the record.
-        row: The drive.
-
-    Returns:
-        Its planning frames; ``None`` where they were not kept, or were of another drive.
-    """
+    """Planning frames of a drive's adversary; ``None`` where they were not kept, or were of another drive."""
     if row.adversary is None:
         return None
     kept: Any = read_kept_json(considered_path(directory, row.scene, row.run))

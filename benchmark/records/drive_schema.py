@@ -28,16 +28,14 @@ Fraction = Share | None
 
 
 class Measured(Stored):
-    """What was measured, apart from the planner: two records that differ in it never share a table.
+    """Settings of a measurement, apart from the planner: two records that differ in it never share a table.
 
     Attributes:
-        engine: Which engine drove.
         agents: How the others behave; ``replay`` in NeuroNCAP's engine.
         agents_facts: What else they depend on: budget, knowledge and version of an adversary, and the policy of those
             beside it. Not written where there is nothing.
-        sensor: What cameras saw.
         sensor_facts: What else the pictures depend on.
-        latency_ms: So much later than it was made did a plan take effect.
+        latency_ms: How much later than it was made a plan took effect.
         scenarios: What scenes were driven with, in NeuroNCAP's engine: as they are, ours, or NeuroNCAP's own.
         until: What ended a drive before its time. Not written where it is any contact.
     """
@@ -58,7 +56,7 @@ class Measured(Stored):
 
     @property
     def world(self) -> str:
-        """Engine, agents, latency, what ends a drive: what records of one table share, whatever their planners see."""
+        """Engine, agents, latency, end of a drive: settings that records of one table share, with any sensor."""
         said = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in sorted(self.agents_facts.items()))
         agents = f", agents {self.agents}{f' ({said})' if said else ''}" if self.engine == "default" else ""
         scenarios = "" if self.scenarios == "recorded" else f", {self.scenarios} scenarios"
@@ -75,9 +73,7 @@ class DriveFacts(RecordFacts):
     """``drive.json``.
 
     Attributes:
-        measured: What was measured.
         runs: Runs of each scene; 1 where nothing is drawn.
-        scoring: Version of the scores.
         rescored: The environment of the last `challenger-bench rescore`, if the drives were scored anew since.
     """
 
@@ -139,7 +135,7 @@ class HdRow(Stored):
 
 
 class NeuroncapRow(Stored):
-    """What NeuroNCAP's engine says: NNS, ``None`` of nothing of nothing, and both speeds."""
+    """Results of NeuroNCAP's engine: NNS, ``None`` of nothing of nothing, and both speeds."""
 
     score: Annotated[float, Field(ge=0.0, le=5.0)] | None
     impact_speed: float
@@ -147,16 +143,14 @@ class NeuroncapRow(Stored):
 
 
 class ScoreRow(Stored):
-    """What is said of a drive that did not fail.
+    """Scores of a drive that did not fail.
 
     Attributes:
         progress_m: Along the route while it was driven.
         recorded_progress_m: The recorded ego's in the same time.
         route_share: Share of the recorded way to its end; ``None`` where the recorded car hardly moves.
         comfortable: Within nuPlan's bounds; ``None`` of less than 1.5 s.
-        nuplan: Of the default engine on a map with lanes.
-        hd: Likewise.
-        neuroncap: Of NeuroNCAP's engine.
+        nuplan: Of the default engine on a map with lanes, as is ``hd``; ``neuroncap`` is of NeuroNCAP's engine.
     """
 
     progress_m: float
@@ -172,7 +166,6 @@ class TickRows(Stored):
     """The planning instants, column by column.
 
     Attributes:
-        time_us: Microseconds.
         ego: x, y, yaw, speed, acceleration, yaw rate, angle of the road wheels.
         command: 0 right, 1 left, 2 straight; one for each instant that was planned from.
         station: Metres along the route; likewise.
@@ -185,11 +178,9 @@ class TickRows(Stored):
 
 
 class AdversaryRow(Stored):
-    """Where an adversary went (`benchmark.closed_loop.adversary.AdversaryTrack`).
+    """Track of an adversary (`benchmark.closed_loop.adversary.AdversaryTrack`).
 
     Attributes:
-        agent: Its index in the scene.
-        uuid: Its instance identifier.
         start: Frame of the scene at which it left its recording.
         poses: x, y, yaw of its box centre at the frames from there on, as far as it was planned.
         replanned: Frames at which it was planned anew; none of a track that was given.
@@ -205,14 +196,10 @@ class AdversaryRow(Stored):
 
 
 class LadderRow(Stored):
-    """What came of a reference driver in the same encounter (`benchmark.closed_loop.ladder.LadderOutcome`).
+    """Outcome of a reference driver in the same encounter (`benchmark.closed_loop.ladder.LadderOutcome`).
 
     Attributes:
-        survives: Whether it touched nobody.
-        seconds: When it touched somebody.
-        agent: Whom, by instance identifier.
-        kind: What hit what.
-        at_fault: Whether it is to blame.
+        seconds: When it first touched something; ``agent`` is the instance identifier.
     """
 
     survives: bool
@@ -230,17 +217,11 @@ class DriveRow(Stored):
     """One line of ``drives.jsonl``: one scene, one run.
 
     Attributes:
-        scene: Scene name.
         family: Family of the scenario; empty where the scene was driven as it is.
         run: Index of the run, which is its seed.
         status: ``failed`` where the planner failed; such a drive has no scores and is never a zero.
-        end: What ended it.
         primed: Planning instants at which the ego was the recorded one.
-        ticks: Planning instants.
         plans: One for each instant that has one.
-        contact: The contact that ended it.
-        scores: Or null.
-        failure: Or null.
         adversary: Where an adversary that answers went; not written where there was none.
         ladder: What came of reference drivers in the same encounter; not written where none drove.
         passed: Contacts before `contact` that did not end it, none of them the ego's fault; not written where there
@@ -276,7 +257,7 @@ class DriveRow(Stored):
 
     @property
     def fair(self) -> bool | None:
-        """Whether a careful human survives the same encounter; ``None`` where nobody looked."""
+        """Whether a careful human survives the same encounter; ``None`` where that was not asked."""
         return None if self.ladder is None or CAREFUL not in self.ladder else self.ladder[CAREFUL].survives
 
     @model_validator(mode="after")
@@ -301,12 +282,6 @@ class PublishedTable(Stored):
     """NeuroNCAP's table as its published code makes it: means over runs, then over scenes, then over families.
 
     Each mean is rounded to three digits. A failed run is left out; a scene with a run without a score drops out.
-
-    Attributes:
-        nns: Score, 0 to 5.
-        collision: Share of runs with a contact.
-        nns_by_family: The same of each family.
-        collision_by_family: Likewise.
     """
 
     nns: float | None
@@ -319,11 +294,8 @@ class DriveSummary(Stored):
     """``summary.json``: derived from the rows alone.
 
     Attributes:
-        schema_version: Version of the record's format.
-        drives: How many.
-        failed: Those in which the planner failed.
-        reasons: How often for which reason.
-        coverage: Share of the others.
+        failed: Drives in which the planner failed, ``reasons`` how often for which reason, ``coverage`` the share of
+            the others.
         columns: Means and rates over drives that did not fail, with intervals over recorded scenes, by column.
         published: Of scenarios in ``neuroncap@code``: averaged and rounded as NeuroNCAP's published code does it; null
             of everything else, and in older records.

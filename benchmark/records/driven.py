@@ -25,11 +25,9 @@ _AGAIN: Final = "build the data again"
 
 @dataclass(frozen=True, slots=True)
 class DrivenEgo:
-    """What is to learn from a scene that a planner drove.
+    """Targets for learning from a scene that a planner drove.
 
     Attributes:
-        planner: Who drove.
-        commands: One for each of K key frames.
         wanted: (K, 6, 2) global positions of the lidar origin at the plan's steps from each; NaN where there is none.
     """
 
@@ -52,11 +50,7 @@ class DrivenEgo:
 
     @classmethod
     def from_json(cls, value: object) -> Self:
-        """Read what `as_json` wrote.
-
-        Raises:
-            InputError: If it is something else.
-        """
+        """Read what `as_json` wrote."""
         if not isinstance(value, Mapping) or not isinstance(value.get("planner"), str):
             raise InputError(f"what a driven scene says must name its planner; {_AGAIN}")
         commands, wanted = value.get("commands"), value.get("wanted")
@@ -86,17 +80,10 @@ def _is_place(value: object) -> bool:
 
 
 def driven_ego(provenance: Mapping[str, Any] | None, scene: str) -> DrivenEgo | None:
-    """What is to learn from a scene that a planner drove.
+    """Targets for learning from a scene; ``None`` where the ego was not driven by a planner.
 
     Args:
         provenance: What a data set says of how it was made (``challenger.json``), if it does.
-        scene: Name of the scene.
-
-    Returns:
-        ``None`` where the ego was not driven by a planner.
-
-    Raises:
-        InputError: If what is said cannot be read.
     """
     said = reported(provenance, scene, DRIVEN)
     return None if said is None else DrivenEgo.from_json(said)

@@ -75,7 +75,7 @@ class DriveRecord:
 
     @property
     def content_id(self) -> str:
-        """Twelve hexadecimal digits made of what ran and what came out, whatever the machine and the folder."""
+        """Twelve hexadecimal digits made of the facts and the results, the same on any machine and in any folder."""
         facts = self.facts.model_dump(mode="json", by_alias=True, exclude={"environment", "config", "rescored"})
         return content_key(facts)[:12]
 
@@ -95,7 +95,7 @@ _WITHOUT_OTHERS: Final = ("route", "progress_m", "comfortable", "off_road", "nup
 
 
 def values_of(row: DriveRow) -> dict[str, float | None]:
-    """What a drive that did not fail adds to each column; ``None`` where it says nothing there.
+    """Values that a drive that did not fail adds to each column; ``None`` where it says nothing there.
 
     Columns of NeuroNCAP's engine and of the default one have different names and are never both there. Of a scene that
     is not labelled throughout nothing is said that depends on others.
@@ -148,16 +148,11 @@ def _values(row: DriveRow) -> dict[str, float | None]:
 def summarise(
     rows: Sequence[DriveRow], scene_facts: Mapping[str, SceneFacts], *, seed: int, engine: str = "default"
 ) -> DriveSummary:
-    """What rows say together.
+    """Summary of drives; failed ones are counted and in no column.
 
     Args:
-        rows: One for each drive.
         scene_facts: What each scene was made from: intervals draw recorded scenes with all that was made from them.
-        seed: Seed of the intervals.
-        engine: Which drove: NeuroNCAP's has a table of its own.
-
-    Returns:
-        The summary. Failed drives are counted and in no column.
+        engine: NeuroNCAP's has a table of its own.
     """
     driven = [row for row in rows if row.status == "ok"]
     columns: dict[str, RateRow] = {}
@@ -195,19 +190,11 @@ def columns_of(record: DriveRecord) -> Mapping[str, RateRow]:
 
 
 def write_drives(directory: Path, facts: Mapping[str, Any], rows: Sequence[DriveRow], *, seed: int) -> DriveRecord:
-    """Write a record in place of the one that is there, if any.
+    """Write a record in place of the one that is there, if any, and read it back.
 
     Args:
-        directory: Its directory; nobody else may write to it (`benchmark.machine.storage.only_writer`).
+        directory: Its directory; no other process may write to it (`benchmark.machine.storage.only_writer`).
         facts: `DriveFacts` less schema, status, seed and files.
-        rows: One for each drive.
-        seed: Seed of the intervals.
-
-    Returns:
-        The record as it reads back.
-
-    Raises:
-        InputError: If there are no rows or they cannot be written.
     """
     if not rows:
         raise InputError(f"there are no drives to write to {directory}: no scene was chosen")
@@ -285,7 +272,7 @@ def _checked(model: type[_Read], stored: Any, path: Path) -> _Read:
 
 
 def _seconds(row: DriveRow) -> float | None:
-    """How long the ego drove, to the contact where one ended it."""
+    """Time that the ego drove, to the contact where one ended it."""
     if row.contact is not None:
         return row.contact.seconds
     times = row.ticks.time_us

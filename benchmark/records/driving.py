@@ -43,12 +43,7 @@ def summarise_driving(rows: Sequence[SampleRow], scenes: Sequence[str], *, seed:
     ``score_without_ec``, where HC counts as 1 without a history, as officially.
 
     Args:
-        rows: S samples with plans.
-        scenes: S names of what is drawn together.
-        seed: Seed of the intervals.
-
-    Returns:
-        The summary, or ``None`` where no sample has driving scores.
+        scenes: S names of the recorded scenes that are drawn together.
     """
     counted = [(row.driving, scene) for row, scene in zip(rows, scenes, strict=True) if row.driving is not None]
     if not counted:
@@ -62,13 +57,8 @@ def driving_summary(scores: tuple[Floats, Bools], scenes: Sequence[str], planned
     """Means and shares from the columns of `sample_scores`.
 
     Args:
-        scores: Of the S samples that have driving scores.
-        scenes: S names of what is drawn together.
+        scenes: S names of the recorded scenes that are drawn together.
         planned: How many samples have a plan.
-        seed: Seed of the intervals.
-
-    Returns:
-        The summary.
     """
     values, known = scores
     weights = np.concatenate([known, known], axis=1).astype(np.float64)
@@ -83,14 +73,7 @@ def driving_summary(scores: tuple[Floats, Bools], scenes: Sequence[str], planned
 
 
 def sample_scores(rows: Sequence[DrivingRow]) -> tuple[Floats, Bools]:
-    """Every column of single samples.
-
-    Args:
-        rows: S samples.
-
-    Returns:
-        (S, C) values in the order of ``COLUMNS`` and (S, C) whether each exists.
-    """
+    """Driving scores of S samples: (S, C) values in the order of ``COLUMNS`` and (S, C) whether each exists."""
     always = {name: np.array([getattr(row, name) for row in rows], np.float64) for name in SUB_SCORES[:6]}
     # What does not exist is null and becomes NaN, which no score is.
     hc, ec = (np.array([getattr(row, name) for row in rows], np.float64) for name in ("hc", "ec"))

@@ -7,14 +7,7 @@ from benchmark.records.run_schema import PlansFrom
 
 
 def file_notes(records: Iterable[RunRecord]) -> list[str]:
-    """One sentence for each run whose plans come from a file: how it is known which sample each belongs to.
-
-    Args:
-        records: Any runs.
-
-    Returns:
-        Sentences.
-    """
+    """One sentence for each run whose plans come from a file: how it is known which sample each belongs to."""
     return [
         f"{record.planner} on {record.run.split}: plans from a file ({found.format}), samples {order_words(found)}."
         for record in records
@@ -23,6 +16,6 @@ def file_notes(records: Iterable[RunRecord]) -> list[str]:
 
 
 def order_words(found: PlansFrom) -> str:
-    """How the samples of a file are known, in words that fit behind "samples"."""
+    """Words on how the samples of a file are known, to stand behind "samples"."""
     known = "named by the file" if found.order == "tokens" else f"in an order that is {found.order}"
     return f"{known} ({found.shown_by})"

@@ -11,13 +11,7 @@ from benchmark.records.store import ROWS_FILE, RUN_FILE
 
 @dataclass(frozen=True, slots=True, order=True)
 class Recorded:
-    """What one record is of.
-
-    Attributes:
-        data: Name of the data set.
-        split: The split.
-        planner: Name of the planner.
-    """
+    """Data set, split and planner of one record."""
 
     data: str
     split: str
@@ -25,13 +19,9 @@ class Recorded:
 
 
 def recorded(folders: Iterable[Path]) -> tuple[Recorded, ...]:
-    """What the records below folders are of.
+    """Data, split and planner of each record below folders, sorted, each once; the folders need not exist.
 
-    Args:
-        folders: Where to look; they need not exist.
-
-    Returns:
-        Sorted, each once; what is damaged is left out, reading the record itself says so.
+    A damaged record is left out: reading it says so.
     """
     found = set()
     for folder in folders:
@@ -48,11 +38,7 @@ def where_planned(folders: Iterable[Path], samples: Sequence[tuple[str, ...]]) -
     """The first record that has some samples: what a plan file of other data seems to be for.
 
     Args:
-        folders: Where to look; they need not exist.
-        samples: What names each sample in the rows of records: its token, or its scene and time.
-
-    Returns:
-        What the record is of, or ``None``.
+        samples: Names of each sample in the rows of records: its token, or its scene and time.
     """
     for folder in folders:
         for path in sorted(folder.rglob(ROWS_FILE)):
@@ -63,7 +49,7 @@ def where_planned(folders: Iterable[Path], samples: Sequence[tuple[str, ...]]) -
 
 
 def said_of(found: Iterable[Recorded]) -> str:
-    """What there is, in words: ``there are records of demo (adv: idm; val: idm)``, or that there are none."""
+    """Records in words: ``there are records of demo (adv: idm; val: idm)``, or that there are none."""
     places: dict[str, dict[str, list[str]]] = {}
     for each in found:
         places.setdefault(each.data, {}).setdefault(each.split, []).append(each.planner)

@@ -12,14 +12,11 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class LadderRow(Stored):
-    """One rung of the ladder.
+    """One rung of the ladder: how many of the scenes one reference driver survives.
 
     Attributes:
-        driver: Who drives.
-        survives: Scenes that it survives.
-        of: Scenes.
         hit_adversary: Scenes in which it touches an adversary first.
-        hit_from_behind: Scenes in which somebody runs into it: agents replay their tracks and do not brake for it.
+        hit_from_behind: Scenes in which another runs into it: agents replay their tracks and do not brake for it.
         beyond_end: Scenes in which it leaves the recorded path.
     """
 
@@ -37,13 +34,7 @@ class LadderRow(Stored):
 
 
 class SeverityRow(Stored):
-    """The distribution of one number over encounters with an adversary.
-
-    Attributes:
-        name: Of the number, with its unit.
-        of: Encounters that have it.
-        quantiles: Its distribution; null where none has.
-    """
+    """Distribution of one number, named with its unit, over the encounters with an adversary that have it."""
 
     name: Text
     of: Count
@@ -51,17 +42,14 @@ class SeverityRow(Stored):
 
 
 class SplitJudgement(Stored):
-    """A split.
+    """Judgements of a split's scenes, by name, and their summary.
 
     Attributes:
-        scenes: Judgements of each scene, by name.
-        ladder: Rungs in order.
         ladder_of_recordings: The same of the recordings that the scenes were made from; empty where they are not at
             hand. Agents replay their tracks there, too: what a driver does not survive there no adversary did.
-        unsolvable: Scenes that nobody could have avoided.
+        unsolvable: Scenes that could not have been avoided by any driver.
         severity: Of the recorded ego's encounters with adversaries; times to contact only of those without contact.
         contacts: Encounters in which the recorded ego touches an adversary.
-        realism: How real the adversaries move.
     """
 
     scenes: dict[str, tuple[SceneJudgement, ...]]

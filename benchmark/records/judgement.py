@@ -30,16 +30,9 @@ Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class DriverContact(Stored):
-    """What a reference driver hits first.
+    """First contact of a reference driver.
 
     Attributes:
-        time_s: When.
-        party: Whom.
-        instance: Its instance identifier.
-        category: Its category.
-        kind: What hits what.
-        ego_speed_m_s: Of the driver.
-        other_speed_m_s: Of the other.
         impact_speed_m_s: Size of the difference of the velocities.
     """
 
@@ -54,14 +47,12 @@ class DriverContact(Stored):
 
 
 class DriverRun(Stored):
-    """How one reference driver fares.
+    """Fate of one reference driver.
 
     Attributes:
-        survives: Whether it hits nobody.
-        contact: Whom it hits, if it does.
+        survives: Whether it hits nothing.
         reacted_s: When it first finds something unsafe; null where it never does, or is no driver that reacts.
-        reacted_to: Who made it react first.
-        reacted_to_instance: The same as an instance identifier.
+        reacted_to: Party that made it react first.
         beyond_end: Whether it leaves the recorded path, where no road is known.
     """
 
@@ -87,12 +78,8 @@ class Impact(Stored):
     """A contact in numbers (`benchmark.fairness.impact`).
 
     Attributes:
-        time_s: When.
-        kind: What hits what.
         at_fault: Whether the ego is to blame; null where only a map could tell and there is none.
         impact_speed_m_s: Size of the difference of the velocities.
-        delta_v_ego_m_s: Change of the ego's velocity.
-        delta_v_other_m_s: Change of the other's velocity.
         fatal_probability: Of those in the ego.
     """
 
@@ -106,17 +93,16 @@ class Impact(Stored):
 
 
 class EncounterSeverity(Stored):
-    """How near the recorded ego, or one that follows plans, and one other come to a contact.
+    """Nearness of the recorded ego, or one that follows plans, and one other to a contact.
 
     Attributes:
         least_gap_m: Smallest distance of the bodies; null where they are never there together.
         least_ttc_s: Least time to contact before a contact; null where they never head for one another.
-        tet_s: How long it is below 1.5 s.
+        tet_s: How long the time to contact is below 1.5 s.
         tit_s2: By how much it is below, summed over time.
         pet_s: Post-encroachment time, 0 in contact; null where their ways do not meet within 5 s.
         pet_first: Who was there first; ``none`` in contact.
         max_btn: Largest braking threat number.
-        contact: Their first contact, if there is one.
     """
 
     least_gap_m: NotNegative | None
@@ -130,15 +116,14 @@ class EncounterSeverity(Stored):
 
 
 class TrackFaults(Stored):
-    """What is wrong with an adversary's track (`benchmark.fairness.validity`); null where nobody could tell.
+    """Faults of an adversary's track (`benchmark.fairness.validity`); null where it could not be told.
 
     Attributes:
         beyond_limits: It asks more than driver and car can do.
         off_road: A corner is off the drivable area.
-        contact: It touches anybody but the ego.
+        contact: It touches anything but the ego.
         against_traffic: It drives against the lanes below it.
         hovering: It stays within half a metre of another.
-        teleport: It jumps.
         unknown: Why each of those that are null is.
     """
 
@@ -163,27 +148,25 @@ class TrackFaults(Stored):
 
 
 class SceneJudgement(Stored):
-    """What is said of one adversary of one scene, or of a scene in which nobody is known to be one.
+    """Judgement of one adversary of one scene, or of a scene without a known adversary.
 
     Attributes:
         definition: `DEFINITION` by which it was judged.
         adversary: Its instance identifier, that of the recording in what this program makes; null where none is known,
             and then everything that needs one is null as well.
-        category: Its category.
         tracks: ``generated`` where its 12 Hz track was at hand, ``annotated`` where what a reader interpolates between
             keyframes was.
         has_map: Whether manoeuvres had to stay on the drivable area.
-        acts_s: When the first adversary of the scene departs from its recording, and drivers take over; null where
-            nobody knows, and they do at the first frame.
-        drivers: How each reference driver fares from then on, against everybody.
+        acts_s: When the first adversary of the scene departs from its recording, and drivers take over; null where that
+            is not known, and they do at the first frame.
+        drivers: How each reference driver fares from then on, against all others.
         first_visible_s: When from then on the recorded ego first sees the adversary; null for never.
         chance: How the contact of the ego at constant speed can be avoided: it has none, it is not to blame, nothing
             avoids it from the start on, or something does until ``last_chance_s``.
         last_chance_s: Until when a sampled manoeuvre avoids it.
         margin_s: From 0.75 s after the adversary is first visible to the last chance.
-        unsolvable: Whether nobody could have avoided it.
-        encounter: How severe the encounter with the recorded ego is.
-        faults: What is wrong with its track.
+        unsolvable: Whether no driver could have avoided it.
+        encounter: With the recorded ego.
     """
 
     definition: Annotated[int, Field(ge=1)] = DEFINITION
@@ -216,25 +199,14 @@ class SceneJudgement(Stored):
 
 
 class JudgementSummary(Stored):
-    """What tables, cards and filters need of a scene; of several adversaries the most severe values.
+    """Part of a scene's judgements for tables, cards and filters; of several adversaries the most severe values.
 
     Attributes:
-        definition: `DEFINITION` by which it was judged.
-        tracks: As in `SceneJudgement`.
-        has_map: As in `SceneJudgement`.
-        survives: By reference driver.
-        unsolvable: Whether nobody could have avoided it (`unsolvable`); null where no adversary is known, as are the
+        unsolvable: Whether no driver could have avoided it (`unsolvable`); null where no adversary is known, as are the
             numbers after it.
         margin_s: Least time from 0.75 s after an adversary is first visible to the last chance.
-        least_gap_m: As in `EncounterSeverity`, as the next ones.
-        least_ttc_s: Least time to contact.
-        tet_s: Time exposed.
-        tit_s2: Time integrated.
-        pet_s: Post-encroachment time.
-        max_btn: Largest braking threat number.
         contact: The recorded ego's first contact with an adversary, if it has one.
-        faults: What is wrong with any of the tracks.
-        unknown_faults: What nobody could tell.
+        unknown_faults: Faults that could not be told of some track.
     """
 
     definition: Annotated[int, Field(ge=1)] = DEFINITION
@@ -255,14 +227,7 @@ class JudgementSummary(Stored):
 
     @classmethod
     def of(cls, judgements: Sequence[SceneJudgement]) -> Self:
-        """Sum a scene up.
-
-        Args:
-            judgements: One for each adversary, at least one.
-
-        Returns:
-            The summary.
-        """
+        """Sum a scene up from the judgements of its adversaries, at least one."""
         first = judgements[0]
         met = [each.encounter for each in judgements if each.encounter is not None]
         tracks = [each.faults for each in judgements if each.faults is not None]
@@ -289,14 +254,10 @@ class JudgementSummary(Stored):
 
 
 def unsolvable(judgements: Sequence[SceneJudgement]) -> bool:
-    """Whether nobody could have avoided a scene.
+    """Whether no driver could have avoided a scene, given the judgement of each adversary.
 
-    Args:
-        judgements: One for each adversary.
-
-    Returns:
-        The verdict on the adversary that the ego at constant speed hits; where it hits somebody else, or nobody,
-        whether all verdicts say so. With one adversary that is its verdict.
+    The verdict on the adversary that the ego at constant speed hits; where it hits another, or none, whether all
+    verdicts say so. With one adversary that is its verdict.
     """
     hits = [each.drivers["constant"].contact for each in judgements]
     hit = [contact is not None and contact.party == "adversary" for contact in hits]
@@ -309,7 +270,6 @@ class FeatureRow(Stored):
     """Realism of one feature (`benchmark.fairness.realism.FeatureRealism`).
 
     Attributes:
-        name: Of the feature.
         w1: Wasserstein-1 distance to the recordings, in the unit of the feature.
         w1_of_halves: The same between two halves of the recordings.
         w1_in_halves: How many times as far as the halves are from one another.
@@ -331,7 +291,6 @@ class CtgRow(Stored):
     """``ctg-realism@code``, which is quoted and never ranked by.
 
     Attributes:
-        version: Of the public code.
         normalisation: How scenes are put together.
         mask: Which agents count.
         mean_real_dev: Mean over the agents' histograms.
@@ -355,15 +314,11 @@ class ValidityRow(Stored):
 
 
 class SplitRealism(Stored):
-    """How real the adversaries of a split move.
+    """Realism of the motion of a split's adversaries.
 
     Attributes:
-        adversaries: How many there are.
-        validity: What is wrong with their tracks.
-        reference: Which recordings they are compared with; null where they are not.
-        not_compared: Why they are not.
+        reference: Which recordings they are compared with; null where they are not, and ``not_compared`` says why.
         samples: Samples of adversaries, and of recordings.
-        features: By the order of their definition.
         worst: Name of the worst feature, which is the headline.
         ctg: For comparison with the literature.
     """

@@ -20,13 +20,7 @@ _NO_METRIC: Final = "info"
 
 @dataclass(frozen=True, slots=True)
 class Aggregate:
-    """The table; NaN where there was nothing to average.
-
-    Attributes:
-        per_sequence: Type, sequence, metric.
-        per_type: Type, metric.
-        overall: Metric.
-    """
+    """The table, by type, sequence and metric; NaN where there was nothing to average."""
 
     per_sequence: dict[str, dict[str, dict[str, float]]]
     per_type: dict[str, dict[str, float]]
@@ -34,14 +28,10 @@ class Aggregate:
 
 
 def aggregated(runs: Runs, switches: Switches) -> Aggregate:
-    """Average runs.
+    """Average runs; ``switches`` say whether every level is rounded.
 
-    Args:
-        runs: All runs; one without metrics is left out, and a sequence without runs is NaN.
-        switches: Whether every level is rounded.
-
-    Returns:
-        The table. A NaN in a run makes its sequence NaN, and such a sequence does not count for its type.
+    A run without metrics is left out, and a sequence without runs is NaN. A NaN in a run makes its sequence NaN, and
+    such a sequence does not count for its type.
 
     Raises:
         InputError: If a run lacks a metric that the first run has.
@@ -58,7 +48,7 @@ def aggregated(runs: Runs, switches: Switches) -> Aggregate:
 
 
 def why_invalid(runs: Runs) -> str | None:
-    """What keeps runs from being a complete result, in a sentence, or ``None``.
+    """Reason why runs are no complete result, in a sentence, or ``None``.
 
     Every sequence needs as many runs as the first one, and each run its metrics.
     """

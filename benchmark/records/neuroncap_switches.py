@@ -16,12 +16,12 @@ _ENGINE: Final = "neuroncap@"
 
 @dataclass(frozen=True, slots=True)
 class Switches:
-    """Which reading each quirk is given.
+    """Reading of each quirk.
 
     Attributes:
         reference_speed: Ego speed of the reference impact: of the recording's last two frames, or four seconds after
             the start.
-        reference_dt: Time between those frames: half a second whatever the stamps say, or what they say.
+        reference_dt: Time between those frames: half a second always, or as the stamps say.
         box_centre: Centre of the ego's box ahead of the rear axle: 0.5 m (UniAD's, from the lidar), or 1.39 m.
         ego_length: 4.018 m in single precision, or the car's 4.084 m.
         contact_prefilter: Actors far from the rear axle are not looked at, or all are.
@@ -79,13 +79,7 @@ class Switches:
 
     @classmethod
     def named(cls, name: str) -> Self:
-        """Switches by the name of what was measured.
-
-        Args:
-            name: ``neuroncap@code`` or ``neuroncap@paper``, with departures as `name` writes them.
-
-        Returns:
-            The switches.
+        """Switches by ``neuroncap@code`` or ``neuroncap@paper``, with departures as `name` writes them.
 
         Raises:
             InputError: If there is no such preset or switch.
@@ -104,7 +98,7 @@ class Switches:
 
     @property
     def name(self) -> str:
-        """What was measured with them: a preset, and the switches that depart from it by name.
+        """Name of the measurement with them: a preset, and the switches that depart from it by name.
 
         The nearer preset is named, ``code`` where both are as near.
         """

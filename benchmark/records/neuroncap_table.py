@@ -16,14 +16,9 @@ _SCORE, _COLLISION = "ncap_score", "any_collide@0.0s"
 
 
 def published_table(engine: str, rows: Sequence[DriveRow]) -> PublishedTable | None:
-    """The table of a record.
+    """NeuroNCAP's published table of a record, from its drives.
 
-    Args:
-        engine: Which drove.
-        rows: One for each drive.
-
-    Returns:
-        It; ``None`` of another engine, and of scenes that were driven as they are: the published table is of scenarios.
+    ``None`` of another engine, and of scenes that were driven as they are: the published table is of scenarios.
     """
     if engine != ENGINE or not rows or not all(row.family for row in rows):
         return None
@@ -40,7 +35,7 @@ def published_table(engine: str, rows: Sequence[DriveRow]) -> PublishedTable | N
 
 
 def _metrics(row: DriveRow) -> Metrics | None:
-    """What the published code would have of a run; a failed one left nothing, and without labels there is nothing."""
+    """Metrics of a run in the published code; a failed run left none, and without labels there are none."""
     if row.scores is None or row.scores.neuroncap is None or row.unlabelled:
         return None
     score = row.scores.neuroncap.score

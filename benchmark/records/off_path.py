@@ -20,13 +20,12 @@ OFF_PATH: Final = "off_path"
 
 @dataclass(frozen=True, slots=True)
 class Excursion:
-    """One departure from the path and the way back.
+    """One departure from the path and the way back; times in seconds from the start of the scene.
 
     Attributes:
         kind: What was wrong at its worst: ``lateral``, ``heading``, ``fast``, ``slow`` or ``late-braking``.
-        begin_s: When the ego begins to depart, seconds from the start of the scene.
+        begin_s: When the ego begins to depart.
         worst_s: When it is furthest off and begins to come back.
-        end_s: When it is back.
         lateral_m: Offset at its worst, to the left of the path.
         heading_rad: Heading at its worst, against the path, counter-clockwise.
         ahead_m: How far it is ahead of where it would be, at its worst.
@@ -48,11 +47,7 @@ class Excursion:
 
     @classmethod
     def from_json(cls, value: object) -> Self:
-        """Read what `as_json` wrote.
-
-        Raises:
-            InputError: If it is something else, or its times do not follow one another.
-        """
+        """Read what `as_json` wrote; times that do not follow one another are refused."""
         numbers = [name for name in cls.__dataclass_fields__ if name != "kind"]
         if (
             not isinstance(value, Mapping)
@@ -69,17 +64,10 @@ class Excursion:
 
 
 def excursions_of(provenance: Mapping[str, Any] | None, scene: str) -> tuple[Excursion, ...]:
-    """Excursions of the ego of a scene.
+    """Excursions of the ego of a scene in order of time; none where it was not driven off its path.
 
     Args:
         provenance: What a data set says of how it was made (``challenger.json``), if it does.
-        scene: Name of the scene.
-
-    Returns:
-        In the order of time; none where the ego was not driven off its path.
-
-    Raises:
-        InputError: If what is said cannot be read.
     """
     said = reported(provenance, scene, OFF_PATH, [])
     if not isinstance(said, list):
@@ -91,7 +79,6 @@ def worth_following(excursions: Sequence[Excursion], now_s: Floats, later_s: Flo
     """Which recorded positions show what a driver should do: none of those that departing led to.
 
     Args:
-        excursions: Of the scene.
         now_s: (...) seconds from the start of the scene at which a plan is made.
         later_s: (...) seconds at which the ego is where it is to learn to go; not before ``now_s``.
 

@@ -27,7 +27,7 @@ _Positive = Annotated[float, Field(ge=0.0)]
 
 
 class SceneCost(Stored):
-    """What one scene took.
+    """Time and memory that planning one scene took.
 
     Attributes:
         planning_s: By the clock, with reading images and writing plans down.
@@ -36,7 +36,6 @@ class SceneCost(Stored):
         peak_memory_mb: Greatest resident memory of the process meanwhile, the harness included; null where the system
             does not tell, and where the planner runs elsewhere.
         peak_device_mb: Greatest memory allocated on the GPU meanwhile; null without one.
-        device: Where it ran, by name.
         workers: How many processes planned at the same time on the machine.
     """
 
@@ -49,12 +48,10 @@ class SceneCost(Stored):
 
 
 class PlannerCost(Stored):
-    """What a planner took on a split.
+    """Time and memory that a planner took on a split, by scene; those of scenes planned before stay.
 
     Attributes:
-        schema_version: Of this file.
         planner: Content key of who planned: costs of another version are of another planner.
-        scenes: By scene; those of scenes that were planned before stay.
     """
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
@@ -69,15 +66,10 @@ class PlannerCost(Stored):
 
 @dataclass(frozen=True, slots=True)
 class CostSummary:
-    """A planner's cost in numbers.
+    """Numbers of a planner's cost; ``None`` where no latency counts, or no scene has the memory.
 
     Attributes:
         samples: How many latencies count.
-        median_s: Of them; ``None`` if there are none.
-        p95_s: 95th percentile of them; ``None`` if there are none.
-        peak_memory_mb: Greatest of all scenes, or ``None``.
-        peak_device_mb: Greatest of all scenes, or ``None``.
-        devices: Names, sorted.
         workers: Most processes at a time.
     """
 
@@ -91,14 +83,7 @@ class CostSummary:
 
 
 def summary_of(cost: PlannerCost) -> CostSummary:
-    """Put a cost into numbers.
-
-    Args:
-        cost: Of at least one scene.
-
-    Returns:
-        The numbers.
-    """
+    """Put a cost of at least one scene into numbers."""
     warm, scenes = np.array(cost.warm_s()), list(cost.scenes.values())
     return CostSummary(
         len(warm),
@@ -121,39 +106,21 @@ def cost_path(timings: Path, out: Path, directory: Path) -> Path:
     Args:
         timings: Folder of all of them.
         out: Folder of run directories.
-        directory: Run directory.
-
-    Returns:
-        The file.
     """
     relative = directory.relative_to(out)
     return timings / relative.parent / f"{relative.name}.timing.json"
 
 
 def shard_cost_path(whole: Path, number: int, of: int) -> Path:
-    """File of the cost of one shard of a run, which nobody else writes.
+    """File of the cost of one shard of a run, counted from 1; ``whole`` is from `cost_path`.
 
-    Args:
-        whole: File of the cost of the run, from `cost_path`.
-        number: Which shard, from 1.
-        of: How many there are.
-
-    Returns:
-        The file.
+    No other process writes it.
     """
     return whole.with_name(f"{whole.name.removesuffix('.timing.json')}.shard-{number}-of-{of}.timing.json")
 
 
 def gather_costs(whole: Path, facts: PlannerFacts) -> None:
-    """Put what the shards of a run noted into the note of the run.
-
-    Args:
-        whole: File of the cost of the run, from `cost_path`.
-        facts: Who planned.
-
-    Raises:
-        InputError: If it cannot be written.
-    """
+    """Put what the shards of a run noted into the note of the run, which is at ``whole``, from `cost_path`."""
     scenes: dict[str, SceneCost | None] = {}
     stem = escape(whole.name.removesuffix(".timing.json"))
     parts = sorted(whole.parent.glob(f"{stem}.shard-*-of-*.timing.json"))
@@ -172,15 +139,10 @@ def gather_costs(whole: Path, facts: PlannerFacts) -> None:
 
 
 def note_cost(path: Path, facts: PlannerFacts, scenes: Mapping[str, SceneCost | None]) -> None:
-    """Note what a planner took.
+    """Note what a planner took in a file from `cost_path`.
 
     Args:
-        path: From `cost_path`.
-        facts: Who it is.
-        scenes: By scene, of those that were planned now, else ``None``: what is known of those stays.
-
-    Raises:
-        InputError: If it cannot be written.
+        scenes: By scene, of those that were planned now, else ``None``: the notes of those stay.
     """
     who = _who(facts)
     try:
@@ -196,17 +158,7 @@ def note_cost(path: Path, facts: PlannerFacts, scenes: Mapping[str, SceneCost | 
 
 
 def read_cost(path: Path) -> PlannerCost | None:
-    """Read what a planner took.
-
-    Args:
-        path: From `cost_path`.
-
-    Returns:
-        It, or ``None`` where nothing was noted, or in a format of before.
-
-    Raises:
-        InputError: If the file is damaged.
-    """
+    """Cost of a planner, or ``None`` where none was noted, or in a format of before."""
     if not path.is_file():
         return None
     stored = read_json(path, RECORD)

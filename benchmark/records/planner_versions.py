@@ -22,19 +22,13 @@ def labelled(records: Sequence[RunRecord]) -> list[RunRecord]:
     A planner that ran in one version keeps its name. Otherwise what differs is added: ``vad-base (seed 1)``,
     ``vad-base (weights 3fa2b1c0)``. Versions that differ in their code alone are told apart by nothing: the same
     planner at two commits is not two planners. Plan files tell versions apart only where two of them are of one split.
-
-    Args:
-        records: Any records.
-
-    Returns:
-        The same records, in their order.
     """
     found = labels([(record.run.planner, record.run.data.name, record.run.split) for record in records])
     return [replace(record, label=label) for record, label in zip(records, found, strict=True)]
 
 
 def labels(ran: Sequence[Ran]) -> list[str | None]:
-    """As `labelled`, of planners that ran anywhere.
+    """Names that tell versions of planners apart, as `labelled`, of planners that ran anywhere.
 
     Args:
         ran: Planner, name of the data set, split.
@@ -64,7 +58,7 @@ def _differs(name: str, ran: Sequence[Ran], values: Sequence[str | None]) -> boo
 
 
 def version_of(planner: PlannerFacts) -> dict[str, str]:
-    """What tells versions of a planner apart, as text by what it is."""
+    """Differences between versions of planners, as text by their kind."""
     # Records of before name the code of native planners in their settings too (shared_code_sha256).
     settings = {name: value for name, value in planner.settings.items() if not name.endswith("code_sha256")}
     facts: dict[str, Any] = {"seed": planner.seed, **settings}

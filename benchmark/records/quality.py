@@ -40,14 +40,7 @@ _SUBJECTS_FILE, _VIDEOS_FILE = "subjects.jsonl", "videos.jsonl"
 
 @dataclass(frozen=True, slots=True)
 class QualityRecord:
-    """A loaded record.
-
-    Attributes:
-        directory: Where it lies.
-        facts: What was measured, and the numbers.
-        subjects: One row for each subject and camera.
-        videos: One row for each scene and camera.
-    """
+    """Loaded quality record: a row for each subject and camera, and one for each scene and camera."""
 
     directory: Path
     facts: QualityFacts
@@ -61,7 +54,7 @@ class QualityRecord:
 
     @property
     def content_id(self) -> str:
-        """Twelve hexadecimal digits made of what was measured and what came out, whatever the machine or folder."""
+        """Twelve hexadecimal digits made of the facts and the results, the same on any machine and in any folder."""
         facts = self.facts
         return content_key(facts.data.name, facts.data.fingerprint, facts.split, facts.scenes, facts.files)[:12]
 
@@ -94,15 +87,8 @@ class QualityRecord:
 def summarise_quality(scenes: Sequence[SceneRows], facts: Mapping[str, SceneFacts]) -> QualitySummary:
     """Add rows up: every number is a sum over appearances (or frames) divided by their number.
 
-    VBench divides subject consistency likewise: each appearance after a subject's first counts once, whoever's it is.
-    Intervals draw recorded scenes with everything made from them.
-
-    Args:
-        scenes: Rows of each scene, in any order.
-        facts: Where scenes come from.
-
-    Returns:
-        The numbers.
+    VBench divides subject consistency likewise: each appearance of any subject after its first counts once. Intervals
+    draw recorded scenes with everything made from them.
     """
     ordered = sorted(scenes, key=lambda rows: rows.scene)
     source = {rows.scene: facts[rows.scene].source if rows.scene in facts else rows.scene for rows in ordered}
@@ -138,18 +124,11 @@ def summarise_quality(scenes: Sequence[SceneRows], facts: Mapping[str, SceneFact
 
 
 def write_quality(directory: Path, described: Mapping[str, Any], scenes: Sequence[SceneRows]) -> QualityRecord:
-    """Write a record.
+    """Write a quality record.
 
     Args:
-        directory: Its directory; nobody else may write to it.
+        directory: Its directory; no other process may write to it.
         described: Everything of `QualityFacts` but schema, files and summary.
-        scenes: Rows of each scene.
-
-    Returns:
-        The record.
-
-    Raises:
-        InputError: If it cannot be written.
     """
     ordered = sorted(scenes, key=lambda rows: rows.scene)
     subjects = tuple(row for rows in ordered for row in rows.subjects)
@@ -169,17 +148,7 @@ def write_quality(directory: Path, described: Mapping[str, Any], scenes: Sequenc
 
 
 def load_quality(directory: Path) -> QualityRecord:
-    """Read a record.
-
-    Args:
-        directory: Its directory.
-
-    Returns:
-        The record.
-
-    Raises:
-        InputError: If it is damaged, of another version of the format, or its files do not belong together.
-    """
+    """Read a quality record."""
     path = directory / QUALITY_FILE
     stored = read_json(path)
     schema = stored.get("schema") if isinstance(stored, dict) else None
@@ -212,17 +181,7 @@ def load_quality(directory: Path) -> QualityRecord:
 
 
 def find_quality(folder: Path) -> list[QualityRecord]:
-    """Every quality record below a folder.
-
-    Args:
-        folder: Where to look.
-
-    Returns:
-        Records in the order of their paths; none if the folder does not exist.
-
-    Raises:
-        InputError: If one of them is damaged.
-    """
+    """Every quality record below a folder, in the order of their paths; none if the folder does not exist."""
     places = (path.parent for path in sorted(folder.rglob(QUALITY_FILE)))
     return read_each(places, load_quality, instead=" to do without this record")
 

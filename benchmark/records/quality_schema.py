@@ -14,12 +14,7 @@ QUALITY_SCHEMA: Final = 1
 
 
 class Sum(Stored):
-    """Values added up, exactly rounded once, so that the order does not matter.
-
-    Attributes:
-        total: Their sum.
-        count: How many.
-    """
+    """Values added up, exactly rounded once, so that the order does not matter."""
 
     total: float
     count: int
@@ -34,16 +29,9 @@ class SubjectRow(Stored):
     """One vehicle in one camera of one scene: a line of ``subjects.jsonl``.
 
     Attributes:
-        scene: Scene name.
-        camera: Camera name.
-        instance: Annotated instance.
-        category: Its nuScenes category.
         adversary: Whether the scene was generated around it.
         appearances: Frames with a mask.
         returns: How often it came back after frames without one.
-        first_us: Time of the first appearance.
-        last_us: Time of the last one.
-        mean_area_px: Mean area of the masks.
         consistency: VBench's values of the appearances after the first.
         imaging: MUSIQ's scores of the appearances, 0 to 1.
     """
@@ -66,11 +54,7 @@ class VideoRow(Stored):
     """One camera of one scene: a line of ``videos.jsonl``.
 
     Attributes:
-        scene: Scene name.
-        camera: Camera name.
-        frames: How many were looked at.
-        width: Of the frames as they were scored, pixels.
-        height: Of the frames as they were scored.
+        width: Of the frames as they were scored, pixels, as ``height``.
         formats: Frames by file format.
         imaging: MUSIQ's scores of whole frames, 0 to 1.
     """
@@ -93,11 +77,9 @@ class SceneRows(Stored):
 
 
 class WeightsFacts(Stored):
-    """Weights that were used.
+    """Weights that were used, by repository and revision.
 
     Attributes:
-        repository: Where they are published.
-        revision: Which of its versions.
         content: Hash of the files that were used (`benchmark.weights.folders.content_hash`).
     """
 
@@ -111,8 +93,6 @@ class GroupSummary(Stored):
 
     Attributes:
         subjects: How many, each camera for itself.
-        appearances: How many.
-        consistency: Subject consistency.
         imaging: Imaging quality of their regions.
     """
 
@@ -131,13 +111,11 @@ class SceneSummary(Stored):
 
 
 class QualitySummary(Stored):
-    """Numbers of a split.
+    """Quality of a split.
 
     Attributes:
         groups: ``all`` subjects; ``adversary`` and ``others`` where scenes have an adversary.
-        frames: How many.
         frames_imaging: Imaging quality of whole frames.
-        scenes: By scene.
     """
 
     groups: dict[str, GroupSummary]
@@ -147,22 +125,13 @@ class QualitySummary(Stored):
 
 
 class QualityFacts(Stored):
-    """``quality.json``.
+    """``quality.json``; rows are in the files whose SHA-256 it has, and the summary is derived from them alone.
 
     Attributes:
-        schema_version: Version of format and numbers.
-        data: Which data set.
-        split: Which split.
-        scenes: Scenes that were scored, in order.
-        scenes_in_split: How many the split has.
-        scene_facts: Where each scene comes from.
         definition: Every choice that changes a number (`benchmark.extensions.quality.definition`).
         weights: By name.
         device: ``cpu`` or ``cuda``.
-        environment: Packages, processor, commit.
         review: What inspectors said of the split's scenes; null where no verdict stands, and in older records.
-        files: SHA-256 of the files of rows.
-        summary: Derived from the rows alone.
     """
 
     schema_version: int = Field(alias="schema")

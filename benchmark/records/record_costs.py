@@ -11,18 +11,11 @@ from benchmark.records.run_schema import PlannerFacts
 
 
 def with_cost(record: RunRecord, roots: Sequence[Path], timings_of: Callable[[Path], Path]) -> RunRecord:
-    """A record that knows what planning took, if that was noted.
+    """A record, from below one of the folders, that knows what planning took, if that was noted.
 
     Args:
-        record: From below one of the folders.
         roots: Folders of run directories.
         timings_of: Where notes on what was made in a folder lie (`benchmark.machine.workspace.Workspace.timings_of`).
-
-    Returns:
-        The record.
-
-    Raises:
-        InputError: If a note is damaged.
     """
     found = _noted(record.directory, record.run.planner, roots, timings_of)
     return record if found is None else replace(record, cost=found)

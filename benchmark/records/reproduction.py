@@ -31,7 +31,6 @@ class ComparedNumber(Stored):
         horizon: ``1s``, ``2s``, ``3s``, ``avg``; empty for ``samples``.
         published: The published value; of several the one that is nearest to ours.
         ours: Ours; null where the run has none.
-        allowed: Largest difference that is allowed.
         source: Where the published value stands.
     """
 
@@ -55,17 +54,11 @@ class ComparedNumber(Stored):
 
 
 class Reproduction(Stored):
-    """What came of one attempt to reproduce published numbers.
+    """Outcome of one attempt to reproduce published numbers.
 
     Attributes:
-        planner: Which version ran.
-        data: On what.
-        split: Of it.
-        protocol: Who judged.
-        version: Of that protocol.
         record: Content id of the run record.
         of: Whose numbers they are, in words.
-        numbers: Each number.
     """
 
     planner: PlannerFacts
@@ -95,31 +88,13 @@ def write_reproduction(directory: Path, found: Reproduction) -> None:
 
 
 def find_reproductions(roots: Iterable[Path]) -> list[Reproduction]:
-    """Everything that was reproduced, or was not, below some folders.
-
-    Args:
-        roots: Folders of run records; those that do not exist hold none.
-
-    Returns:
-        In the order of their paths.
-
-    Raises:
-        InputError: If a file is damaged.
-    """
+    """Every attempt to reproduce numbers below some folders, which need not exist, in the order of their paths."""
     paths = dict.fromkeys(path for root in roots for path in sorted(root.rglob(REPRODUCTION_FILE)))
     return [_read(path) for path in paths]
 
 
 def with_reproductions(records: Sequence[RunRecord], found: Iterable[Reproduction]) -> list[RunRecord]:
-    """Records that know whether their version of the planner reproduced its published numbers.
-
-    Args:
-        records: Any records.
-        found: What was tried.
-
-    Returns:
-        The same records, in their order.
-    """
+    """Records that know whether their version of the planner reproduced its published numbers."""
     whose: dict[str, str] = {}
     failed = set()
     for each in found:

@@ -75,10 +75,8 @@ class Judged:
     """A verdict that stands.
 
     Attributes:
-        name: Of the scene.
-        token: Of its row.
+        token: Of the scene's row.
         verdict: `ACCEPTED` or `REJECTED`.
-        reason: Why.
         left_out: Whether a build did not write the scene for it, so that it is not there.
     """
 
@@ -91,11 +89,11 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class SplitReview:
-    """What inspectors said of the scenes of a split.
+    """Verdicts of inspectors on the scenes of a split.
 
     Attributes:
         judged: Verdicts that stand, by name of the scene; those on scenes that a build left out for them among them.
-        waiting: Scenes without one.
+        waiting: Scenes without a verdict.
         outdated: Scenes whose verdict was on another scene of the same name.
     """
 
@@ -110,12 +108,12 @@ class SplitReview:
 
     @property
     def present(self) -> tuple[str, ...]:
-        """Every scene that is there to be looked at, whatever was said of it."""
+        """Every scene that is there to be looked at, with any verdict or none."""
         return tuple(sorted({*(each.name for each in self.judged if not each.left_out), *self.waiting}))
 
     @property
     def facts(self) -> ReviewFacts | None:
-        """What records say; ``None`` where no verdict stands."""
+        """Facts of the review for records; ``None`` where no verdict stands."""
         if not self.judged:
             return None
         rejected = len(self.rejected)
@@ -132,7 +130,7 @@ class SplitReview:
         return (*(each.name for each in self.judged), *self.waiting)
 
     def sentence(self) -> str:
-        """What is said of it, without the split's name."""
+        """The review in words, without the split's name."""
         outdated = f"; {counted(len(self.outdated), 'older verdict')} on other content" if self.outdated else ""
         return f"{review_words(self.facts)}{outdated}"
 
@@ -152,7 +150,7 @@ NOT_REVIEWED: Final = "not reviewed"
 
 
 def review_words(facts: ReviewFacts | None) -> str:
-    """What inspectors said, in words: ``not reviewed``, or how many scenes they rejected and accepted."""
+    """Verdicts of inspectors in words: ``not reviewed``, or how many scenes they rejected and accepted."""
     if facts is None:
         return NOT_REVIEWED
     return (
@@ -165,12 +163,8 @@ def require_not_rejected(names: Sequence[str], rejected: Mapping[str, str], wher
     """Refuse scenes that were asked for by name and that an inspector rejected.
 
     Args:
-        names: What was asked for.
         rejected: Reasons by name.
         where: The data set, for the message.
-
-    Raises:
-        InputError: If one was rejected.
     """
     for name in names:
         if name in rejected:
@@ -181,17 +175,7 @@ def require_not_rejected(names: Sequence[str], rejected: Mapping[str, str], wher
 
 
 def read_review(root: Path) -> dict[str, Verdict]:
-    """Verdicts that lie beside a data set.
-
-    Args:
-        root: Its root.
-
-    Returns:
-        By name of the scene; none where there is no file.
-
-    Raises:
-        InputError: If the file is damaged, or of a newer version.
-    """
+    """Verdicts that lie beside a data set, by name of the scene; none where there is no file."""
     path = root / REVIEW_FILE
     if not path.exists():
         return {}
@@ -199,18 +183,7 @@ def read_review(root: Path) -> dict[str, Verdict]:
 
 
 def checked_review(stored: Any, path: Path) -> ReviewFile:
-    """What a file of verdicts says, checked.
-
-    Args:
-        stored: JSON value.
-        path: Where it is from, for the message.
-
-    Returns:
-        The verdicts.
-
-    Raises:
-        InputError: If it is none.
-    """
+    """Check the JSON value of a file of verdicts; ``path`` is for the message."""
     if isinstance(stored, dict) and stored.get("format") == FORMAT and stored.get("schema") != SCHEMA:
         raise InputError(
             f"{path} has version {str(stored.get('schema'))[:20]} of the format, this version reads {SCHEMA}; upgrade "
@@ -227,18 +200,7 @@ def checked_review(stored: Any, path: Path) -> ReviewFile:
 
 
 def checked_verdict(stored: Any, what: str) -> Verdict:
-    """A verdict that somebody gives.
-
-    Args:
-        stored: JSON value.
-        what: How to name it.
-
-    Returns:
-        The verdict.
-
-    Raises:
-        InputError: If it is none.
-    """
+    """Check the JSON value of one verdict; ``what`` names it in the message."""
     return validated(
         Verdict.model_validate,
         stored,
@@ -252,15 +214,12 @@ def checked_verdict(stored: Any, what: str) -> Verdict:
 def standing(
     verdicts: Mapping[str, Verdict], tokens: Mapping[str, str], left_out: Mapping[str, Judged] | None = None
 ) -> SplitReview:
-    """Which verdicts stand.
+    """Verdicts that stand, and scenes that have none.
 
     Args:
         verdicts: By name of the scene.
         tokens: Of the rows of the split's scenes, by name.
         left_out: Scenes that a build left out because they were rejected, by name.
-
-    Returns:
-        They, and what has none.
     """
     judged = dict(left_out or {})
     waiting, outdated = [], []

@@ -40,8 +40,6 @@ class OutcomeRow(Stored):
             is no verdict then.
         l2: Metres, null past the end of the scene.
         counted: Whether the protocol lets the sample into its denominators.
-        steps: Further columns of the protocol.
-        facts: Further values of the protocol.
     """
 
     collision: list[bool] | None
@@ -72,10 +70,8 @@ class DiagnosisRow(Stored):
     """Why a colliding plan collides (`benchmark.metrics.diagnosis`).
 
     Attributes:
-        cause: The verdict.
         reason: Which of the rule's cases it is.
         hit: Instance that is touched first.
-        first_contact_s: When.
     """
 
     cause: Cause
@@ -95,7 +91,7 @@ class DiagnosisRow(Stored):
 
 
 class DrivingRow(Stored):
-    """What ``nuscenes-pdm`` says of one plan (`benchmark.pdm.judging.DrivenPlan`, which explains each).
+    """Sub-scores of one plan under ``nuscenes-pdm`` (`benchmark.pdm.judging.DrivenPlan`, which explains each).
 
     Older records do not say whom a plan touches: ``hit_adversary`` is null there.
     """
@@ -120,7 +116,7 @@ class DrivingRow(Stored):
 
 
 class LongerRow(Stored):
-    """What ``exact`` says of a plan that goes on beyond 3 s: all its steps up to 6 s, judged as one plan.
+    """Verdict of ``exact`` on a plan that goes on beyond 3 s: all its steps up to 6 s, judged as one plan.
 
     Attributes:
         collision: Contact at each step; null where the data do not say whom a plan could touch.
@@ -135,7 +131,6 @@ class PlanContactRow(Impact):
     """The first contact of a plan in open loop (`benchmark.fairness.plan_severity`); its time is since the sample.
 
     Attributes:
-        agent: Instance that is touched.
         adversary: Whether it was made to be an adversary.
     """
 
@@ -144,12 +139,11 @@ class PlanContactRow(Impact):
 
 
 class PlanNearRow(Stored):
-    """How near a plan without contact comes to the adversaries; of several, each number is that of the worst.
+    """Nearness of a plan without contact to the adversaries; of several, each number is that of the worst.
 
     Attributes:
-        least_gap_m: Smallest distance of the bodies.
         least_ttc_s: Least time to contact; null where they never head for one another.
-        tet_s: How long it is below 1.5 s.
+        tet_s: How long the time to contact is below 1.5 s.
         tit_s2: By how much it is below, summed over time.
         pet_s: Post-encroachment time; null where the ways do not meet within the plan's 3 s.
         max_btn: Largest braking threat number.
@@ -164,10 +158,10 @@ class PlanNearRow(Stored):
 
 
 class PlanSeverityRow(Stored):
-    """How severe a plan is in open loop.
+    """Severity of a plan in open loop.
 
     Attributes:
-        contact: The first contact with anybody.
+        contact: The first contact with anything.
         near: How near it comes to the adversaries; null with a contact, and where no adversary is there.
     """
 
@@ -179,19 +173,11 @@ class SampleRow(Stored):
     """One line of ``samples.jsonl``.
 
     Attributes:
-        scene: Scene name.
-        sample_token: Sample token.
-        index: Number of the sample in its scene.
-        timestamp_us: Keyframe time.
         status: ``failed`` where the planner raised; such a row has no plan and no outcomes and is never a zero.
         command: 0 right, 1 left, 2 straight.
-        ego_motion: Where the ego motion came from.
         lidar_ahead_m: Lidar origin ahead of the rear axle: what turns an ``ego`` plan into a ``lidar`` one.
         complete: Whether the recording goes on for 3 s.
         recorded_future: (6, 3) x, y, yaw of the recorded lidar origin, null past the end of the scene.
-        plan: The plan, or null.
-        error: Traceback, or null.
-        outcomes: Verdicts by protocol.
         diagnosis: Why the plan collides, or null where it does not under ``exact``.
         disagreements: For each protocol whose verdict on the sample differs from that of ``exact``, the cause
             (`benchmark.metrics.disagreement`).
@@ -232,7 +218,6 @@ class BriefRow:
 
     Attributes:
         recorded: Whether the recording goes on for a step at least.
-        driven: Whether there are driving scores.
     """
 
     scene: str

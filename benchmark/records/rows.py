@@ -70,7 +70,7 @@ class Rows(Sequence[SampleRow]):
         return made
 
     def add(self, rows: Sequence[SampleRow]) -> None:
-        """Add rows, scene after scene, at the end, before anybody asks for columns."""
+        """Add rows, scene after scene, at the end, before columns are asked for."""
         for scene, those in groupby(rows, key=lambda row: row.scene):
             self._add(scene, list(map(line_of, those)))
 
@@ -79,17 +79,10 @@ class Rows(Sequence[SampleRow]):
 
     @classmethod
     def read(cls, path: Path, parse: Callable[[Sequence[tuple[int, str]]], Sequence[SampleRow]]) -> "Rows":
-        """Read a file of rows.
+        """Read a file of rows, with their columns.
 
         Args:
-            path: The file.
             parse: Checks some lines, each given with its number.
-
-        Returns:
-            The rows, with their columns.
-
-        Raises:
-            InputError: If the file is damaged.
         """
         from benchmark.records.columns import RowColumns, batch_of
 
@@ -163,7 +156,7 @@ class Rows(Sequence[SampleRow]):
 
     @cached_property
     def columns(self) -> "RowColumns":
-        """What tables read of them."""
+        """Columns of the rows, which tables read."""
         from benchmark.records.columns import RowColumns
 
         return RowColumns(Rows(self._blocks))
@@ -212,11 +205,7 @@ def columns_of(rows: "Sequence[SampleRow] | RowColumns") -> "RowColumns":
 
 
 def kept_rows(rows: Path, sha256: str) -> Rows | None:
-    """Rows with their columns that were read before from a file with that hash, where they are kept in the cache.
-
-    Raises:
-        InputError: If they are, and the file cannot be read.
-    """
+    """Rows with their columns that were read before from a file with that hash, where they are kept in the cache."""
     from benchmark.records.columns import is_made_of_columns
 
     place = kept_place(_FOLDER, rows)
@@ -270,7 +259,7 @@ def line_of(row: SampleRow) -> str:
 
 @functools.cache
 def _checks() -> str:
-    """What decides which rows are refused and what columns say of them: code, and who checks for it."""
+    """Content key of all that decides which rows are refused and what their columns hold: code, and its checkers."""
     import pydantic
 
     root = Path(__file__).parents[1]

@@ -68,11 +68,11 @@ class RunRecord:
         rows: One for each sample, by scene and time; kept compressed, so that going through them takes time
             (`columns` does not).
         summary: Rates.
-        label: What tells this version of the planner from others (`benchmark.records.planner_versions`), if there
+        label: Words that tell this version of the planner from others (`benchmark.records.planner_versions`), if there
             are others.
         reproduced: Whose numbers this version of the planner gave (`benchmark.records.reproduction`), in words;
-            ``None`` where nobody knows.
-        cost: What planning took (`benchmark.records.planner_cost`); no part of what makes two records equal.
+            ``None`` where that is not known.
+        cost: Cost of planning (`benchmark.records.planner_cost`); no part of what makes two records equal.
     """
 
     directory: Path
@@ -84,7 +84,7 @@ class RunRecord:
     cost: PlannerCost | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        """Keep the rows compressed, whoever made them."""
+        """Keep the rows compressed, also where they are given as a list."""
         object.__setattr__(self, "rows", Rows.of(self.rows))
 
     def __repr__(self) -> str:
@@ -112,7 +112,7 @@ class RunRecord:
 
     @property
     def columns(self) -> "RowColumns":
-        """What tables read of the rows."""
+        """Columns of the rows, which tables read."""
         return columns_of(self.rows)
 
     def rows_of(self, scene: str) -> list[SampleRow]:
@@ -121,7 +121,7 @@ class RunRecord:
 
     @property
     def content_id(self) -> str:
-        """Twelve hexadecimal digits made of what ran and what came out, whatever the machine and the folder."""
+        """Twelve hexadecimal digits made of the facts and the results, the same on any machine and in any folder."""
         kept = self.columns.kept
         # Tables ask for it with every number.
         if (known := kept.get(_CONTENT_ID)) is None or known[0] is not self.run:
@@ -140,7 +140,7 @@ class RunRecord:
 
     @property
     def judged_content(self) -> tuple[str, str | None]:
-        """What records that stand beside each other share: the data set's fingerprint and the inspectors' verdicts."""
+        """The data set's fingerprint and the inspectors' verdicts, which records that stand beside each other share."""
         return self.run.data.fingerprint, None if self.run.review is None else self.run.review.content
 
     @property
@@ -171,28 +171,12 @@ class RunRecord:
 
 
 def protocol_of(record: RunRecord, name: str) -> str:
-    """The protocol that a name means for a record.
-
-    Args:
-        record: The record.
-        name: A protocol, or ``native``.
-
-    Returns:
-        The name, ``native`` replaced by the record's own.
-    """
+    """Name of a protocol, ``native`` replaced by the record's own."""
     return record.native_protocol if name == NATIVE else name
 
 
 def outcomes_of(rows: Sequence[SampleRow], protocol: str) -> Outcomes:
-    """Verdicts of a protocol that judged the rows.
-
-    Args:
-        rows: One for each sample.
-        protocol: Name of the protocol.
-
-    Returns:
-        The verdicts on the samples that have a plan, in their order.
-    """
+    """Verdicts of a protocol that judged the rows, on the samples that have a plan, in their order."""
     return columns_of(rows).outcomes(protocol)
 
 
@@ -206,14 +190,9 @@ def summarise(
     """Rates of every protocol from the rows.
 
     Args:
-        rows: One for each sample.
         versions: Protocols to summarise with the version that judged the rows.
-        seed: Seed of the intervals.
         scene_facts: What each scene was made from: intervals draw recorded scenes with all that was made from them,
             because ten variants of one recording are not ten recordings. Scenes without facts stand for themselves.
-
-    Returns:
-        The summary.
     """
     columns = columns_of(rows)
     planned, known = columns.planned_scenes, scene_facts or {}
@@ -268,16 +247,9 @@ def _removed_by_mask(outcomes: Outcomes, touching: str = "recorded") -> int | No
 def scene_failures(rows: "Sequence[SampleRow] | RowColumns", protocol: str) -> dict[str, bool | None]:
     """Which scenes a planner fails: those with a counted sample that collides at any step.
 
-    Args:
-        rows: One for each sample, or their columns.
-        protocol: Name of the protocol that judges.
-
     Returns:
         Scene name to verdict, by name; ``None`` where no verdict is possible: no counted sample whose collisions are
         known, or no contact but the planner raised on a sample that could have shown one.
-
-    Raises:
-        InputError: If the protocol is unknown or did not judge the rows.
     """
     definition_of(protocol)
     columns = columns_of(rows)
@@ -294,15 +266,11 @@ def scene_failures(rows: "Sequence[SampleRow] | RowColumns", protocol: str) -> d
 
 
 def scenes_with(columns: "RowColumns", protocol: str, hits: Bools) -> dict[str, bool | None]:
-    """Which scenes have one of some colliding samples.
+    """Which scenes have one of some colliding samples; verdicts as of `scene_failures`.
 
     Args:
         columns: Of R rows, all of them judged by the protocol.
-        protocol: Name of a known protocol.
         hits: (R,) the samples, of those that count and collide.
-
-    Returns:
-        Verdicts as of `scene_failures`.
     """
     counted, unknown = columns.counted(protocol), _unknown(columns, protocol)
     return {
@@ -328,20 +296,11 @@ def _unknown(columns: "RowColumns", protocol: str) -> Bools:
 def write_record(
     directory: Path, facts: Mapping[str, Any], rows: Sequence[SampleRow], versions: Mapping[str, int], *, seed: int
 ) -> RunRecord:
-    """Write a record in place of the one that is there, if any.
+    """Write a record in place of the one that is there, if any, and read it back.
 
     Args:
-        directory: Run directory; nobody else may write to it (`benchmark.machine.storage.only_writer`).
+        directory: Run directory; no other process may write to it (`benchmark.machine.storage.only_writer`).
         facts: `RunFacts` less status, protocols, seed and files.
-        rows: One for each sample.
-        versions: Protocol versions by name.
-        seed: Seed of the intervals.
-
-    Returns:
-        The record as it reads back.
-
-    Raises:
-        InputError: If there are no rows or they cannot be written.
     """
     if not rows:
         raise InputError(f"there are no samples to write to {directory}: the chosen scenes have none")
@@ -371,17 +330,9 @@ def write_record(
 
 
 def with_facts(record: RunRecord, **facts: Any) -> RunRecord:
-    """Write other facts of a record; its rows and its summary stay.
+    """Write other facts, fields of `RunFacts`, of a record; its rows and its summary stay.
 
-    Args:
-        record: The record; nobody else may write to its directory (`benchmark.machine.storage.only_writer`).
-        facts: Fields of `RunFacts`.
-
-    Returns:
-        The record with them.
-
-    Raises:
-        InputError: If they cannot be written.
+    No other process may write to its directory (`benchmark.machine.storage.only_writer`).
     """
     run = record.run.model_copy(update=facts)
     if run != record.run:
@@ -449,7 +400,7 @@ def _fault(path: Path, where: str, why: str) -> str:
 
 
 def _named_rows(directory: Path) -> tuple[Path, str] | None:
-    """Where the rows of a record lie, and the hash that it names, if it is one of today."""
+    """Path of a record's rows and the hash that it names, if its schema is the present one."""
     with contextlib.suppress(InputError):
         head = stored_head(directory)
         if head["schema"] == SCHEMA:

@@ -36,12 +36,8 @@ class PlannerFacts(Stored):
     """Which planner ran.
 
     Attributes:
-        name: Shown in tables.
         privileged: Whether it saw boxes, the map or the recorded future.
-        weights_sha256: Of its weights file, if it has one.
         code_sha256: Of the code that its plans depend on (`benchmark.runs.code_identity`).
-        settings: Its own settings.
-        seed: Its seed.
         native_protocol: Protocol of the planner's own repository, if it has one.
         published_as: What the paper calls it, if it ran it.
         miniature: Whether it is a small network that shows the pipeline and ranks nothing (docs/miniatures.md).
@@ -65,13 +61,11 @@ LABELS: Final = {"native_protocol", "published_as", "miniature", "wants"}
 
 
 class InputFacts(Stored):
-    """What a data set holds of a scene beside annotations, and what of it cannot be.
+    """Inputs of a scene beside annotations, and those among them that make no sense.
 
     Attributes:
-        samples: Samples of the scene.
         lanes: Lanes of the map around the ego; 0 where the map has none, or there is no map.
         off_road: Samples at which the recorded ego is off the drivable area; null where the map has none.
-        cameras: Cameras of the rig.
         lidar: Whether the data set says where the lidar sits; if not, it is taken to sit as on nuScenes' cars.
         jumps: Boxes that went faster than anything on a road since their last annotation.
         moving: Objects that move fast enough to tell their direction.
@@ -91,7 +85,7 @@ class InputFacts(Stored):
 
 
 class TruthFacts(Stored):
-    """What the data set holds of the truth of a scene.
+    """Truth that the data set holds of a scene.
 
     Attributes:
         annotations: Boxes at its samples; without any there is no truth, and nothing can be said of contacts.
@@ -103,7 +97,7 @@ class TruthFacts(Stored):
         irregular: Samples some of whose key frames ahead are not half a second apart.
         cut_short: Of these those whose recording goes on for 3 s, with a gap in it that leaves steps unknown.
         interval_s: Median interval of its key frames where that is not 0.5 s.
-        inputs: What else it holds; null in older records.
+        inputs: Null in older records.
     """
 
     annotations: BoxCount
@@ -118,7 +112,7 @@ class TruthFacts(Stored):
 
 
 class SceneFacts(Stored):
-    """What the data set says of a scene beside its samples.
+    """Facts of a scene beside its samples, from the data set.
 
     Attributes:
         source: Name of the recorded scene that it was made from; its own name if it is a recording.
@@ -126,9 +120,8 @@ class SceneFacts(Stored):
         adversaries: How many vehicles were made to be adversaries; null where the data set does not say, and in older
             records.
         light: Light and weather that its description names, none where it names none; null in older records.
-        judgement: Who could have avoided it, how severe it is and what is wrong with its adversary; null of recordings,
-            where nobody judged it, and in older records.
-        truth: What the data set holds of its truth; null in older records until they are judged anew.
+        judgement: Null of recordings, where it was not judged, and in older records.
+        truth: Null in older records until they are judged anew.
     """
 
     source: str
@@ -148,11 +141,10 @@ class DataFacts(Stored):
 
 
 class ReviewFacts(Stored):
-    """What inspectors said of the scenes of a split (`benchmark.records.review`).
+    """Verdicts of inspectors on the scenes of a split (`benchmark.records.review`).
 
     Attributes:
         content: Hash of the verdicts: which scene, which content of it, accepted or rejected.
-        accepted: Scenes that were accepted.
         rejected: Scenes that were rejected; none of them is judged.
         not_reviewed: Scenes without a verdict; they are judged.
     """
@@ -167,7 +159,6 @@ class GeneratedFacts(Stored):
     """Which search the scenes of a generated split come from.
 
     Attributes:
-        seed: Its seed.
         search: Hash of what else decided it; null where the data set does not say (`benchmark.records.seed_splits`).
     """
 
@@ -183,19 +174,14 @@ class PlansFrom(Stored):
     """Plans that were not made here: what the files say, and what they do not (docs/your-results.md).
 
     Attributes:
-        format: Format of the files.
-        files: SHA-256 by name.
         order: How it is known which sample a plan belongs to.
-        shown_by: What shows it.
         plans: Samples with a plan in the files.
-        samples: Samples of the split.
         steps: Waypoints of a plan in the files.
         skipped: Samples whose plan cannot be read, and why, by token.
         duplicates: Entries left out because they repeat another one.
         repaired: Plans that the repository itself completes because the answer was too short or too long.
         mirrored: Whether x of the files is mirrored, where files may be either.
         checks: What tests of unit, frame and origin measured, or that they were not testable.
-        lacks: What the files do not hold.
     """
 
     format: str
@@ -214,25 +200,17 @@ class PlansFrom(Stored):
 
 
 class RecordFacts(Stored):
-    """What the first file of a record says, of planning and of driving alike.
+    """Facts in the first file of a record, of planning and of driving alike.
 
     Attributes:
-        schema_version: Version of the record's format.
-        planner: Who ran.
-        data: The data set.
-        split: The split.
-        scenes: Scenes that ran, in order.
         scenes_in_split: How many scenes the split has; more than ``scenes`` means that a part was asked for.
-        scene_facts: Where each scene comes from and what is done in it; empty in run records of schema 1.
+        scene_facts: Empty in run records of schema 1.
         frozen_split: Name of the frozen split that the data were built from, if they were; null in older records.
-        review: What inspectors said of the split's scenes; null where no verdict stands, and in older records.
+        review: Null where no verdict stands, and in older records.
         generated: Which search the scenes come from; null of recordings and in older records.
-        caveats: What the numbers needed and did not get; empty in older records.
+        caveats: Empty in older records.
         status: ``partial`` if the planner failed on any sample, or in any drive.
-        seed: Seed of the intervals.
-        config: Resolved settings.
         environment: Packages, processor, commit: where the planner ran.
-        files: SHA-256 of the other files of the record.
     """
 
     schema_version: int = Field(alias="schema")
@@ -271,8 +249,6 @@ class UnchangedFacts(Stored):
     """The record of the same planner on the unchanged recordings of an adversarial split (docs/metrics.md).
 
     Attributes:
-        data: Its data set.
-        split: Its split.
         samples: SHA-256 of its rows.
     """
 
@@ -287,10 +263,9 @@ class RunFacts(RecordFacts):
     Attributes:
         unchanged: The record that the effect of adversaries was taken against when this one was written; null where
             there was none, of recordings, and in older records.
-        realism: How real the split's adversaries move; null where nobody looked, and in older records.
+        realism: How real the split's adversaries move; null where it was not measured, and in older records.
         plans_from: Where the plans come from, if from the result files of a repository; null in older records. The
             environment is then that of the import.
-        protocols: Versions by name.
         rescored: The environment of the last `challenger-bench rescore`, if the plans were judged anew since.
     """
 
@@ -319,10 +294,9 @@ class RateRow(Stored):
 
 
 class ProtocolSummary(Stored):
-    """What one protocol says about a run.
+    """Summary of a run under one protocol.
 
     Attributes:
-        version: Version of the protocol.
         columns: Column name (``collision``, ``l2``, ...) to horizon (``1s``, ``2s``, ``3s``, ``avg``) to rate.
         counted: Samples in the denominators of collision rates at all horizons.
         incomplete: The other samples that were planned: the protocol does not count them, or not at every horizon, or
@@ -346,14 +320,12 @@ class ProtocolSummary(Stored):
 
 
 class DrivingSummary(Stored):
-    """What ``nuscenes-pdm`` says about a run (`benchmark.records.driving`).
+    """Summary of a run under ``nuscenes-pdm`` (`benchmark.records.driving`).
 
     Attributes:
-        version: Version of the definition.
         columns: Column name (``score``, ``nc``, ``filtered_score``, ...) to its ``mean`` and to the share of plans that
             have ``ones`` there.
-        counted: Samples with sub-scores.
-        incomplete: Samples that were planned but have none.
+        incomplete: Samples that were planned but have no sub-scores.
     """
 
     version: int
@@ -366,12 +338,8 @@ class Summary(Stored):
     """``summary.json``: derived from the rows alone.
 
     Attributes:
-        schema_version: Version of the record's format.
-        samples: Samples of the scenes that ran.
-        failed: Those on which the planner raised.
-        coverage: Share of the others.
-        protocols: What each protocol says.
-        driving: Driving scores, or null where no sample has them.
+        failed: Samples on which the planner raised; ``coverage`` is the share of the others.
+        driving: Null where no sample has driving scores.
     """
 
     schema_version: int = Field(alias="schema")

@@ -5,16 +5,10 @@ from typing import Any
 
 
 def reported(provenance: Mapping[str, Any] | None, scene: str, name: str, otherwise: object = None) -> object:
-    """One part of the report of a scene.
+    """One part of the report of a scene in ``challenger.json``, unchecked.
 
     Args:
-        provenance: What a data set says of how it was made (``challenger.json``), if it does.
-        scene: Name of the scene.
-        name: Name of the part.
-        otherwise: What to take where nothing is said.
-
-    Returns:
-        What is said, whatever it is.
+        otherwise: Value where nothing is said.
     """
     made = (provenance or {}).get("scenes", {}).get(scene, {})
     report = made.get("report") if isinstance(made, Mapping) else None

@@ -39,14 +39,9 @@ Segment = tuple[float, float, float, float]
 
 
 class SheetEgo(Stored):
-    """Recorded motion of the ego's rear axle, one value a frame.
+    """Recorded motion of the ego's rear axle, one value a frame, relative to the sheet's origin.
 
     Attributes:
-        x_m: Relative to the sheet's origin, as all positions.
-        y_m: Likewise.
-        yaw_rad: Heading.
-        length_m: Of the body.
-        width_m: Of the body.
         centre_ahead_m: Centre of the body ahead of the rear axle.
     """
 
@@ -59,17 +54,12 @@ class SheetEgo(Stored):
 
 
 class SheetAgent(Stored):
-    """One annotated object.
+    """One annotated object: its box centres relative to the sheet's origin, and headings.
 
     Attributes:
-        id: Instance identifier.
-        category: nuScenes category.
         size_m: Length, width, height.
         adversary: Whether it was generated.
-        first: Frame of the first of the values below; null where it is not there.
-        x_m: Box centres.
-        y_m: Likewise.
-        yaw_rad: Headings.
+        first: Frame of the first of the values; they are null where it is not there.
     """
 
     id: str
@@ -100,15 +90,7 @@ class SheetMap(Stored):
 
 
 class SheetCamera(Stored):
-    """Where one camera stands in the pictures, pixels of the picture.
-
-    Attributes:
-        name: Channel.
-        left: Of its cell.
-        top: Of its cell.
-        width: Of its cell.
-        height: Of its cell.
-    """
+    """Cell of one camera in the pictures, pixels of the picture."""
 
     name: str
     left: int
@@ -118,24 +100,15 @@ class SheetCamera(Stored):
 
 
 class Sheet(Stored):
-    """What is shown of one scene.
+    """Content of the page of one scene.
 
     Attributes:
-        schema_version: Version of the format.
-        data: Data set.
-        split: Split.
-        scene: Scene name.
         source: Recorded scene that it was made from; its own name if it is a recording.
-        description: Free text of the data set.
-        labels: What each adversary does (``generation.labels.labelling``), as the data set says it.
+        labels: Labels of each adversary (``generation.labels.labelling``), as the data set says it.
         origin_m: (x, y) in the global frame; all positions are relative to it.
         timestamps_us: One a frame (12 Hz).
         keyframes: Frames that are samples.
-        sample_tokens: Their tokens, in the same order.
-        ego: Recorded motion.
         agents: Everything annotated; adversaries last.
-        road: The map.
-        cameras: Cells of the pictures; empty without pictures.
         pictures: Frames that have a picture of all cameras, ``cameras/<frame, six digits>.webp``.
         adversary_edges: For such a frame (as text) and each camera that sees an adversary: edges of its 3-D box as
             (x1, y1, x2, y2) in pixels of the picture, cut at the cell's borders.
@@ -198,12 +171,7 @@ class RefinementTrace(Stored):
     """``rounds.json``: the search for one adversary.
 
     Attributes:
-        schema_version: Version of the format.
-        scene: Scene name.
-        agent: Instance identifier of the adversary.
-        origin_m: As the sheet's.
         search: Version and fingerprint of the search and of its trajectory model.
-        frames: Planning frames in order.
     """
 
     schema_version: int = Field(alias="schema")
@@ -218,11 +186,8 @@ class AttemptFacts(Stored):
     """One vehicle that the search tried.
 
     Attributes:
-        source: Recorded scene.
-        agent: Instance identifier.
         scene: Name of the scene that it became; null if it did not.
         discarded: Why not; null if it was kept.
-        manoeuvre: What it does, if labelled.
     """
 
     source: str
@@ -233,7 +198,7 @@ class AttemptFacts(Stored):
 
     @classmethod
     def of(cls, attempt: Attempt) -> "AttemptFacts":
-        """What is shown of an attempt."""
+        """Facts of an attempt."""
         return cls(
             source=attempt.scene,
             agent=attempt.agent,
@@ -244,17 +209,12 @@ class AttemptFacts(Stored):
 
 
 class SplitSheet(Stored):
-    """What is shown of one split.
+    """Content of the page of one split.
 
     Attributes:
-        schema_version: Version of the format.
-        data: Data set.
-        split: Split.
-        scenes: All scene names of the split, in order.
-        statistics: The split in numbers.
-        attempts: What the search tried, for generated splits.
+        attempts: Vehicles that the search tried, for generated splits.
         runtime: Seconds of each stage of generation, if this machine measured them.
-        review: What inspectors said of its scenes; null where no verdict stands.
+        review: Verdicts of inspectors; null where none stands.
         hyper: Settings of the search that its scenes come from; empty where they are not known.
     """
 
@@ -274,13 +234,7 @@ _Read = TypeVar("_Read", Sheet, SplitSheet, RefinementTrace)
 
 @dataclass(frozen=True, slots=True)
 class StoredSheet:
-    """A sheet and where it lies.
-
-    Attributes:
-        directory: Of ``sheet.json``.
-        sheet: The sheet.
-        rounds: The search for its adversary, if its rounds were kept.
-    """
+    """A sheet, the folder of its ``sheet.json``, and the search for its adversary, if its rounds were kept."""
 
     directory: Path
     sheet: Sheet
@@ -293,12 +247,7 @@ class StoredSheet:
 
 @dataclass(frozen=True, slots=True)
 class Sheets:
-    """All sheets below a folder.
-
-    Attributes:
-        splits: By data set's name and split.
-        scenes: By data set's name, split and scene.
-    """
+    """All sheets below a folder, by data set's name, split and scene."""
 
     splits: Mapping[tuple[str, str], SplitSheet]
     scenes: Mapping[tuple[str, str, str], StoredSheet]
@@ -323,18 +272,12 @@ def scene_folder(root: Path, data_name: str, split: str, scene: str) -> Path:
 
 
 def kept_rounds_path(root: Path, scene: str) -> Path:
-    """Where a generated root has the rounds of the search for a scene's adversary, if they were kept."""
+    """File of a generated root with the rounds of the search for a scene's adversary, if they were kept."""
     return root / KEPT_ROUNDS_FOLDER / f"{file_name(scene)}.json"
 
 
 def find_sheets(root: Path) -> Sheets:
-    """Read all sheets below a folder.
-
-    Args:
-        root: The folder; it need not exist.
-
-    Returns:
-        The sheets, by data set, split and scene.
+    """Read all sheets below a folder, which need not exist.
 
     Raises:
         InputError: If one is damaged, of another version, or a picture is missing or not the one that was written.
@@ -350,12 +293,6 @@ def find_sheets(root: Path) -> Sheets:
 
 def read_sheet(directory: Path) -> StoredSheet:
     """Read one scene's sheet.
-
-    Args:
-        directory: Its folder.
-
-    Returns:
-        The sheet.
 
     Raises:
         InputError: If it is missing, damaged, of another version, or a picture is not the one that was written.

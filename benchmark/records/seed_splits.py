@@ -33,13 +33,10 @@ def is_adversarial(split: str) -> bool:
 
 
 def generated_facts(made: Mapping[str, Any] | None) -> GeneratedFacts | None:
-    """Which search a data set's scenes come from.
+    """Which search a data set's scenes come from; ``None`` where they say no seed, or several.
 
     Args:
         made: What ``challenger.json`` says of the data set, if there is one.
-
-    Returns:
-        Seed and search; ``None`` where its scenes say no seed, or several.
     """
     scenes = made.get("scenes") if isinstance(made, Mapping) else None
     seeds = set()

@@ -20,10 +20,6 @@ class TableCounts(_Stored):
     Attributes:
         instances: Rows of ``instance`` with an annotation in the scenes.
         ego_poses: Rows of ``ego_pose`` that sensor data of the scenes name.
-        scenes: Rows of ``scene``.
-        samples: Rows of ``sample``.
-        sample_data: Rows of ``sample_data``.
-        annotations: Rows of ``sample_annotation``.
     """
 
     instances: int
@@ -35,7 +31,7 @@ class TableCounts(_Stored):
 
 
 class Quantiles(_Stored):
-    """Of a distribution that has values."""
+    """Quantiles of a distribution that has values."""
 
     least: float
     tenth: float
@@ -48,11 +44,10 @@ class ManoeuvreRow(_Stored):
     """One kind of manoeuvre in a data set.
 
     Attributes:
-        manoeuvre: The kind.
-        primary: Adversaries whose primary kind it is.
+        primary: Adversaries whose primary kind it is; ``places`` and ``median_gap_m`` are of these.
         occurred: Adversaries that did it at some time.
-        places: Of the primary ones, how many happened where.
-        median_gap_m: Median smallest gap of the primary ones, ``None`` if there are none.
+        places: How many happened where.
+        median_gap_m: Median smallest gap, ``None`` if there are none.
     """
 
     manoeuvre: str
@@ -66,15 +61,13 @@ class SplitStatistics(_Stored):
     """A split, or a whole data set, in numbers.
 
     Attributes:
-        split: Split that was counted, ``None`` for the whole data set.
-        counts: Table rows.
+        split: ``None`` for the whole data set.
         adversaries_per_scene: Number of scenes by number of adversaries; empty for recordings.
         labelled: Adversaries with labels.
         manoeuvres: Rows by falling number; empty without labels.
         places: Adversaries by place of the closest approach.
         gap_m: Smallest gap between the bodies; ``None``, stored as an empty object, without labels.
         time_to_collision_s: Of those that came within 5 s of a collision.
-        within_5_s: How many those are.
         published_adv_nusc: What the paper prints for its own data set; quoted, not counted.
     """
 
@@ -100,13 +93,7 @@ class SplitStatistics(_Stored):
 
 
 class Runtime(_Stored):
-    """Processor seconds of a build.
-
-    Attributes:
-        attempts: Attempts that are timed.
-        scenes: Rendered scenes that are timed.
-        total_s: Seconds in all, by stage.
-    """
+    """Processor seconds of a build, by stage, and how many attempts and rendered scenes are timed."""
 
     attempts: int
     scenes: int

@@ -49,18 +49,11 @@ Record = TypeVar("Record")
 
 
 def validated(validate: Callable[[Any], Value], stored: Any, sentence: Callable[[str, str], str]) -> Value:
-    """What a file says, checked at the edge.
+    """Check a value read from a file, at the edge.
 
     Args:
         validate: Checks it, for example the ``model_validate`` of a model.
-        stored: What was read.
-        sentence: What to tell the user, given the place of the first fault (empty for the whole) and what is wrong.
-
-    Returns:
-        The checked value.
-
-    Raises:
-        InputError: If it is not as it must be.
+        sentence: Makes the message for the user, from the place of the first fault (empty for the whole) and its cause.
     """
     try:
         return validate(stored)
@@ -71,18 +64,10 @@ def validated(validate: Callable[[Any], Value], stored: Any, sentence: Callable[
 
 
 def read_each(places: Iterable[Path], read: Callable[[Path], Record], *, instead: str = "") -> list[Record]:
-    """Read every record that was found.
+    """Read every record that was found, in the order of the places.
 
     Args:
-        places: Where they are.
-        read: Reads one.
         instead: What a user gets by taking a damaged one away.
-
-    Returns:
-        Records in the order of the places.
-
-    Raises:
-        InputError: If one of them is damaged.
     """
     found = []
     for place in places:
@@ -94,7 +79,7 @@ def read_each(places: Iterable[Path], read: Callable[[Path], Record], *, instead
 
 
 def pending(directory: Path, name: str) -> Path:
-    """Where a file of a record lies until all three are written."""
+    """Path of a file of a record until all three are written."""
     return directory / f".{name}.pending"
 
 
@@ -105,20 +90,13 @@ def replace_files(
     summary: dict[str, Any],
     names: FileNames = RUN_FILES,
 ) -> dict[str, str]:
-    """Write the files of a record in place of those that are there.
+    """Write the files of a record in place of those that are there, and return their SHA-256 by name.
+
+    No other process may write to the directory (`benchmark.machine.storage.only_writer`).
 
     Args:
-        directory: Run directory; nobody else may write to it (`benchmark.machine.storage.only_writer`).
         run: Contents of ``run.json``, given the SHA-256 of the other files by name.
         rows: Contents of ``samples.jsonl``, as values or as they are written.
-        summary: Contents of ``summary.json``.
-        names: What the files are called, if not as those of a run.
-
-    Returns:
-        Those hashes.
-
-    Raises:
-        InputError: If they cannot be written.
     """
     settle(directory, names)
     if isinstance(rows, bytes):
@@ -136,11 +114,7 @@ def settle(directory: Path, names: FileNames = RUN_FILES) -> None:
     """Finish a replacement that was decided when its command was killed, and drop one that was not.
 
     Args:
-        directory: Run directory; nobody else may write to it.
-        names: What the files are called, if not as those of a run.
-
-    Raises:
-        InputError: If the directory cannot be written.
+        directory: Run directory; no other process may write to it.
     """
     if _is_decided(directory, names):
         _rename(directory, names)
@@ -170,13 +144,7 @@ def _rename(directory: Path, names: FileNames) -> None:
 
 
 def stored_schema(directory: Path) -> int:
-    """Schema in which a record is stored.
-
-    Args:
-        directory: Run directory.
-
-    Returns:
-        The schema's number.
+    """Number of the schema in which a record is stored.
 
     Raises:
         InputError: If ``run.json`` is absent or damaged, or its schema is newer than this version or never existed.
@@ -187,17 +155,11 @@ def stored_schema(directory: Path) -> int:
 def read_own(directory: Path, head: dict[str, Any], names: FileNames, again: str) -> tuple[list[Any], Any]:
     """Read the rows and the summary that the head of a record names.
 
+    Nothing but the hashes and the form of JSON is checked.
+
     Args:
-        directory: Of the record.
         head: Contents of its first file, with the SHA-256 of the other two.
-        names: What the files are called.
         again: The command that makes such records.
-
-    Returns:
-        Rows and summary; nothing but the hashes and the form of JSON is checked.
-
-    Raises:
-        InputError: If a file is absent, damaged, or does not belong to the head.
     """
     rows, summary = read_json_lines(directory / names.rows, RECORD), read_json(directory / names.summary, RECORD)
     require_own(directory, head, names, again)
@@ -211,17 +173,11 @@ def require_own(
     again: str = "eval",
     known: Collection[str] = (),
 ) -> None:
-    """Whether rows and summary are those that the head of a record names.
+    """Refuse rows and a summary that are not those that the head of a record names.
 
     Args:
-        directory: Of the record.
-        head: Contents of its first file.
-        names: What the files are called.
         again: The command that makes such records.
         known: Names of files of which that is known already.
-
-    Raises:
-        InputError: If one of them is not.
     """
     for name in (names.rows, names.summary):
         if name not in known and file_sha256(directory / name) != head["files"].get(name):
@@ -231,14 +187,7 @@ def require_own(
 def read_files(directory: Path) -> RecordFiles:
     """Read the files of a record and bring them to the present schema.
 
-    Args:
-        directory: Run directory.
-
-    Returns:
-        Their contents; nothing but the schema, the hashes and the form of JSON is checked.
-
-    Raises:
-        InputError: If a file is absent, damaged, does not belong to the others, or comes from a newer version.
+    Nothing but the schema, the hashes and the form of JSON is checked.
     """
     run = stored_head(directory)
     rows, summary = read_own(directory, run, RUN_FILES, "eval")
@@ -250,14 +199,7 @@ def read_files(directory: Path) -> RecordFiles:
 def stored_head(directory: Path) -> dict[str, Any]:
     """Contents of ``run.json``, of any schema that this version reads.
 
-    Args:
-        directory: Run directory.
-
-    Returns:
-        The contents; nothing but the schema and the hashes' presence is checked.
-
-    Raises:
-        InputError: If it is absent or damaged, or its schema is newer than this version or never existed.
+    Nothing but the schema and the hashes' presence is checked.
     """
     run = read_json(directory / RUN_FILE, RECORD)
     if not isinstance(run, dict) or type(run.get("schema")) is not int or not isinstance(run.get("files"), dict):

@@ -4,6 +4,6 @@ from pydantic import BaseModel, ConfigDict
 
 
 class Stored(BaseModel):
-    """What files of ours hold: nothing unknown, every number finite."""
+    """Base of the models of our files: no unknown field, every number finite."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

@@ -31,14 +31,10 @@ class SceneFromAbove:
     """Draws frames of one sheet; what does not change is made ready once."""
 
     def __init__(self, sheet: Sheet, colours: GroundColours = ON_LIGHT) -> None:
-        """Make the map ready.
+        """Make the map ready; a sheet without frames, or without an ego pose for each, is refused.
 
         Args:
-            sheet: The scene.
             colours: Of everything but ego, adversary and plans; plans are drawn for `ON_LIGHT`.
-
-        Raises:
-            InputError: If the sheet has no frames, or not as many ego poses as frames.
         """
         count = len(sheet.timestamps_us)
         if not count or {len(sheet.ego.x_m), len(sheet.ego.y_m), len(sheet.ego.yaw_rad)} != {count}:
@@ -66,19 +62,12 @@ class SceneFromAbove:
         """Draw one frame without captions.
 
         Args:
-            frame: Frame index.
-            overlays: What to draw over the scene.
-            width_px: Of the picture.
-            height_px: Of the picture.
             extent_m: Half of what the shorter side shows.
             heading_up: Whether the ego's heading points up; else north does.
             middle: How far down the picture the ego is, as a share of its height.
 
         Returns:
             (height_px, width_px, 3) RGB, and where metres fall on it.
-
-        Raises:
-            InputError: If the frame is not in the scene, or the size or extent is not positive.
         """
         sheet = self.sheet
         if not 0 <= frame < len(self.seconds):
@@ -166,19 +155,12 @@ def draw_birdseye(
     """Draw the surroundings of the ego from above.
 
     Args:
-        sheet: The scene.
-        frame: Frame index.
-        overlays: Plans and candidates to draw over it.
-        size_px: Side of the picture.
         extent_m: Half the side of the square that it shows.
         heading_up: Whether the ego's heading points up; else north does.
-        captions: Whether to write the time, a scale bar, what is what, and the verdicts on the plans.
+        captions: Whether to write the time, a scale bar, the legend, and the verdicts on the plans.
 
     Returns:
         (size_px, size_px, 3) RGB.
-
-    Raises:
-        InputError: If the frame is not in the scene, or the size or extent is not positive.
     """
     drawer = SceneFromAbove(sheet)
     image, view = drawer.draw(

@@ -21,13 +21,10 @@ _FARTHEST_PX = 30_000.0
 
 @dataclass(frozen=True, slots=True)
 class GroundView:
-    """Where metres fall on pixels.
+    """Map from metres on the ground to pixels.
 
     Attributes:
         matrix: (2, 3) affine map from x, y in metres to column and row.
-        scale_px_m: Pixels a metre.
-        width_px: Of the picture.
-        height_px: Of the picture.
     """
 
     matrix: Floats
@@ -36,14 +33,7 @@ class GroundView:
     height_px: int
 
     def pixels(self, points: Floats) -> Floats:
-        """Columns and rows.
-
-        Args:
-            points: (..., 2) metres.
-
-        Returns:
-            (..., 2) pixels, cut where they are far outside.
-        """
+        """Columns and rows, (..., 2) pixels, of (..., 2) metres, cut where they are far outside."""
         found = np.asarray(points, np.float64) @ self.matrix[:, :2].T + self.matrix[:, 2]
         return np.asarray(np.clip(found, -_FARTHEST_PX, _FARTHEST_PX))
 
@@ -52,15 +42,7 @@ class GroundView:
         return np.asarray(np.round(self.pixels(points) * (1 << SHIFT)), np.int32)
 
     def near(self, centres: Floats, reaches_m: Floats) -> NDArray[np.int64]:
-        """Which circles may touch the picture.
-
-        Args:
-            centres: (N, 2) metres.
-            reaches_m: (N,) radii.
-
-        Returns:
-            Their places, ascending.
-        """
+        """Places, ascending, of the circles that may touch the picture: (N, 2) centres and (N,) radii in metres."""
         middle = self.pixels(centres) - (0.5 * self.width_px, 0.5 * self.height_px)
         reach = 0.5 * np.hypot(self.width_px, self.height_px) + reaches_m * self.scale_px_m
         return np.flatnonzero((middle**2).sum(axis=-1) <= reach**2)
@@ -87,14 +69,9 @@ def view_around(
 
     Args:
         pose: (3,) x, y, yaw in metres and radians.
-        width_px: Of the picture.
-        height_px: Of the picture.
         extent_m: Half of what the shorter side shows.
         heading_up: Whether the heading points up; else +y does, which is north in the global frame.
         middle: How far down the picture the pose is, as a share of its height.
-
-    Returns:
-        The view.
     """
     scale = min(width_px, height_px) / (2.0 * extent_m)
     yaw = float(pose[2]) if heading_up else np.pi / 2
@@ -105,13 +82,10 @@ def view_around(
 
 
 def fill_rings(image: Picture, view: GroundView, rings: Sequence[Floats], colour: Rgb) -> None:
-    """Fill an area; a point inside an even number of rings is outside it.
+    """Fill an area of the picture in place; a point inside an even number of rings is outside it.
 
     Args:
-        image: Changed in place.
-        view: Where metres fall.
         rings: Each (M, 2) metres.
-        colour: Of the area.
     """
     if rings and view.sees(np.concatenate(rings)):
         cv2.fillPoly(image, _split(view, rings), colour, cv2.LINE_AA, SHIFT)
@@ -127,14 +101,9 @@ def stroke(
     dash: Dash = (),
     closed: bool = False,
 ) -> None:
-    """Draw a line.
+    """Draw a line through (M, 2) metres on the picture in place.
 
     Args:
-        image: Changed in place.
-        view: Where metres fall.
-        points: (M, 2) metres.
-        colour: Of the line.
-        width_px: Of the line.
         dash: Its pattern in pixels.
         closed: Whether it returns to its start.
     """
@@ -165,14 +134,11 @@ def outline_box(image: Picture, view: GroundView, box: Floats, colour: Rgb, widt
 
 
 def mark_at(image: Picture, pixel: Floats, shape: str, radius_px: float, colour: Rgb, edge: Rgb | None = None) -> None:
-    """A small filled shape.
+    """Draw a small filled shape on the picture in place.
 
     Args:
-        image: Changed in place.
         pixel: (2,) its centre, pixels.
         shape: ``circle``, ``square``, ``triangle`` or ``diamond``.
-        radius_px: Its size.
-        colour: Inside.
         edge: Of a line around it.
     """
     if shape == "circle":
@@ -191,11 +157,8 @@ def through(image: Picture, view: GroundView, points: Floats, opacity: float, dr
     """Draw something that can be seen through.
 
     Args:
-        image: Changed in place.
-        view: Where metres fall.
         points: (M, 2) metres; everything is drawn in the rectangle around them, or a few pixels outside it.
         opacity: 0 to 1.
-        draw: Draws on the picture.
     """
     if opacity <= 0.0 or not view.sees(points):
         return
@@ -217,14 +180,11 @@ def png(image: Picture) -> bytes:
 
 
 def dashes(line: Floats, pattern: Dash) -> list[Floats]:
-    """The strokes of a dashed line.
+    """Strokes of a dashed line, each (K, 2).
 
     Args:
         line: (M, 2) points, in any unit.
         pattern: Lengths of strokes and gaps, alternating, in the same unit.
-
-    Returns:
-        Strokes, each (K, 2).
     """
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
     total = float(along[-1])

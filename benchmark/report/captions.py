@@ -35,8 +35,6 @@ class LegendEntry:
 
     Attributes:
         kind: ``box``, ``way``, ``path``, ``forecast`` or ``candidates``.
-        colour: Of what it explains.
-        words: What it is.
     """
 
     kind: str
@@ -45,15 +43,7 @@ class LegendEntry:
 
 
 def legend_of(sheet: Sheet, overlays: Sequence[Overlay]) -> list[LegendEntry]:
-    """What a picture has to explain beside its planners.
-
-    Args:
-        sheet: The scene.
-        overlays: What is drawn over it.
-
-    Returns:
-        Entries, of what is there only.
-    """
+    """Entries of the legend beside those of planners, for things in the picture only."""
     adversaries = sum(agent.adversary for agent in sheet.agents)
     plans = [each for each in overlays if isinstance(each, PlanOverlay) and each.details and each.plan is not None]
     entries = [LegendEntry("box", EGO, "ego")]
@@ -70,16 +60,10 @@ def legend_of(sheet: Sheet, overlays: Sequence[Overlay]) -> list[LegendEntry]:
 
 
 def draw_entry(image: Picture, entry: LegendEntry, at: tuple[float, float], *, size_px: int = 12) -> int:
-    """Draw one entry of the legend.
+    """Draw one entry of the legend on the picture in place, and return its width in pixels.
 
     Args:
-        image: Changed in place.
-        entry: The entry.
         at: Its left end and the middle of its line, pixels.
-        size_px: Height of the font.
-
-    Returns:
-        Its width in pixels.
     """
     x, y = at
     left, right, row = round(x), round(x) + 20, round(y)
@@ -141,15 +125,7 @@ def draw_time(image: Picture, seconds: float) -> None:
 
 
 def draw_captions(image: Picture, view: GroundView, sheet: Sheet, seconds: float, overlays: Sequence[Overlay]) -> None:
-    """Time above on the left, scale below on the right, the legend and the verdicts below on the left.
-
-    Args:
-        image: Changed in place.
-        view: Where metres fall.
-        sheet: The scene.
-        seconds: Time of the frame.
-        overlays: What is drawn over it.
-    """
+    """Time above on the left, scale below on the right, the legend and the verdicts below on the left."""
     draw_time(image, seconds)
     draw_scale_bar(image, view)
     entries = legend_of(sheet, overlays)

@@ -29,7 +29,7 @@ class AnyRate(Protocol):
 
     @property
     def denominator(self) -> int:
-        """What it was counted over."""
+        """Number of samples, scenes or contacts that it was counted over."""
 
     @property
     def low(self) -> float | None:
@@ -42,11 +42,9 @@ class AnyRate(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """One cell of a table.
+    """One cell of a table, with the facts behind a number.
 
     Attributes:
-        text: What is shown.
-        cell: The facts behind a number.
         miniature: Whether it names a planner that shows the pipeline and ranks nothing (docs/miniatures.md).
     """
 
@@ -57,10 +55,10 @@ class Shown:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """What stands behind a number.
+    """Facts behind a number.
 
     Attributes:
-        value: The number in its unit, or ``None`` where it does not exist.
+        value: In its unit, or ``None`` where it does not exist.
         unit: For example ``%``, ``m``, ``points`` (of per cent), ``x`` (times), or what a count counts.
         n: How many it was counted over; ``None`` where that is not known (quoted numbers).
         of: What ``n`` counts.
@@ -82,15 +80,12 @@ class Cell:
     source: str | None = None
 
     def shown(self, digits: int = 0, *, signed: bool = False, after: str = "") -> Shown:
-        """The number as it is shown.
+        """The number as it is shown, or a dash.
 
         Args:
             digits: Decimals.
             signed: Whether positive numbers have a sign.
             after: Text behind a number that exists.
-
-        Returns:
-            Its text, or a dash.
         """
         text = number(self.value, digits, signed=signed)
         return Shown(text if self.value is None else f"{text}{after}", self)
@@ -112,7 +107,7 @@ _FACTS: Final = tuple(each.name for each in fields(Cell))
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where numbers come from; makes their cells.
+    """Origin of numbers; makes their cells.
 
     Attributes:
         protocol: Protocol of the verdicts behind them, or ``None`` where they rest on none.
@@ -138,16 +133,10 @@ class Origin:
         """A number from here.
 
         Args:
-            value: The number.
             unit: Of the number times ``scale``.
             n: What it was counted over.
             of: What ``n`` counts.
-            low: Lower end of its interval.
-            high: Upper end.
             scale: What number and ends are multiplied with, for example 100 for a percentage.
-
-        Returns:
-            The cell.
         """
         scaled = [None if number is None else scale * number for number in (value, low, high)]
         return Cell(scaled[0], unit, n, of, scaled[1], scaled[2], self.protocol, self.record, self.source)
@@ -161,21 +150,16 @@ class Origin:
         return self.cell(rate.value, unit, rate.denominator, of, low=rate.low, high=rate.high)
 
     def count(self, count: int | None, of: str, among: int | None = None) -> Cell:
-        """A count.
+        """Cell of a count.
 
         Args:
-            count: How many.
-            of: What is counted.
             among: Among how many; the count itself where it is all there are.
-
-        Returns:
-            The cell.
         """
         return self.cell(count, of, count if among is None else among, of)
 
 
 def origin_of(record: RunRecord, protocol: str | None) -> Origin:
-    """Where numbers of a run under a protocol come from."""
+    """Origin of the numbers of a run under a protocol."""
     return Origin(protocol, record_name(record))
 
 
@@ -202,16 +186,10 @@ def number(value: float | None, digits: int = 2, *, signed: bool = False) -> str
 
 
 def interval(low: float | None, high: float | None, *, digits: int = 1) -> str:
-    """An interval as ``[low, high]``, or a dash where there is none to speak of.
+    """An interval as ``[low, high]``, or a dash where there is none to speak of; ``high`` may be infinite.
 
-    Args:
-        low: Lower end.
-        high: Upper end; may be infinite.
-        digits: Decimals.
-
-    Returns:
-        The text. An interval without width is a dash too: where all scenes agree there is nothing to draw, and
-        "[0.0, 0.0]" would look like certainty.
+    An interval without width is a dash too: where all scenes agree there is nothing to draw, and "[0.0, 0.0]" would
+    look like certainty.
     """
     if low is None or high is None or low == high:
         return UNDEFINED

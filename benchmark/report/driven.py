@@ -26,11 +26,11 @@ PLAN_SEEN_S: Final = 3.0
 
 @dataclass(frozen=True, slots=True)
 class DrivenContact:
-    """The first contact of a drive.
+    """The first contact of a drive, in the sheet's metres.
 
     Attributes:
         seconds: After the sheet's first frame.
-        ego: (5,) box of the ego then, in the sheet's metres.
+        ego: (5,) box of the ego then.
         other: (5,) of the other.
         point: (2,) in the middle of what they share.
     """
@@ -43,18 +43,16 @@ class DrivenContact:
 
 @dataclass(frozen=True, slots=True)
 class DrivenSheet:
-    """What is shown of one drive.
+    """Everything that is shown of one drive.
 
     Attributes:
         stored: Sheet of the world as it was driven; its pictures are what the planner saw.
-        row: Of the record.
         begins: Frame from which plans were driven; before it the ego is the recorded one.
         plans: By the frame at which each was made; ``None`` of one that is too short to be drawn.
         recorded: (T, 2) centres of the recorded ego's body at the scene's frames.
         recorded_speed: (T,) its speed, m/s.
         recorded_seconds: (T,) times of both after the sheet's first frame.
         speed: (F,) of the driven ego at the sheet's frames, m/s.
-        contact: The first contact.
         considered: What an adversary considered at its planning frames, where that was kept.
     """
 
@@ -93,7 +91,7 @@ class DrivenSheet:
         return past[-1] if past else None
 
     def candidates_at(self, frame: int) -> CandidatesOverlay | None:
-        """What the adversary considered at the planning frame in force; ``None`` where it did not search."""
+        """Candidates of the adversary at the planning frame in force; ``None`` where it did not search."""
         now = self.considered_at(frame)
         if now is None or not now.candidates:
             return None
@@ -101,16 +99,7 @@ class DrivenSheet:
         return candidates_by_score(paths, now.scores, now.chosen)
 
     def plan_at(self, frame: int, name: str, style: PlannerStyle) -> PlanOverlay | None:
-        """The last plan that was made, and the contact that comes, if it comes soon.
-
-        Args:
-            frame: Of the sheet.
-            name: Of the planner.
-            style: How it is drawn.
-
-        Returns:
-            What to draw, or ``None`` before the first plan.
-        """
+        """The last plan that was made, or ``None`` before the first, and the contact that comes, if it comes soon."""
         made = max((each for each in self.plans if each <= frame), default=None)
         if made is None:
             return None
@@ -123,15 +112,7 @@ class DrivenSheet:
 
 
 def speeds_along(points: Floats, seconds: Floats) -> Floats:
-    """Speeds of something that is at points at times.
-
-    Args:
-        points: (T, 2) metres.
-        seconds: (T,) rising.
-
-    Returns:
-        (T,) m/s.
-    """
+    """(T,) speeds in m/s of something that is at (T, 2) points in metres at (T,) rising times."""
     if len(points) < 2:
         return np.zeros(len(points))
     return np.asarray(np.hypot(*np.gradient(points, seconds, axis=0).T))

@@ -28,10 +28,8 @@ class Layer:
     """Areas or lines of one colour.
 
     Attributes:
-        areas: What is drawn together.
         centres: (N, 2) of the circle around each.
         reaches_m: (N,) its radius.
-        colour: Of all.
     """
 
     areas: tuple[Area, ...]
@@ -59,11 +57,9 @@ class SheetGround:
 
     Attributes:
         below: Pavements.
-        drivable: Where cars may drive.
         above: Car parks and crossings.
         stripes: Of the crossings.
         paint: Strokes of painted lines.
-        colours: Of all of it.
     """
 
     below: Layer
@@ -75,15 +71,7 @@ class SheetGround:
 
 
 def ground_of(sheet: Sheet, colours: GroundColours = ON_LIGHT) -> SheetGround:
-    """Make a sheet's map ready.
-
-    Args:
-        sheet: The sheet.
-        colours: To draw it in.
-
-    Returns:
-        Its map; empty where it has none.
-    """
+    """Make a sheet's map ready; it is empty where the sheet has none."""
     road = sheet.road
     crossings = [area for area in _areas(road.crossings) if area]
     strokes = {
@@ -103,13 +91,7 @@ def ground_of(sheet: Sheet, colours: GroundColours = ON_LIGHT) -> SheetGround:
 
 
 def draw_ground(image: Picture, view: GroundView, ground: SheetGround) -> None:
-    """Fill a picture with the map.
-
-    Args:
-        image: Changed in place.
-        view: Where metres fall.
-        ground: The map.
-    """
+    """Fill a picture with the map."""
     cv2.rectangle(image, (0, 0), (view.width_px, view.height_px), ground.colours.land, -1)
     _fill(image, view, ground.below)
     # First all kerbs, then all surfaces: between two surfaces that touch there is no kerb.

@@ -32,13 +32,8 @@ def write_text(
     """Write one line; what is outside the picture is cut off.
 
     Args:
-        image: Changed in place.
-        text: One line.
         at: Pixels; x of its left end, middle or right end, y of the middle of its small letters' line.
-        size_px: Height of the font.
-        colour: Of the letters.
-        bold: Whether letters are bold.
-        anchor: What ``at`` is.
+        anchor: Point of the text that ``at`` is.
         plate: Colour of a plate behind it, to be read on anything.
     """
     mask = _mask(text, size_px, bold)
@@ -61,17 +56,7 @@ def text_width(text: str, *, size_px: int = 14, bold: bool = False) -> int:
 
 
 def fitted(text: str, width_px: int, *, size_px: int = 14, bold: bool = False) -> str:
-    """A line that is cut, with an ellipsis, to be no wider than asked.
-
-    Args:
-        text: One line.
-        width_px: Greatest width.
-        size_px: Height of the font.
-        bold: Whether letters are bold.
-
-    Returns:
-        The line, or its beginning.
-    """
+    """A line that is cut, with an ellipsis, to be no wider than asked."""
     if text_width(text, size_px=size_px, bold=bold) <= width_px:
         return text
     for length in range(len(text) - 1, 0, -1):

@@ -5,16 +5,7 @@ from html import escape
 
 
 def html_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table for ``_repr_html_``.
-
-    Args:
-        title: Above it.
-        columns: Heads.
-        rows: Cells; what strangers wrote is escaped here.
-
-    Returns:
-        HTML.
-    """
+    """A table for ``_repr_html_``; what strangers wrote in its cells is escaped here."""
 
     def line(cells: Sequence[str], tag: str) -> str:
         return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in cells)}</tr>"

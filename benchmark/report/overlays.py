@@ -32,7 +32,7 @@ CANDIDATES_SHOWN: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Where and when a plan first touches something.
+    """Place and time at which a plan first touches something.
 
     Attributes:
         seconds: After the sample.
@@ -48,7 +48,7 @@ class Contact:
 
 
 class Whom(Enum):
-    """Whom a plan touches first."""
+    """Party that a plan touches first."""
 
     ANYBODY = "anybody, in a scene without adversaries"
     ADVERSARY = "the adversary"
@@ -58,12 +58,10 @@ class Whom(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What one protocol says of one sample.
+    """Verdict of one protocol on one sample, in words and in few words.
 
     Attributes:
-        collides: Whether the plan touches anything; ``None`` where nobody can say.
-        words: The same in words.
-        brief: The same in few words.
+        collides: Whether the plan touches anything; ``None`` where it cannot be said.
         counted: Whether it enters the rates.
         whom: With whom the contact is, if it collides.
     """
@@ -76,7 +74,7 @@ class Verdict:
 
     @property
     def alarms(self) -> bool:
-        """Whether it is what is counted: a contact with the adversary, where there is one."""
+        """Whether it shows the contact that is counted: with the adversary, where there is one."""
         return self.collides is True and self.whom in (Whom.ANYBODY, Whom.ADVERSARY)
 
 
@@ -85,11 +83,7 @@ class PlanOverlay:
     """One planner's last plan.
 
     Attributes:
-        name: Of the planner.
-        style: How it is drawn.
-        plan: The plan, or ``None`` where the planner failed.
-        contact: Its first contact, if it collides.
-        verdict: The verdict on it.
+        plan: ``None`` where the planner failed.
         age_s: Since it was made.
         details: Whether to draw other modes and forecasts.
     """
@@ -110,7 +104,7 @@ class PlanOverlay:
 
 @dataclass(frozen=True, slots=True)
 class CandidatesOverlay:
-    """What the search chose from.
+    """Candidates that the search chose from.
 
     Attributes:
         paths: (B, M, 2) worst first, each from where the adversary was.
@@ -125,11 +119,7 @@ class CandidatesOverlay:
 
 @dataclass(frozen=True, slots=True)
 class PathOverlay:
-    """Where the recorded ego went, beside one that was driven.
-
-    Attributes:
-        points: (M, 2) centres of its body.
-    """
+    """Path of the recorded ego, beside one that was driven: (M, 2) centres of its body."""
 
     points: Floats
 
@@ -138,19 +128,7 @@ Overlay = PlanOverlay | CandidatesOverlay | PathOverlay
 
 
 def verdict_of(row: SampleRow, protocol: str, *, adversaries: bool = False) -> Verdict:
-    """What a protocol says of a sample, in words.
-
-    Args:
-        row: The sample.
-        protocol: Who judges.
-        adversaries: Whether there are adversaries in the scene.
-
-    Returns:
-        The verdict.
-
-    Raises:
-        InputError: If the protocol did not judge it.
-    """
+    """Verdict of a protocol on a sample, in words; ``adversaries`` says whether the scene has any."""
     if row.status == "failed":
         return Verdict(None, "the planner failed", "failed", counted=False)
     seconds = _contact_seconds(row, protocol)
@@ -185,7 +163,7 @@ def _whom(adversary: bool | None) -> Whom:
 
 
 def _contact_seconds(row: SampleRow, protocol: str) -> float | None:
-    """When a plan first touches something: to a tenth of a second under ``exact``, else the end of the step."""
+    """Time at which a plan first touches something: to a tenth of a second under ``exact``, else the step's end."""
     if protocol not in row.outcomes:
         raise InputError(f"scene {row.scene} was not judged by protocol {protocol!r}; run challenger-bench rescore")
     outcome = row.outcomes[protocol]
@@ -198,21 +176,10 @@ def _contact_seconds(row: SampleRow, protocol: str) -> float | None:
 def plan_overlay(
     sheet: Sheet, keyframe: int, row: SampleRow, protocol: str, name: str, style: PlannerStyle
 ) -> PlanOverlay:
-    """A stored plan with its verdict.
+    """A stored plan with its verdict, as it is at the sample.
 
     Args:
-        sheet: The scene.
         keyframe: Frame of the sample.
-        row: The sample.
-        protocol: Who judges.
-        name: Of the planner.
-        style: How it is drawn.
-
-    Returns:
-        What to draw, as it is at the sample.
-
-    Raises:
-        InputError: If the protocol did not judge the sample, or the plan is damaged.
     """
     verdict = verdict_of(row, protocol, adversaries=any(agent.adversary for agent in sheet.agents))
     plan = placed_plan(row, ego_pose(sheet, keyframe))
@@ -228,16 +195,8 @@ def plan_overlay(
 def candidates_overlay(sheet: Sheet, trace: RefinementTrace, frame: int) -> CandidatesOverlay | None:
     """The candidates of the planning frame in force, of the round that the executed one is from.
 
-    Args:
-        sheet: The scene.
-        trace: The search for its adversary.
-        frame: Frame.
-
     Returns:
         What to draw, or ``None`` before the search begins and when its last planning frame is no longer in force.
-
-    Raises:
-        InputError: If the trace names a round or a candidate that it does not have.
     """
     seconds = frame_seconds(sheet)
     past = [each for each in trace.frames if each.frame <= frame]
@@ -256,15 +215,12 @@ def candidates_overlay(sheet: Sheet, trace: RefinementTrace, frame: int) -> Cand
 
 
 def candidates_by_score(paths: Floats, scores: Sequence[float | None], chosen: int | None) -> CandidatesOverlay:
-    """Candidates in the order in which they are drawn.
+    """The best `CANDIDATES_SHOWN` candidates in the order in which they are drawn.
 
     Args:
         paths: (B, M, 2) of all of them.
         scores: (B,) lower is better, ``None`` where infinite.
         chosen: Which was executed, if one was.
-
-    Returns:
-        The best `CANDIDATES_SHOWN` of them.
     """
     known = np.array([np.inf if score is None else score for score in scores])
     order = np.argsort(known, kind="stable")[:CANDIDATES_SHOWN][::-1]

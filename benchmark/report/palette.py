@@ -30,15 +30,10 @@ class GroundColours:
     """Colours of everything but ego, adversary and plans, on a light or a dark page.
 
     Attributes:
-        land: Where nobody drives.
-        road: Where cars may drive.
-        kerb: Its edge.
-        walkway: Pavements.
-        car_park: Car parks.
-        crossing: Crossings.
+        land: Where there is no road, pavement or car park.
+        kerb: Edge of the road.
         stripe: Of crossings.
         paint: Of lines, by the name of their colour.
-        vehicle: Cars, lorries, buses.
         cycle: Two-wheelers.
         person: People and animals.
         thing: Everything else.
@@ -105,10 +100,9 @@ Dash = tuple[float, ...]
 
 @dataclass(frozen=True, slots=True)
 class PlannerStyle:
-    """How one planner is drawn.
+    """Style of one planner.
 
     Attributes:
-        colour: Of everything that is its.
         dash: Pattern of its plan's line.
         mark: Shape at each waypoint: ``circle``, ``square``, ``triangle`` or ``diamond``.
     """
@@ -142,30 +136,14 @@ _MARKS: Final = ("circle", "square", "triangle", "diamond")
 
 
 def planner_style(index: int) -> PlannerStyle:
-    """The style of the planner that stands at a place of a list; they repeat after twelve.
-
-    Args:
-        index: Its place, from 0.
-
-    Returns:
-        The style.
-    """
+    """Style of the planner at a place of a list, from 0; they repeat after twelve."""
     return PlannerStyle(
         PLANNERS_ON_LIGHT[index % len(PLANNERS_ON_LIGHT)], _DASHES[index % len(_DASHES)], _MARKS[index % len(_MARKS)]
     )
 
 
 def mixed(first: Rgb, second: Rgb, share: float) -> Rgb:
-    """A colour between two.
-
-    Args:
-        first: At share 0.
-        second: At share 1.
-        share: Where between.
-
-    Returns:
-        The colour.
-    """
+    """A colour between two: the first at share 0, the second at share 1."""
     return (
         round(first[0] + share * (second[0] - first[0])),
         round(first[1] + share * (second[1] - first[1])),

@@ -15,7 +15,7 @@ from benchmark.waypoints import points_in_lidar, waypoints_in_lidar
 
 @dataclass(frozen=True, slots=True)
 class PlacedForecasts:
-    """What a planner expects of others.
+    """Motion that a planner expects of others.
 
     Attributes:
         boxes: (A, 5) present boxes.
@@ -35,7 +35,6 @@ class PlacedPlan:
         footprints: (30, 5) the ego's rectangle at 0.1, 0.2, ... 3.0 s, as ``exact`` compares it.
         start: (5,) the same at the sample.
         modes: (M, 6, 2) other modes, as the waypoints; those that are the plan itself are left out.
-        forecasts: Expected motion of others, or ``None``.
     """
 
     waypoints: Floats
@@ -74,15 +73,10 @@ def agent_box(agent: SheetAgent, frame: int) -> Floats | None:
 
 
 def agent_box_at(sheet: Sheet, agent: SheetAgent, seconds: float) -> Floats | None:
-    """The box of an object between frames.
+    """(5,) box of an object between frames, ``None`` where it is not there at the frames before and after.
 
     Args:
-        sheet: The sheet.
-        agent: One of its objects.
         seconds: Since the first frame.
-
-    Returns:
-        (5,) the box, or ``None`` where the object is not there at the frames before and after.
     """
     times = frame_seconds(sheet)
     if not times[0] <= seconds <= times[-1] + 1e-6:
@@ -104,17 +98,10 @@ def frame_seconds(sheet: Sheet) -> Floats:
 
 
 def placed_plan(row: SampleRow, axle: Floats) -> PlacedPlan | None:
-    """Put a stored plan where it was planned.
+    """Put a stored plan where it was planned, ``None`` where the planner failed.
 
     Args:
-        row: A sample of a run record.
         axle: (3,) pose of the rear axle at the sample.
-
-    Returns:
-        The plan, or ``None`` where the planner failed.
-
-    Raises:
-        InputError: If the lists of the plan are not of the lengths that a plan has.
     """
     if row.plan is None:
         return None
@@ -142,16 +129,13 @@ def placed_plan(row: SampleRow, axle: Floats) -> PlacedPlan | None:
 
 
 def placed_waypoints(waypoints: Floats, frame: str, ahead_m: float, axle: Floats) -> PlacedPlan | None:
-    """Put waypoints where they were planned.
+    """Put waypoints where they were planned, to 3 s, without modes and forecasts; ``None`` where they are shorter.
 
     Args:
         waypoints: (N, 2) metres.
         frame: ``lidar`` or ``ego``.
         ahead_m: Lidar origin ahead of the rear axle.
         axle: (3,) pose of the rear axle.
-
-    Returns:
-        The plan to 3 s without modes and forecasts, or ``None`` of one that is shorter.
     """
     if len(waypoints) < PLAN_STEPS:
         return None

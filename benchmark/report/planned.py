@@ -28,13 +28,7 @@ MOVES_M: Final = 1.0
 
 
 def draw_candidates(image: Picture, view: GroundView, overlay: CandidatesOverlay) -> None:
-    """Lines from pale (worst score) to dark (best), and the executed one, if one was, on top of them.
-
-    Args:
-        image: Changed in place.
-        view: Where metres fall.
-        overlay: The candidates.
-    """
+    """Lines from pale (worst score) to dark (best), and the executed one, if one was, on top of them."""
 
     def lines() -> None:
         for path, share in zip(overlay.paths, overlay.shares):
@@ -49,13 +43,7 @@ def draw_candidates(image: Picture, view: GroundView, overlay: CandidatesOverlay
 
 
 def draw_expectations(image: Picture, view: GroundView, overlay: PlanOverlay) -> None:
-    """Other modes of a plan, and where the planner expects others to go.
-
-    Args:
-        image: Changed in place.
-        view: Where metres fall.
-        overlay: The plan.
-    """
+    """Other modes of a plan, and where the planner expects others to go."""
     plan = overlay.plan
     if plan is None or not overlay.details:
         return
@@ -83,13 +71,7 @@ def draw_expectations(image: Picture, view: GroundView, overlay: PlanOverlay) ->
 
 
 def draw_plan(image: Picture, view: GroundView, overlay: PlanOverlay) -> None:
-    """A plan: the ego's outline at each waypoint, a line in the planner's pattern, its mark at each waypoint.
-
-    Args:
-        image: Changed in place.
-        view: Where metres fall.
-        overlay: The plan.
-    """
+    """A plan: the ego's outline at each waypoint, a line in the planner's pattern, its mark at each waypoint."""
     plan = overlay.plan
     if plan is None:
         return
@@ -111,14 +93,9 @@ def draw_plan(image: Picture, view: GroundView, overlay: PlanOverlay) -> None:
 
 
 def draw_contacts(image: Picture, view: GroundView, overlays: Sequence[PlanOverlay]) -> None:
-    """Where plans first touch something: both rectangles then, a star, and in how many seconds.
+    """First contacts of plans: both rectangles then, a star, and in how many seconds.
 
     The star is hollow if it is with another than the adversary, or with whom is not said.
-
-    Args:
-        image: Changed in place.
-        view: Where metres fall.
-        overlays: The plans.
     """
     seen: list[tuple[float, float, PlanOverlay, Contact]] = []
     for overlay in reversed(overlays):

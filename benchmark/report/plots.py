@@ -34,14 +34,11 @@ class Theme:
     """Colours of a plot on a light or a dark page.
 
     Attributes:
-        paper: Behind everything.
-        ink: Letters, axes, edges.
         faint: Letters that matter less.
         rule: Lines of a grid.
         empty: Cells without a number.
         good: What did not collide.
         contact: What collided.
-        ground: Of scenes from above.
         planners: Of planners by their place; they repeat.
         dark: Whether what is brighter stands out more.
     """
@@ -81,16 +78,7 @@ Sketch = Callable[[Theme], Figure]
 
 
 def picture(sketch: Sketch, suffix: str, theme: Theme = LIGHT) -> bytes:
-    """A figure's bytes, whatever settings of matplotlib the user has.
-
-    Args:
-        sketch: Makes the figure.
-        suffix: One of `FORMATS`.
-        theme: Colours of letters, axes and paper.
-
-    Returns:
-        PNG or SVG.
-    """
+    """PNG or SVG of a figure, unaffected by the user's settings of matplotlib; ``suffix`` is one of `FORMATS`."""
     return _saved(sketch, (suffix,), theme)[0]
 
 
@@ -132,7 +120,7 @@ def figure_png(figure: Figure) -> bytes:
 
 
 def png_size(picture: bytes) -> tuple[int, int]:
-    """(width, height) of a PNG, pixels; zeros for what is none."""
+    """(width, height) of a PNG, pixels; zeros for a file that is no PNG."""
     if not picture.startswith(b"\x89PNG"):
         return 0, 0
     width, height = struct.unpack(">II", picture[16:24])

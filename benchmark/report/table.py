@@ -54,7 +54,7 @@ _LATEX_LETTERS = "äöüßÄÖÜáàâãåçéèêëíìîïñóòôõøúùûæ
 
 @dataclass(frozen=True, slots=True)
 class LatexForm:
-    """How LaTeX lays a table out, if not as all others.
+    """Layout of a table in LaTeX, if not as all others.
 
     Attributes:
         alignment: Of the columns, with rules between them.
@@ -73,12 +73,10 @@ class LatexForm:
 
 @dataclass(frozen=True, slots=True)
 class Brief:
-    """What a terminal shows of a table unless all of it is asked for.
+    """Part of a table that a terminal shows unless all of it is asked for.
 
     Attributes:
-        title: One line above.
         columns: Places of the columns, in their order, those of text first.
-        notes: Sentences below them.
         text_columns: How many of them are text.
     """
 
@@ -94,10 +92,6 @@ class Table:
 
     Attributes:
         name: File stem, for example ``collision``.
-        title: One line above the table.
-        columns: Column heads.
-        rows: Cells, one tuple a row, as many as there are columns.
-        notes: Sentences below the table.
         text_columns: How many leading columns are text (left-aligned); the others are numbers.
         groups: Labels over columns that cover all of them, or none. Where numbers rest on verdicts the label names the
             protocol.
@@ -106,7 +100,6 @@ class Table:
         miniatures: Of each row whether it is about a miniature, whose numbers show the pipeline and rank nothing; none
             if no row is. CSV has a column more then.
         brief: What a terminal shows without being asked for more; ``None`` for everything.
-        latex_form: How LaTeX lays it out, if not plainly.
     """
 
     name: str
@@ -164,9 +157,6 @@ class Table:
             width: Columns of the terminal, if it is not to be asked.
             indent: Before each line but the title.
             least: Characters that each column has at least.
-
-        Returns:
-            Lines; no wider than the terminal unless ``wide`` is asked for.
         """
         width, brief = width or terminal_width(), None if wide else self.brief
         places = range(len(self.columns)) if brief is None else brief.columns
@@ -205,7 +195,7 @@ class Table:
         return "\n".join(lines) + "\n"
 
     def csv(self) -> str:
-        """The table as CSV, heads with their groups first, and what is to be thought of rows of miniatures last."""
+        """The table as CSV, heads with their groups first, and a column on miniatures last."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         said = [[RANKS_NOTHING if miniature else ""] for miniature in self.miniatures] or [[]] * len(self.rows)
@@ -254,19 +244,8 @@ def table_of(
     """A table of texts and of numbers that bring their facts.
 
     Args:
-        name: File stem.
-        title: One line above the table.
-        columns: Column heads.
         rows: Text, or a number as its cell shows it.
-        notes: Sentences below the table.
-        text_columns: How many leading columns are text.
         groups: Labels over columns; those over none are left out.
-        sources: Where quoted numbers come from.
-        brief: What a terminal shows of it, if not all.
-        latex_form: How LaTeX lays it out, if not plainly.
-
-    Returns:
-        The table.
     """
     shown = [[Shown(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
     miniatures = tuple(any(cell.miniature for cell in row) for row in shown)
@@ -293,7 +272,7 @@ def escape_latex(text: str) -> str:
 
 
 def _latex_character(character: str) -> str:
-    """What every LaTeX can set: ASCII, the usual letters with accents, and of anything else its number."""
+    """Form of a character that every LaTeX can set: ASCII, usual letters with accents, of anything else its number."""
     plain = character.isascii() or character in _LATEX_LETTERS
     return _LATEX_SPECIAL.get(character, character if plain else f"U+{ord(character):04X}")
 

@@ -25,17 +25,13 @@ def terminal_width() -> int:
 def wrapped(
     text: str, width: int | None = None, *, indent: str = "", hanging: str = "", whole_words: bool = True
 ) -> list[str]:
-    """A sentence as lines.
+    """A sentence as lines, at least one.
 
     Args:
-        text: The sentence.
         width: Columns; those of the terminal by default.
         indent: Before each line.
         hanging: Before each line but the first, after the indent.
         whole_words: Whether words that are longer than a line (paths) stay whole, so that they can be copied.
-
-    Returns:
-        At least one line.
     """
     return textwrap.wrap(
         text,
@@ -61,14 +57,9 @@ def aligned(
     numbers go on below, with the columns of text again before them.
 
     Args:
-        heads: Column heads.
-        rows: Cells, as many as heads each.
         text_columns: How many leading columns are text (left-aligned); the others are numbers.
         width: Columns at most; ``None`` for as many as it takes.
         least: Characters that each column has at least.
-
-    Returns:
-        The lines.
     """
     heads, rows = [_bound(head) for head in heads], [[_bound(cell) for cell in row] for row in rows]
     least = least or (0,) * len(heads)

@@ -2,15 +2,10 @@
 
 
 def counted(count: int, one: str, many: str | None = None) -> str:
-    """A number with its noun, in the singular where it is one.
+    """A number with its noun, singular where it is one: ``1 scene``, ``3 scenes`` or ``1,204 samples``.
 
     Args:
-        count: How many.
-        one: The noun, or a few words that end with it, for one.
         many: The same for several; by default with an s, or ``ies`` for a ``y`` after a consonant.
-
-    Returns:
-        For example ``1 scene``, ``3 scenes`` or ``1,204 samples``.
     """
     return f"{count:,} {noun(count, one, many)}"
 
@@ -25,14 +20,9 @@ def noun(count: int, one: str, many: str | None = None) -> str:
 
 
 def split_of(split: str, data_name: str) -> str:
-    """A split and its data set in a sentence; a data set that is called like its split is named once.
+    """A split and its data set in a sentence, as ``split adv of mini``.
 
-    Args:
-        split: Name of the split.
-        data_name: Name of the data set.
-
-    Returns:
-        For example ``split adv of mini``.
+    A data set that is called like its split is named once.
     """
     return f"split {split}" if data_name == split else f"split {split} of {data_name}"
 

@@ -50,14 +50,12 @@ _PICTURES_FOLDER: Final = "cameras"
 
 @dataclass(frozen=True, slots=True)
 class WrittenSheet:
-    """What became of one scene.
+    """Outcome for one scene.
 
     Attributes:
-        scene: Its name.
         made: Whether there was something to do.
         pictures: How many there are.
         sheet_bytes: Size of ``sheet.json``.
-        picture_bytes: Size of the pictures.
     """
 
     scene: str
@@ -74,12 +72,10 @@ class WrittenSheet:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What every unit of work needs to know; picklable.
+    """Facts that every unit of work needs; picklable.
 
     Attributes:
         root: Folder of all sheets.
-        facts: Of the data set.
-        split: One of its splits.
         pictures: Which frames have pictures: ``all``, ``keyframes`` or ``none``.
         cell_width_px: Width of one camera in a picture.
     """
@@ -91,30 +87,17 @@ class Job:
     cell_width_px: int
 
     def folder(self, scene: str) -> Path:
-        """Where a scene's sheet lies."""
+        """Folder of a scene's sheet."""
         return scene_folder(self.root, self.facts.name, self.split, scene)
 
 
 def sheets_in(folder: Path) -> ResultStore[str]:
-    """What was written to a folder, by the hash of ``sheet.json``."""
+    """Sheets written to a folder, by the hash of ``sheet.json``."""
     return ResultStore(folder, str)
 
 
 def sheet_of(data: "DataSet", split: str, name: str, facts: DataFacts) -> Sheet:
-    """A scene's sheet without pictures.
-
-    Args:
-        data: The data set.
-        split: One of its splits.
-        name: Scene name.
-        facts: Of the data set.
-
-    Returns:
-        The sheet.
-
-    Raises:
-        InputError: If there is no such scene, or a number in it is not finite.
-    """
+    """A scene's sheet without pictures."""
     made = data.provenance()
     report = made["scenes"].get(name, {}).get("report") if made else None
     renderer = made.get("renderer") if made else None
@@ -139,13 +122,9 @@ def sheet_of(data: "DataSet", split: str, name: str, facts: DataFacts) -> Sheet:
 
 
 def sheet_to_draw(scene: Scene) -> Sheet:
-    """What is drawn of a scene, whatever data set it stands in: a sheet that is not stored.
+    """Sheet of a scene of any data set that is to be drawn and not stored.
 
-    Args:
-        scene: The scene.
-
-    Returns:
-        Its sheet without data set, split, labels, sample tokens and pictures.
+    It has no data set, split, labels, sample tokens and pictures.
 
     Raises:
         ValidationError: If a number in it is not finite.
@@ -174,19 +153,7 @@ def sheet_to_draw(scene: Scene) -> Sheet:
 
 
 def written_sheet(job: Job, data: "DataSet", name: str) -> WrittenSheet:
-    """One unit of work: a scene's sheet and pictures, if they are not there already.
-
-    Args:
-        job: What is written.
-        data: The data set.
-        name: Scene name.
-
-    Returns:
-        What became of it.
-
-    Raises:
-        InputError: If the scene is broken, some of its images are missing, or it cannot be written.
-    """
+    """One unit of work: a scene's sheet and pictures, if they are not there already."""
     keyframes, sweeps = _videos(job, data, name)
     key = _key(job, name, keyframes, sweeps)
     folder = job.folder(name)
@@ -200,19 +167,7 @@ def written_sheet(job: Job, data: "DataSet", name: str) -> WrittenSheet:
 
 
 def planned_sheet(job: Job, data: "DataSet", name: str) -> WrittenSheet:
-    """What `written_sheet` would do, without sizes.
-
-    Args:
-        job: What would be written.
-        data: The data set.
-        name: Scene name.
-
-    Returns:
-        What would become of it.
-
-    Raises:
-        InputError: If the scene is broken or some of its images are missing.
-    """
+    """Outcome that `written_sheet` would have, without sizes."""
     keyframes, sweeps = _videos(job, data, name)
     made = _kept(job, name, _key(job, name, keyframes, sweeps)) is None
     return WrittenSheet(name, made, len(pictured_frames(data.scene(name), keyframes, sweeps)), 0, 0)
@@ -229,7 +184,7 @@ def _videos(job: Job, data: "DataSet", name: str) -> tuple[Videos, Videos]:
 
 
 def _key(job: Job, scene: str, keyframes: Videos, sweeps: Videos) -> str:
-    """Of everything that decides what is written; sizes of images show those that were rendered anew."""
+    """Key of everything that decides what is written; sizes of images show those that were rendered anew."""
     sizes = [
         (name, view.path.name, view.path.stat().st_size)
         for videos in (keyframes, sweeps)
@@ -278,7 +233,7 @@ def rounds_fit(path: Path, sheet: Sheet) -> bool:
 
 
 def _write_pictures(job: Job, folder: Path, scene: Scene, keyframes: Videos, sweeps: Videos) -> Mapping[str, Any]:
-    """Write all pictures; returns the fields of the sheet that say what is in them."""
+    """Write all pictures; returns the fields of the sheet that describe them."""
     frames = pictured_frames(scene, keyframes, sweeps)
     cells = layout({name: views[0].camera for name, views in keyframes.items()}, job.cell_width_px)
     edges, files = {}, {}

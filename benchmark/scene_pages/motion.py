@@ -15,20 +15,16 @@ NEAR_M: Final = 80.0
 
 
 def origin_of(scene: Scene) -> Point:
-    """Where a sheet's positions are counted from: the ego's first position, whole metres."""
+    """Origin of a sheet's positions: the ego's first position, whole metres."""
     x, y = np.rint(scene.ego.position[0, :2])
     return float(x), float(y)
 
 
 def ego_of(scene: Scene, origin: Point) -> SheetEgo:
-    """Recorded motion of the ego.
+    """Recorded motion of the ego, one pose a frame, rounded to centimetres and milliradians.
 
     Args:
-        scene: The scene.
         origin: (x, y) that positions are relative to, global frame.
-
-    Returns:
-        One pose a frame, centimetres and milliradians.
     """
     pose = scene.ego.pose
     return SheetEgo(
@@ -45,7 +41,6 @@ def agents_of(scene: Scene, origin: Point) -> tuple[SheetAgent, ...]:
     """Tracks of the agents that come near the ego, and of all adversaries.
 
     Args:
-        scene: The scene.
         origin: (x, y) that positions are relative to, global frame.
 
     Returns:

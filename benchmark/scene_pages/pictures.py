@@ -26,29 +26,16 @@ _LEAST_EDGE_PX: Final = 0.1
 
 @dataclass(frozen=True, slots=True)
 class PicturedFrame:
-    """What stands in the picture of one frame.
-
-    Attributes:
-        frame: Of the scene.
-        views: By camera name; a camera without an image at this sample is missing.
-    """
+    """Images in the picture of one frame, by camera name; a camera without one at this sample is missing."""
 
     frame: int
     views: Mapping[str, CameraView]
 
 
 def with_files(scene: str, videos: Videos) -> Videos:
-    """Images that are there.
+    """Images that are there: all, or none where all files are missing, for the scene is one without images.
 
-    Args:
-        scene: Name of the scene, for messages.
-        videos: Images by camera name.
-
-    Returns:
-        The same, or nothing where all files are missing: the scene is one without images.
-
-    Raises:
-        InputError: If some of the files are missing.
+    Where only some are missing the scene is refused.
     """
     paths = [view.path for views in videos.values() for view in views]
     missing = [path for path in paths if not path.is_file()]
@@ -71,7 +58,6 @@ def pictured_frames(scene: Scene, keyframes: Videos, sweeps: Videos) -> tuple[Pi
     """Which frames get a picture, of which images.
 
     Args:
-        scene: The scene.
         keyframes: One image a sample by camera name.
         sweeps: The images between samples; none where they are not wanted.
 
@@ -104,10 +90,9 @@ def pictured_frames(scene: Scene, keyframes: Videos, sweeps: Videos) -> tuple[Pi
 
 
 def layout(cameras: Mapping[str, Camera], cell_width_px: int) -> tuple[SheetCamera, ...]:
-    """Where each camera stands: the rows of `CAMERA_GRID`, then rows of three of cameras that are not in it.
+    """Cells of the cameras: the rows of `CAMERA_GRID`, then rows of three of cameras that are not in it.
 
     Args:
-        cameras: Calibration by camera name.
         cell_width_px: Widest cell; narrower images are not enlarged.
 
     Returns:
@@ -135,17 +120,10 @@ def _cell(camera: Camera, left: int, top: int, cell_width_px: int) -> SheetCamer
 
 
 def mosaic(cells: Sequence[SheetCamera], views: Mapping[str, CameraView]) -> bytes:
-    """One picture of all cameras.
+    """One picture of all cameras, as a WebP file.
 
     Args:
-        cells: Where each stands.
         views: Images by camera name; the cell of a camera that has none stays black.
-
-    Returns:
-        A WebP file.
-
-    Raises:
-        InputError: If an image is broken, or the picture is larger than WebP allows.
     """
     width = max(cell.left + cell.width for cell in cells)
     height = max(cell.top + cell.height for cell in cells)
@@ -169,11 +147,6 @@ def adversary_edges(
     scene: Scene, cells: Sequence[SheetCamera], views: Mapping[str, CameraView]
 ) -> dict[str, tuple[Segment, ...]]:
     """Edges of the adversaries' 3-D boxes in a picture, each camera by its own exposure and pose.
-
-    Args:
-        scene: The scene.
-        cells: Where each camera stands.
-        views: Images by camera name.
 
     Returns:
         For each camera that sees an adversary: segments in pixels of the picture, cut at the near plane and at the
@@ -218,15 +191,9 @@ def _edges(corners: Floats, camera: Camera, cell: SheetCamera) -> list[Segment]:
 
 
 def cut_at_borders(segment: Floats, width: int, height: int) -> Floats | None:
-    """The part of a segment inside a rectangle (Liang and Barsky).
+    """Part of a (2, 2) segment inside a rectangle (Liang and Barsky), pixels.
 
-    Args:
-        segment: (2, 2) its ends, pixels.
-        width: Of the rectangle, whose corner is the origin.
-        height: Of the rectangle.
-
-    Returns:
-        (2, 2), or ``None`` where nothing that could be seen is inside.
+    The rectangle has a corner at the origin. ``None`` where nothing that could be seen is inside.
     """
     start, along = segment[0], segment[1] - segment[0]
     first, last = 0.0, 1.0

@@ -19,16 +19,13 @@ _LEAST_AREA_M2: Final = 0.05
 
 
 def road_around(road_map: RoadMap, way: Floats, origin: Point) -> SheetMap:
-    """What is drawn of a map.
+    """Layers of a map within `AROUND_M` of the ego's way, simplified to 5 cm and rounded to centimetres.
+
+    Rings are closed: their last point is their first.
 
     Args:
-        road_map: The map, global.
         way: (T, 2) positions of the ego, global.
         origin: What positions become relative to.
-
-    Returns:
-        Its layers within `AROUND_M` of the way, simplified to 5 cm and rounded to centimetres. Rings are closed: their
-        last point is their first.
     """
     window = _corridor(way)
     near = road_map.near(shapely.bounds(window).tolist())

@@ -28,18 +28,7 @@ def write_split_sheet(
     """Describe a split in ``split.json``.
 
     Args:
-        directory: Where.
-        data: The data set.
-        split: One of its splits.
-        facts: Of the data set.
-        runtime: Seconds of each stage of generation, if they are known.
         hyper: Settings of the search, if they are known.
-
-    Returns:
-        What was written.
-
-    Raises:
-        InputError: If there is no such split, a table or ``attempts.jsonl`` is broken, or nothing can be written.
     """
     review = data.review(split).facts
     reviewed = [] if review is None else [review.content]
@@ -63,7 +52,7 @@ def write_split_sheet(
 
 
 def _attempts(data: "DataSet", split: str) -> tuple[AttemptFacts, ...]:
-    """What the search tried; nothing where the root was not generated for this split."""
+    """Attempts of the search; none where the root was not generated for this split."""
     made = data.provenance()
     path = data.root / ATTEMPTS_FILE
     if made is None or made.get("split") != split or not path.is_file():

@@ -28,7 +28,7 @@ _WIDTHS_PX: Final = (16, 4096)
 
 @dataclass(frozen=True, slots=True)
 class SheetSettings:
-    """What to write.
+    """Settings of sheets.
 
     Attributes:
         pictures: Which frames get a picture of all cameras; ``all`` are those at 12 Hz.
@@ -58,10 +58,9 @@ class SheetSettings:
 
 @dataclass(frozen=True, slots=True)
 class WrittenSheets:
-    """What became of a split.
+    """Outcome for a split; ``directory`` holds its ``split.json``.
 
     Attributes:
-        directory: Of ``split.json``.
         scenes: One for each scene that was asked for.
         traced: How many of them show the rounds of refinement; ``None`` if that was not asked for.
     """
@@ -158,20 +157,7 @@ def _show_rounds(folder: Path, data_root: Path, scene: str) -> bool:
 
 
 def plan_of(data: "DataSet", split: str, root: Path, settings: SheetSettings) -> str:
-    """What would be done: for ``--dry-run``.
-
-    Args:
-        data: The data set.
-        split: One of its splits.
-        root: Folder of all sheets.
-        settings: What to write.
-
-    Returns:
-        A sentence.
-
-    Raises:
-        InputError: If the split or a scene is unknown.
-    """
+    """One sentence that says what would be done: for ``--dry-run``."""
     chosen = EvalSettings(scenes=settings.scenes, limit=settings.limit).chosen(data, split)
     job = _job(data, split, root, settings)
     planned = [planned_sheet(job, data, name) for name in chosen]

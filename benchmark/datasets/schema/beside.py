@@ -61,20 +61,7 @@ ARC_LINE: Final[Mapping[str, Kind]] = {
 
 
 def require_records(path: Path, what: str, records: Any, fields: Mapping[str, Kind]) -> Sequence[Mapping[str, Any]]:
-    """Refuse records that lack a field or hold what they must not.
-
-    Args:
-        path: File that they are in.
-        what: What one of them is called.
-        records: What should be a list of objects.
-        fields: Their fields.
-
-    Returns:
-        The records.
-
-    Raises:
-        InputError: For the first fault.
-    """
+    """Refuse records of a file that lack a field or hold what they must not; ``what`` is the name of one of them."""
     if type(records) is not list or any(type(record) is not dict for record in records):
         raise InputError(f"{path} must hold a list of {what}s, each an object; fetch or make it again")
     for name, kind in fields.items():

@@ -46,10 +46,7 @@ class FaultList:
 
         Args:
             kind: Two or three words for what the faults of a kind have in common; names them when counted.
-            table: Table or file that it was found in.
             token: Token of the row, or an empty string.
-            sentence: What is wrong.
-            severity: Whether software crashes on it or computes something wrong.
         """
         self.counts[(kind, table, severity)] += 1
         if self.counts[(kind, table, severity)] <= SHOWN_PER_KIND:
@@ -67,20 +64,12 @@ class FaultList:
 
 @dataclass(slots=True)
 class Refusal(FaultList):
-    """Refuses at the first error; warnings are nobody's business who does not ask for them.
-
-    Attributes:
-        folder: Version folder of the tables.
-    """
+    """Refuses at the first error; warnings are for those who ask for them."""
 
     folder: Path = Path()
 
     def add(self, kind: str, table: str, token: str, sentence: str, *, severity: Severity = "error") -> None:
-        """Raise for an error.
-
-        Raises:
-            InputError: The sentence, where it was found, and how to see all faults.
-        """
+        """Raise for an error."""
         if severity == "warning":
             return
         path = self.folder / (table if table.endswith(".json") else f"{table}.json")

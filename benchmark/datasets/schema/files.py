@@ -57,7 +57,7 @@ def check_files(root: Path, tables: CheckedTables, faults: FaultList) -> None:
 
 
 def _without_sweep_images(folders: "_Folders", tables: CheckedTables) -> list[Row]:
-    """Rows of all images between samples, if not one of them is there: whoever keeps samples alone leaves them out."""
+    """Rows of all images between samples, if not one is there: data sets of samples alone leave them out."""
     rows = [
         row
         for row in tables.having("sample_data", "filename", "is_key_frame")
@@ -90,7 +90,7 @@ class _Folders:
 
 
 def _problem(path: Path, size: int, row: Row) -> str:
-    """What is wrong with a sensor file; empty if nothing is."""
+    """Fault of a sensor file, in words; empty if it has none."""
     suffix = path.suffix.lower()
     if suffix == ".bin":
         # An empty lidar file is legal: generated data sets have no lidar, but converters want the file to exist.

@@ -9,14 +9,7 @@ from benchmark.errors import InputError
 
 
 def check_further_tables(folder: Path, root: Path, tables: CheckedTables, faults: FaultList) -> None:
-    """Note that the devkit does not open a root with such tables; asked only where nothing else is wrong.
-
-    Args:
-        folder: Version folder.
-        root: Data set root.
-        tables: The others.
-        faults: Gets the faults.
-    """
+    """Note that the devkit does not open a root with such tables; asked only where nothing else is wrong."""
     there = [table for table in FURTHER_TABLES if (folder / f"{table}.json").exists()]
     if not there or any(fault.severity == "error" for fault in faults.faults):
         return

@@ -39,11 +39,10 @@ ColumnTest = Callable[[list[Any]], bool]
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """What a field may hold.
+    """Contents that a field may have.
 
     Attributes:
         words: What it must be, for sentences.
-        holds: Whether one value is of the kind.
         column: Whether all values of a column (never empty) are. It is quick, and it may err on one side only: where
             it says no, the values are looked at one by one.
     """
@@ -89,7 +88,6 @@ def numbers(words: str, length: int, sound: Callable[[Any], Any]) -> Kind:
     """Lists of some finite numbers.
 
     Args:
-        words: What they must be.
         length: How many numbers each list has.
         sound: From (N, length) to N truths; false for NaN.
     """
@@ -143,7 +141,7 @@ def is_file_name(value: Any) -> bool:
 
 
 def is_file_inside(value: Any) -> bool:
-    """Whether a text is the path of a file below a folder, whatever the system."""
+    """Whether a text is the path of a file below a folder, on any system."""
     if type(value) is not str or not value.isprintable() or not 0 < len(value.encode()) <= LONGEST_PATH_BYTES:
         return False
     path = PurePosixPath(value.replace("\\", "/"))

@@ -27,10 +27,8 @@ def check_link(link: Link, rows: Sequence[Row], known: Set[str], faults: FaultLi
     """Note rows whose link leads nowhere.
 
     Args:
-        link: What links.
         rows: Rows in which it can be relied on.
         known: Tokens of the table that it leads to.
-        faults: Gets the faults.
         among: Which rows of the table the known ones are, where they are not all.
     """
     values = map(itemgetter(link.field), rows)

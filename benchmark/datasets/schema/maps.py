@@ -22,14 +22,7 @@ _ELSEWHERE: Final = ("../maps/expansion", "maps", "../maps", "expansion", "../ex
 
 
 def check_maps(root: Path, tables: CheckedTables, ego: EgoAtSamples, faults: FaultList) -> None:
-    """Note map expansions that are missing, lie in another folder, are broken or of another place.
-
-    Args:
-        root: Root of the data set.
-        tables: Checked tables.
-        ego: Where the ego is at each sample.
-        faults: Gets the faults.
-    """
+    """Note map expansions that are missing, lie in another folder, are broken or of another place."""
     logs: defaultdict[str, set[str]] = defaultdict(set)
     for row in tables.having("log", "location"):
         logs[row["location"]].add(row["token"])

@@ -19,7 +19,7 @@ _QUATERNIONS = "make sense only if they are read as x, y, z, w; nuScenes has w, 
 
 @dataclass(frozen=True, slots=True)
 class EgoAtSamples:
-    """Where the ego is at S samples of all scenes, scene by scene, in time order.
+    """Poses of the ego at S samples of all scenes, scene by scene, in time order.
 
     Attributes:
         scene: (S,) number of the scene.
@@ -62,13 +62,7 @@ class EgoAtSamples:
 
 
 def check_motion(tables: CheckedTables, ego: EgoAtSamples, faults: FaultList) -> None:
-    """Note boxes that jump, boxes that lie across their motion, and rotations in the order x, y, z, w.
-
-    Args:
-        tables: Checked tables.
-        ego: Where the ego is at each sample.
-        faults: Gets the faults.
-    """
+    """Note boxes that jump, boxes that lie across their motion, and rotations in the order x, y, z, w."""
     driven = Steps.of(ego.scene, ego.seconds, ego.position).directions(len(ego.scene))
     if in_another_order(ego.rotation, driven):
         faults.add("rotations in another order", "ego_pose", "", f"the rotations {_QUATERNIONS}", severity="warning")

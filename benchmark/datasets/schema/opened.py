@@ -19,7 +19,6 @@ def check_opened(tables: CheckedTables, faults: FaultList, rates: FaultList) -> 
 
     Args:
         tables: These tables, or all.
-        faults: Gets the faults.
         rates: Gets scenes with another rate of keyframes than nuScenes.
     """
     check_links(tables, faults)
@@ -40,9 +39,7 @@ def check_scene(
     Args:
         shared: The tables that do not grow with the scenes.
         rows: Rows of the scene in the tables that do.
-        scene: Its row.
         adversaries: Instances that were made to be adversaries of the scene.
-        faults: Gets the faults.
     """
     own = CheckedTables.of_sound_rows({**rows, "scene": [scene]})
     tables = CheckedTables(

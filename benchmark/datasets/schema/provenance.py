@@ -73,9 +73,6 @@ def check_adversaries(tables: CheckedTables, scene: Row, adversaries: Collection
 
     Args:
         tables: Tables with all rows of the scene.
-        scene: Its row.
-        adversaries: Instances.
-        faults: Gets the faults.
     """
     annotations = _by_instance(tables) if adversaries else {}
     for token in adversaries:

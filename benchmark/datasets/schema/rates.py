@@ -10,12 +10,7 @@ from benchmark.datasets.steps import LONGEST_KNOWN_US, STEP_US, is_step, other_i
 
 
 def check_rates(tables: CheckedTables, faults: FaultList) -> None:
-    """Warn of scenes whose median keyframe interval is not that of nuScenes.
-
-    Args:
-        tables: Checked tables, the samples of all scenes among them.
-        faults: Gets the faults.
-    """
+    """Warn of scenes whose median keyframe interval is not that of nuScenes; samples of all scenes are needed."""
     for scene, times_us in _times_of_scenes(tables):
         usual_us = other_interval_us(times_us)
         if usual_us is None:
@@ -34,10 +29,6 @@ def check_gaps(tables: CheckedTables, faults: FaultList) -> None:
     """Warn of keyframes that are nearer to each other or farther apart than steps, in scenes at 2 Hz.
 
     In scenes at another rate only gaps are named across which nothing is known.
-
-    Args:
-        tables: Checked tables, the samples of all scenes among them.
-        faults: Gets the faults.
     """
     for scene, times_us in _times_of_scenes(tables):
         usual_us = other_interval_us(times_us)

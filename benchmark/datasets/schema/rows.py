@@ -15,12 +15,7 @@ _SHOWN_CHARACTERS: Final = 60
 
 
 def check_table(table: str, content: list[Row], faults: FaultList) -> tuple[list[Row], dict[int, frozenset[str]]]:
-    """Note what is wrong with a whole table, links apart.
-
-    Args:
-        table: Its name.
-        content: The rows in its file.
-        faults: Gets the faults.
+    """Note all faults of a whole table, links apart.
 
     Returns:
         Rows with a sound token of their own; and the fields that are absent or unsound, by identity of
@@ -35,16 +30,10 @@ def check_table(table: str, content: list[Row], faults: FaultList) -> tuple[list
 
 
 def check_rows(table: str, rows: Sequence[Row], faults: FaultList, *, first: int = 0) -> dict[int, frozenset[str]]:
-    """Note the fields that are absent or hold what they must not, whatever other rows the table has.
+    """Fields that are absent or hold what they must not, by identity of the row, apart from all other rows.
 
     Args:
-        table: Name of the table.
-        rows: Some of its rows, or all.
-        faults: Gets the faults.
         first: Number of the first row in its file.
-
-    Returns:
-        Fields that are absent or unsound, by identity of the row.
     """
     fields = SCHEMA[table]
     doubtful = [name for name, field in fields.items() if rows and not _column_holds(rows, name, field.kind)]

@@ -20,7 +20,6 @@ class CheckedTables:
 
     Attributes:
         rows: Rows that are objects with a token of their own, by table.
-        by_token: The same by table and token.
         unreadable: Tables that are missing or no list of rows; nothing more is said about links into them.
         unsound: Fields that are absent or hold what they must not, by identity of the row.
     """
@@ -47,7 +46,7 @@ class CheckedTables:
                 yield row
 
     def get(self, table: str, token: str, *fields: str) -> Row | None:
-        """A row by its token, if it exists and these fields of it can be relied on; what is no text names none."""
+        """Row of a token, if it exists and these fields of it can be relied on; a token that is no text has none."""
         row = self.by_token[table].get(token) if isinstance(token, str) else None
         if row is None or not self.unsound:
             return row
@@ -59,11 +58,7 @@ def read_checked(folder: Path, faults: FaultList) -> CheckedTables:
     """Read all 13 tables and check their rows.
 
     Args:
-        folder: Version folder.
         faults: Gets missing and unreadable tables, and what the schema says against their rows.
-
-    Returns:
-        What can be checked further.
     """
     rows: dict[str, list[Row]] = {}
     unsound: dict[int, frozenset[str]] = {}
@@ -79,7 +74,7 @@ def read_checked(folder: Path, faults: FaultList) -> CheckedTables:
 
 
 def _content(path: Path, table: str, faults: FaultList) -> list[Row] | None:
-    """The rows in a file, as whoever opens the data set reads them; nothing, and a fault, where it cannot be read."""
+    """Rows in a file, read as for opening the data set; ``None``, and a fault, where it cannot be read."""
     if not path.exists():
         faults.add(
             "missing table", table, "", f"{path.name} is missing; a data set has all 13 tables, if need be empty"

@@ -32,7 +32,6 @@ class Field:
     """A field of a row.
 
     Attributes:
-        kind: What it may hold.
         target: Table whose rows it names by their token; empty where it names none.
         unique: Whether no two rows may have the same.
     """
@@ -47,8 +46,6 @@ class Link:
     """A field that names rows of a table.
 
     Attributes:
-        table: Table that has the field.
-        field: Its name.
         target: Table that has the rows.
         may_be_empty: Whether it may name none.
     """

@@ -22,9 +22,7 @@ def check_truth(tables: CheckedTables, categories: Mapping[str, str], faults: Fa
     """Warn of scenes and objects of which commands that judge say nothing, or less.
 
     Args:
-        tables: Checked tables.
         categories: What other names of categories mean (`benchmark.datasets.categories.read_categories`).
-        faults: Gets the faults.
     """
     if "sample_annotation" in tables.unreadable:
         return
