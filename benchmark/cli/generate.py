@@ -195,8 +195,8 @@ def generate_command(options: GenerateOptions) -> None:
         say_plan([*ahead.plan(then), *unlike], json_output=options.json_output)
         return
     require_cluster(place, ahead)
+    from generation.pipeline.recordings import source_scenes
     from generation.pipeline.settings import BuildSettings
-    from generation.pipeline.split import source_scenes
 
     under_test = None if surrogate is None else surrogate.under_test(options.workers)
     space = api.workspace(options.out)

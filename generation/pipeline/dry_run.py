@@ -5,15 +5,13 @@ from dataclasses import replace
 
 from benchmark.datasets.roots import DataSet
 from generation.pipeline.estimate import KEPT_SHARE, Estimate, planning_estimate, rendering_estimate, workers_of
+from generation.pipeline.recordings import ready_to_build, search_of, unlabelled_scenes
 from generation.pipeline.report import BuildReport
 from generation.pipeline.settings import BuildSettings
-from generation.pipeline.split import ready_to_build, search_of, unlabelled_scenes
 from generation.search.attempts import kept_attempt
 from generation.search.chains import first_units
 from generation.search.definition import Search
 from generation.search.eligibility import not_tried_together
-from generation.splits.building import FrozenReport, ready_to_rebuild
-from generation.splits.packaged import NamedSplit
 
 
 def estimate_build(source: DataSet, split: str, settings: BuildSettings) -> BuildReport:
@@ -26,17 +24,6 @@ def estimate_build(source: DataSet, split: str, settings: BuildSettings) -> Buil
     about = Estimate(0, 0.0, len(names), each, workers, workers)
     skipped = unlabelled_scenes(source, settings)
     return BuildReport("val-r", len(names), estimate=about, dry_run=True, unlabelled=skipped)
-
-
-def estimate_frozen(
-    source: DataSet, split: NamedSplit, settings: BuildSettings, *, as_split: str = "adv"
-) -> FrozenReport:
-    """The same of `generation.splits.building.build_frozen`."""
-    plan, chosen, report = ready_to_rebuild(source, split, settings, as_split)
-    recorded = min(frozen.source for frozen, _ in chosen)
-    each = rendering_estimate(plan.renderer, source.scene(recorded), plan.frames, settings.timing / "rendering")
-    workers = workers_of(settings.where_rendered)
-    return replace(report, estimate=Estimate(0, 0.0, len(chosen), each, workers, workers))
 
 
 def _search_estimate(source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings) -> BuildReport:

@@ -10,8 +10,9 @@ from benchmark.machine.progress import Count
 from benchmark.runs.units import FinishedShard, Shard
 from generation.nuscenes_writer import DataSetPlan
 from generation.nuscenes_writer.plan import require_own_root
+from generation.pipeline.recordings import ready_to_build, search_of
 from generation.pipeline.settings import BuildSettings
-from generation.pipeline.split import Selected, originals, ready_to_build, search_of, searched, selected
+from generation.pipeline.split import Selected, originals, searched, selected
 from generation.pipeline.writing import WritingJob, unfinish_others, write_scenes
 from generation.search.definition import Search
 from generation.splits.building import frozen_jobs, ready_to_rebuild, said_of_frozen

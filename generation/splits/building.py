@@ -17,7 +17,7 @@ from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, SourceInfo
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.nuscenes_writer.scenes import stored_fragment
-from generation.pipeline.estimate import Estimate
+from generation.pipeline.estimate import Estimate, rendering_estimate, workers_of
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.writing import WritingJob, WrittenScenes, publish, publish_reports, write_scenes
 from generation.search.adversary import ALGORITHM_VERSION
@@ -152,12 +152,12 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *,
         InputError: If these are other recordings, a scene is unknown, the output holds a split that was searched or is
             of another frozen one, another command is writing there, or it cannot be written.
     """
-    if settings.dry_run:
-        # It counts with what is defined here.
-        from generation.pipeline.dry_run import estimate_frozen
-
-        return estimate_frozen(source, split, settings, as_split=as_split)
     plan, chosen, report = ready_to_rebuild(source, split, settings, as_split)
+    if settings.dry_run:
+        recorded = min(frozen.source for frozen, _ in chosen)
+        each = rendering_estimate(plan.renderer, source.scene(recorded), plan.frames, settings.timing / "rendering")
+        workers = workers_of(settings.where_rendered)
+        return replace(report, estimate=Estimate(0, 0.0, len(chosen), each, workers, workers))
     # Everything is looked at before anything is written.
     jobs, tables, masked = frozen_jobs(source, plan, chosen, split)
     with only_writer(settings.out):

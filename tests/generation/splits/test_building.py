@@ -18,7 +18,7 @@ from benchmark.protocols import NATIVE_PROTOCOLS
 from benchmark.records.judgement import DEFINITION, SceneJudgement
 from benchmark.runs.units import ResultStore
 from generation.labels.labelling import agent_boxes
-from generation.pipeline.dry_run import estimate_build, estimate_frozen
+from generation.pipeline.dry_run import estimate_build
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import build_split
 from generation.search.adversary import ALGORITHM_VERSION
@@ -173,7 +173,7 @@ def test_some_scenes_only(source: DataSet, split: NamedSplit, tmp_path: Path) ->
     assert {name[:10] for name in first.written} == {"scene-9901"}
     with pytest.raises(InputError, match="no scene made from scene-1"):
         build_frozen(source, split, replace(BUILT, out=tmp_path / "d", scenes=("scene-1",)))
-    dry = estimate_frozen(source, split, replace(BUILT, out=tmp_path / "e"))
+    dry = build_frozen(source, split, replace(BUILT, out=tmp_path / "e", dry_run=True))
     assert "would build" in dry.summary() and not (tmp_path / "e").exists()
 
 
