@@ -364,7 +364,7 @@ def _cost_path(planned: _Planned, out: Path) -> Path | None:
 
 
 def _was_there(results: Sequence[SceneResult]) -> bool:
-    return all(result.cost is None for result in results)
+    return all(result.kept for result in results)
 
 
 def _results(

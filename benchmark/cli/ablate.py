@@ -5,13 +5,8 @@ from typing import Annotated
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.built_splits import (
-    hyper_parameter_names,
-    require_cluster,
-    require_trajectory_model,
-    trajectory_model,
-)
-from benchmark.cli.options import executor_of, image_size, name_list
+from benchmark.cli.built_splits import require_cluster, require_trajectory_model
+from benchmark.cli.options import executor_of, hyper_parameter_names, image_size, name_list
 from benchmark.cli.output import print_result, same_out, say_next, say_plan
 from benchmark.cli.settings import Option, command
 
@@ -59,7 +54,7 @@ def ablate_command(options: AblateOptions) -> None:
     from benchmark.machine.several_devices import require_one_device, workers_for
     from benchmark.machine.storage import file_name
     from generation.search.departures import told
-    from generation.search.presets import hyper_parameters
+    from generation.search.presets import hyper_parameters, trajectory_model
 
     shortcuts = {"candidate_limit": options.vehicles, "candidates": options.candidates}
     hyper = hyper_parameters(options.preset, shortcuts, options.changes or ())
@@ -89,7 +84,7 @@ def ablate_command(options: AblateOptions) -> None:
         out=study,
         timings=space.timings_of(study),
         hyper=hyper,
-        prior=trajectory_model(options),
+        prior=trajectory_model(options.preset, options.denoiser, options.device),
         source_split=options.source_split,
         scenes=scenes,
         limit=options.limit,

@@ -1,7 +1,7 @@
 """What one ``generate`` command builds: a split, or one for each of several seeds; searched for, or frozen."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,13 +14,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from benchmark.api import Ahead, DataSource
-    from benchmark.cli.ablate import AblateOptions
-    from benchmark.cli.generate import GenerateOptions
+    from benchmark.cli.generate_options import GenerateOptions
     from benchmark.datasets.roots import DataSet
     from benchmark.machine.workers import Executor
     from benchmark.runs.units import Shard
     from generation.pipeline.settings import BuildSettings
-    from generation.search.definition import PackagedPrior
     from generation.splits.packaged import NamedSplit
 
 OF_THE_SEARCH: Final = (
@@ -101,27 +99,12 @@ def splits_to_build(options: "GenerateOptions", data: "DataSource") -> tuple[Spl
     return found
 
 
-def hyper_parameter_names() -> frozenset[str]:
-    """Names of the settings of the search."""
-    from generation.search.hyperparameters import HyperParameters
-
-    return frozenset(each.name for each in fields(HyperParameters))
-
-
 def require_trajectory_model(device: str, denoiser: Path | None) -> None:
     """Refuse a trajectory model that could not run."""
     from benchmark.machine.places import require_file
 
     api.require_devices(device)
     require_file(denoiser, "--denoiser")
-
-
-def trajectory_model(options: "GenerateOptions | AblateOptions") -> "PackagedPrior":
-    """The trajectory model that options name."""
-    from generation.search.presets import trajectory_model
-
-    of_sampler = {name: getattr(options, name) for name in ("calls", "dropout", "samples") if hasattr(options, name)}
-    return trajectory_model(options.preset, options.denoiser, options.device, **of_sampler)
 
 
 def require_cluster(place: "Executor", ahead: "Ahead") -> None:

@@ -1,5 +1,6 @@
 """Options that several commands share, and how their texts are read."""
 
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -172,3 +173,10 @@ def executor_of(name: str, address: str | None, workers: int) -> "Place":
 
     require_package("ray", NOT_INSTALLED)
     return RayCluster(address or "auto")
+
+
+def hyper_parameter_names() -> frozenset[str]:
+    """Names of the settings of the search."""
+    from generation.search.hyperparameters import HyperParameters
+
+    return frozenset(each.name for each in fields(HyperParameters))

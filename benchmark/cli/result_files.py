@@ -9,7 +9,7 @@ from benchmark.errors import InputError
 
 if TYPE_CHECKING:
     from adapters.result_files.recognition import Recognised
-    from benchmark.cli.evaluate import EvalOptions
+    from benchmark.cli.eval_options import EvalOptions
     from benchmark.datasets.roots import DataSet
     from benchmark.machine.workspace import Workspace
     from benchmark.records.run import RunRecord

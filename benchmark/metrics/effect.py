@@ -21,7 +21,8 @@ from benchmark.metrics.rates import HORIZONS, with_average
 from benchmark.metrics.scores import Scored, require_current, scored, source_of_scenes
 from benchmark.protocols import PROTOCOLS, published_values
 from benchmark.protocols.touched import HIT_ADVERSARY, TOUCHED_ADVERSARY, touches_adversary
-from benchmark.records.run import RunRecord, scene_failures, scenes_with
+from benchmark.records.run import RunRecord
+from benchmark.records.scene_failures import scene_failures, scenes_with
 
 HORIZON_S: Final = (1.0, 2.0, 3.0)
 AT_3_S: Final = 2

@@ -52,6 +52,12 @@ def code_sha256(made: type, *, made_by: str | None = None, parts: frozenset[type
         made_by: The function or class that made it, as ``package.module:name``.
         parts: Classes of what it was given, such as its network.
     """
+    return _identity(made, made_by, parts)
+
+
+@cache
+def _identity(made: type, made_by: str | None, parts: frozenset[type]) -> str | None:
+    """`code_sha256`, once a process: every unit of work asks for it."""
     if _source_of(made) is None:
         return None
     module, _, maker = (made_by or f"{made.__module__}:{made.__qualname__}").partition(":")
@@ -78,13 +84,14 @@ def project_sha256() -> str:
         for path in (root / package).rglob("*.py")
         if not any(path.is_relative_to(each) for each in apart)
     }
-    contents = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in sorted(found.items())}
+    contents = {name: path.read_bytes() for name, path in sorted(found.items())}
     # Parsing all of it takes a second, reading it little.
     kept: ResultStore[str] = ResultStore(cache_root() / "code", str)
-    key = content_key("project", sys.version_info[:2], contents)
+    bytes_of = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
+    key = content_key("project", sys.version_info[:2], bytes_of)
     sha256 = kept.get(key)
     if sha256 is None:
-        sha256 = content_key([(name, file_code_sha256(found[name])) for name in contents])
+        sha256 = content_key([(name, _tree_sha256(content, _parsed(content))) for name, content in contents.items()])
         with contextlib.suppress(InputError):
             kept.put(key, sha256)
     return sha256
@@ -119,39 +126,46 @@ def code_of_modules(start: Iterable[str], made: type | None = None) -> dict[str,
         file = _located(module) if own and module.partition(".")[0] == own else _own_file(module)
         if file is None or _is_in_project_hash(file):
             continue
-        found[name] = file_code_sha256(file)
+        found[name], imports = _code(file)
         package = module if file.name == "__init__.py" else module.rpartition(".")[0]
-        tree = _parsed(file)[1]
-        for imported in set() if tree is None else set(_imports(tree)):
-            waiting += _with_parents(_absolute(imported, package))
+        waiting += [each for imported in imports for each in _with_parents(_absolute(imported, package))]
     return found
 
 
 def file_code_sha256(path: Path) -> str:
     """Hash of the syntax tree of a file as it is now, without what says nothing."""
+    return _code(path)[0]
+
+
+def _code(path: Path) -> tuple[str, tuple[str, ...]]:
+    """The hash of a file, and the names that its import statements name; relative ones begin with dots."""
     state = path.stat()
-    return _code_sha256(path, state.st_mtime_ns, state.st_size)
+    return _read(path, state.st_mtime_ns, state.st_size)
 
 
 @lru_cache(maxsize=4096)
-def _code_sha256(path: Path, changed_ns: int, size: int) -> str:
-    said: list[str] = []
-    content, tree = _parsed(path)
-    if tree is None:
-        # Not Python of this version: all that can be said is whether it changed.
-        return hashlib.sha256(content).hexdigest()
-    _write(tree, said)
-    return hashlib.sha256(" ".join(said).encode("utf-8", "backslashreplace")).hexdigest()
-
-
-def _parsed(path: Path) -> tuple[bytes, ast.Module | None]:
+def _read(path: Path, changed_ns: int, size: int) -> tuple[str, tuple[str, ...]]:
     content = path.read_bytes()
+    tree = _parsed(content)
+    return _tree_sha256(content, tree), () if tree is None else tuple(sorted(set(_imports(tree))))
+
+
+def _parsed(content: bytes) -> ast.Module | None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return content, ast.parse(content)
+            return ast.parse(content)
     except (SyntaxError, ValueError, RecursionError):
-        return content, None
+        return None
+
+
+def _tree_sha256(content: bytes, tree: ast.Module | None) -> str:
+    if tree is None:
+        # Not Python of this version: all that can be said is whether it changed.
+        return hashlib.sha256(content).hexdigest()
+    said: list[str] = []
+    _write(tree, said)
+    return hashlib.sha256(" ".join(said).encode("utf-8", "backslashreplace")).hexdigest()
 
 
 def _write(node: ast.AST, said: list[str]) -> None:

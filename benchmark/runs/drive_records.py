@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class JobResults:
     """All drives of a job.
 
@@ -50,10 +51,17 @@ class JobResults:
     settings: DriveSettings
     truths: Mapping[str, TruthFacts]
 
-    @property
+    @cached_property
     def rows(self) -> list[DriveRow]:
         """Of the record."""
         return with_labels([result.row for result in self.results], self.truths)
+
+    @cached_property
+    def of_data(self) -> dict[str, Any]:
+        """What the record says of its data."""
+        scenes = JudgedScenes(self.data, self.split, self.scenes)
+        said = described(scenes, "scene_facts", "frozen_split", "review", "generated")
+        return {**said, "scene_facts": with_truth(said["scene_facts"], self.truths)}
 
 
 def _config(of: JobResults) -> dict[str, Any]:
@@ -67,15 +75,8 @@ def _config(of: JobResults) -> dict[str, Any]:
 
 def _caveats(of: JobResults) -> Any:
     compared = ComparedPlans.joined(result.compared for result in of.results)
-    facts, door = with_truth(of.data.scene_facts(of.scenes), of.truths), getattr(of.job.factory, "caveats", ())
-    return drive_caveats(of.job.planner, facts, of.rows, of.job.measured, compared, door)
-
-
-def _of_data(of: JobResults) -> dict[str, Any]:
-    """What the record says of its data."""
-    scenes = JudgedScenes(of.data, of.split, of.scenes)
-    said = described(scenes, "scene_facts", "frozen_split", "review", "generated")
-    return {**said, "scene_facts": with_truth(said["scene_facts"], of.truths)}
+    door = getattr(of.job.factory, "caveats", ())
+    return drive_caveats(of.job.planner, of.of_data["scene_facts"], of.rows, of.job.measured, compared, door)
 
 
 FIELDS: Final[Mapping[str, Callable[[JobResults], Any]]] = {
@@ -91,7 +92,7 @@ FIELDS: Final[Mapping[str, Callable[[JobResults], Any]]] = {
 
 def write_record(of: JobResults) -> DriveRecord:
     """Write the record of a job, note what its planner took, and remove what is kept of other scenes."""
-    said = _of_data(of) | {name: make(of) for name, make in FIELDS.items()}
+    said = of.of_data | {name: make(of) for name, make in FIELDS.items()}
     record = write_drives(of.job.directory, said, of.rows, seed=of.settings.seed)
     if of.job.costs is not None:
         gather_costs(of.job.costs, of.job.planner)

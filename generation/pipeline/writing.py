@@ -136,7 +136,7 @@ def unfinish_others(root: Path, files: dict[str, bytes]) -> bool:
     return True
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class WrittenScenes:
     """Scenes of a data set that are written, and become it. ``keys`` are those that `write_scenes` returned."""
 
@@ -145,7 +145,7 @@ class WrittenScenes:
     keys: Sequence[str]
     source: DataSet
 
-    @property
+    @functools.cached_property
     def judged(self) -> list[tuple[SceneJudgement, ...]]:
         """The judgements of each scene, in the order of the jobs."""
         return [

@@ -15,8 +15,9 @@ from benchmark.constants import HORIZON_STEPS
 from benchmark.metrics.confusion import comparisons
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.effect import says_whom, touched_scenes
-from benchmark.records.run import NATIVE, RunRecord, protocol_of, scene_failures
+from benchmark.records.run import NATIVE, RunRecord, protocol_of
 from benchmark.records.run_schema import ProtocolSummary, RateRow
+from benchmark.records.scene_failures import scene_failures
 from benchmark.report.lettering import drawable
 from benchmark.report.plots import Sketch, Theme, for_pages, new_figure
 from benchmark.report.words import titled

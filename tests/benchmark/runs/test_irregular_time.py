@@ -15,7 +15,8 @@ from benchmark.metrics.scores import scored
 from benchmark.metrics.significance import compare_planners
 from benchmark.protocols import PROTOCOLS, STANDARD
 from benchmark.records.caveats import Caveat
-from benchmark.records.run import RunRecord, scene_failures
+from benchmark.records.run import RunRecord
+from benchmark.records.scene_failures import scene_failures
 from benchmark.runs.rescoring import rescore
 from benchmark.scene import Scene
 from leaderboard.frame.runs import Frame

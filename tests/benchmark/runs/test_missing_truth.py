@@ -19,7 +19,8 @@ from benchmark.metrics.slices import rates_by
 from benchmark.metrics.transfer import transfer
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.drives import load_drives
-from benchmark.records.run import RunRecord, load_record, scene_failures
+from benchmark.records.run import RunRecord, load_record
+from benchmark.records.scene_failures import scene_failures
 from benchmark.runs.driving import drive_split
 from benchmark.runs.rescoring import rescore, rescore_all
 from benchmark.runs.rescoring_drives import rescore_drives
