@@ -12,8 +12,9 @@ from pydantic import Field, model_validator
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, read_json
+from benchmark.metrics.rates import Rate
 from benchmark.published import ABLATION
-from benchmark.records.run_schema import DataFacts, PlannerFacts, RateRow
+from benchmark.records.run_schema import DataFacts, PlannerFacts
 from benchmark.records.store import read_each, validated
 from benchmark.records.stored import Stored
 from benchmark.report.cells import RANKS_NOTHING
@@ -65,8 +66,8 @@ class AblationRow(Stored):
     samples_attempted: int
     samples_kept: int
     colliding_samples: int
-    rate_attempted: RateRow
-    rate_kept: RateRow
+    rate_attempted: Rate
+    rate_kept: Rate
     mean_gap_m: float | None
 
     @model_validator(mode="before")
@@ -162,7 +163,7 @@ def _cells(row: AblationRow) -> tuple[str, ...]:
     )
 
 
-def _percent(rate: RateRow) -> str:
+def _percent(rate: Rate) -> str:
     if rate.value is None:
         return "-"
     interval = "" if rate.low is None or rate.high is None else f" [{100 * rate.low:.2f}, {100 * rate.high:.2f}]"

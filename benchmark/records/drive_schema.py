@@ -4,12 +4,8 @@ from typing import Annotated, Any, Final, Literal, Self, get_args
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from benchmark.records.run_schema import (
-    Name,
-    RateRow,
-    RecordFacts,
-    Version,
-)
+from benchmark.metrics.rates import Rate
+from benchmark.records.run_schema import Name, RecordFacts, Version
 from benchmark.records.stored import Stored
 
 SCHEMA: Final = 1
@@ -306,5 +302,5 @@ class DriveSummary(Stored):
     failed: int
     reasons: dict[str, int]
     coverage: Share
-    columns: dict[str, RateRow]
+    columns: dict[str, Rate]
     published: PublishedTable | None = None

@@ -6,7 +6,7 @@ are replaced together (`benchmark.records.store`); everything is the same bytes 
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal, TypeVar
 
@@ -15,11 +15,11 @@ import numpy as np
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key, read_json
-from benchmark.metrics.rates import ratios_over_scenes
+from benchmark.metrics.rates import Rate, ratios_over_scenes
 from benchmark.records.drive_schema import SCHEMA, DriveFacts, DriveRow, DriveSummary, Measured
 from benchmark.records.neuroncap_table import published_table
 from benchmark.records.planner_cost import PlannerCost
-from benchmark.records.run_schema import RateRow, SceneFacts
+from benchmark.records.run_schema import SceneFacts
 from benchmark.records.store import FileNames, read_each, read_own, replace_files, validated
 from benchmark.records.stored import Stored
 from benchmark.report.notebook import html_table
@@ -155,7 +155,7 @@ def summarise(
         engine: NeuroNCAP's has a table of its own.
     """
     driven = [row for row in rows if row.status == "ok"]
-    columns: dict[str, RateRow] = {}
+    columns: dict[str, Rate] = {}
     if driven:
         values = [values_of(row) for row in driven]
         names = list(dict.fromkeys(name for each in values for name in each))
@@ -164,7 +164,7 @@ def summarise(
         weights: Floats = np.where(known, _weights(driven)[:, None], 0.0)
         scenes = [scene_facts[row.scene].source if row.scene in scene_facts else row.scene for row in driven]
         found = ratios_over_scenes(np.where(known, table, 0.0) * weights, weights, scenes, seed=seed)
-        columns = {name: RateRow(**asdict(rate)) for name, rate in zip(names, found, strict=True)}
+        columns = dict(zip(names, found, strict=True))
     reasons = Counter(row.failure.reason for row in rows if row.failure is not None)
     return DriveSummary(
         schema=SCHEMA,
@@ -177,7 +177,7 @@ def summarise(
     )
 
 
-def columns_of(record: DriveRecord) -> Mapping[str, RateRow]:
+def columns_of(record: DriveRecord) -> Mapping[str, Rate]:
     """The columns of a record's summary as they are defined now.
 
     Older summaries count contacts with bystanders as attributable; the rows say whom each contact is with.

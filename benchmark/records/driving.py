@@ -1,7 +1,6 @@
 """Driving scores of a run: means and shares of its samples' sub-scores, and the totals made of them."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import Final
 
 import numpy as np
@@ -11,7 +10,7 @@ from benchmark.metrics.rates import ratios_over_scenes
 from benchmark.pdm.definition import DEFINITION, NOTE, PDM, VERSION
 from benchmark.pdm.totals import FILTERED, SubScores
 from benchmark.records.row_schema import DrivingRow, SampleRow
-from benchmark.records.run_schema import DrivingSummary, RateRow
+from benchmark.records.run_schema import DrivingSummary
 
 __all__ = [
     "COLUMNS",
@@ -63,8 +62,7 @@ def driving_summary(scores: tuple[Floats, Bools], scenes: Sequence[str], planned
     values, known = scores
     weights = np.concatenate([known, known], axis=1).astype(np.float64)
     both = np.concatenate([values, values == 1.0], axis=1) * weights
-    found = ratios_over_scenes(both, weights, scenes, seed=seed)
-    rates = [RateRow(**asdict(rate)) for rate in found]
+    rates = ratios_over_scenes(both, weights, scenes, seed=seed)
     columns = {
         name: {"mean": mean, "ones": ones}
         for name, mean, ones in zip(COLUMNS, rates[: len(COLUMNS)], rates[len(COLUMNS) :], strict=True)

@@ -4,7 +4,6 @@
 other two and is written last. ``scenes/`` beside them is what a repeated command goes on from.
 """
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +26,7 @@ from benchmark.records.quality_schema import (
     Sum,
     VideoRow,
 )
-from benchmark.records.run_schema import RateRow, SceneFacts
+from benchmark.records.run_schema import SceneFacts
 from benchmark.records.store import read_each, validated
 from benchmark.records.stored import Stored
 from benchmark.report.words import counted
@@ -186,11 +185,10 @@ def find_quality(folder: Path) -> list[QualityRecord]:
     return read_each(places, load_quality, instead=" to do without this record")
 
 
-def _ratio(sums: Sequence[tuple[str, Sum]]) -> RateRow:
+def _ratio(sums: Sequence[tuple[str, Sum]]) -> Rate:
     values = np.array([[of.total] for _, of in sums], dtype=np.float64).reshape(-1, 1)
     weights = np.array([[of.count] for _, of in sums], dtype=np.float64).reshape(-1, 1)
-    found: Rate = ratios_over_scenes(values, weights, [source for source, _ in sums], seed=0)[0]
-    return RateRow(**dataclasses.asdict(found))
+    return ratios_over_scenes(values, weights, [source for source, _ in sums], seed=0)[0]
 
 
 def _mean(sums: Sequence[Sum]) -> float | None:

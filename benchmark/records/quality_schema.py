@@ -6,7 +6,8 @@ from typing import Any, Final, Self
 
 from pydantic import Field, field_validator
 
-from benchmark.records.run_schema import DataFacts, RateRow, ReviewFacts, SceneFacts
+from benchmark.metrics.rates import Rate
+from benchmark.records.run_schema import DataFacts, ReviewFacts, SceneFacts
 from benchmark.records.stored import Stored
 
 QUALITY_SCHEMA: Final = 1
@@ -98,8 +99,8 @@ class GroupSummary(Stored):
 
     subjects: int
     appearances: int
-    consistency: RateRow
-    imaging: RateRow
+    consistency: Rate
+    imaging: Rate
 
 
 class SceneSummary(Stored):
@@ -120,7 +121,7 @@ class QualitySummary(Stored):
 
     groups: dict[str, GroupSummary]
     frames: int
-    frames_imaging: RateRow
+    frames_imaging: Rate
     scenes: dict[str, SceneSummary]
 
 

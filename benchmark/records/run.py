@@ -7,7 +7,6 @@ Every run gives the same bytes; how long it took is noted elsewhere (``<out>/tim
 """
 
 import contextlib
-import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,7 +25,7 @@ from benchmark.records.driving import driving_summary
 from benchmark.records.planner_cost import PlannerCost
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.rows import Rows, columns_of, keep_rows, keep_together, kept_rows
-from benchmark.records.run_schema import SCHEMA, ProtocolSummary, RateRow, RunFacts, SceneFacts, Summary
+from benchmark.records.run_schema import SCHEMA, ProtocolSummary, RunFacts, SceneFacts, Summary
 from benchmark.records.scene_failures import scene_failures
 from benchmark.records.store import (
     ROWS_FILE,
@@ -205,10 +204,7 @@ def summarise(
         decided = [failed for failed in scene_failures(columns, name).values() if failed is not None]
         protocols[name] = ProtocolSummary(
             version=version,
-            columns={
-                column: {horizon: RateRow(**dataclasses.asdict(rate)) for horizon, rate in by_horizon.items()}
-                for column, by_horizon in found.items()
-            },
+            columns=found,
             counted=(counted := int(says_all(PROTOCOLS[name], outcomes).sum())),
             incomplete=len(outcomes) - counted,
             scenes_failed=sum(decided),

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import Field, model_validator
 
 from benchmark.constants import LARGEST_SEED
+from benchmark.metrics.rates import Rate
 from benchmark.records.caveats import Caveat
 from benchmark.records.judgement import JudgementSummary, SplitRealism
 from benchmark.records.stored import Stored
@@ -283,16 +284,6 @@ class RunFacts(RecordFacts):
         return self
 
 
-class RateRow(Stored):
-    """A rate with its counts and its 95 % interval over scenes (`benchmark.metrics.rates.Rate`)."""
-
-    value: float | None
-    numerator: float
-    denominator: int
-    low: float | None
-    high: float | None
-
-
 class ProtocolSummary(Stored):
     """Summary of a run under one protocol.
 
@@ -310,7 +301,7 @@ class ProtocolSummary(Stored):
     """
 
     version: int
-    columns: dict[str, dict[str, RateRow]]
+    columns: dict[str, dict[str, Rate]]
     counted: int
     incomplete: int
     scenes_failed: int
@@ -329,7 +320,7 @@ class DrivingSummary(Stored):
     """
 
     version: int
-    columns: dict[str, dict[str, RateRow]]
+    columns: dict[str, dict[str, Rate]]
     counted: int
     incomplete: int
 

@@ -8,7 +8,7 @@ between the renames leaves a pending ``run.json``, and `settle` finishes the ren
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from pydantic import ValidationError
 
@@ -44,6 +44,11 @@ RecordFiles = tuple[dict[str, Any], list[Any], dict[str, Any]]
 """Contents of ``run.json``, ``samples.jsonl`` and ``summary.json``."""
 
 
+_SAID_OF_MODELS: Final = {
+    "unexpected_keyword_argument": "Extra inputs are not permitted",
+    "dataclass_type": "Input should be a valid dictionary or instance of {class_name}",
+}
+"""What pydantic says of dataclasses in other words than of models."""
 Value = TypeVar("Value")
 Record = TypeVar("Record")
 
@@ -60,7 +65,9 @@ def validated(validate: Callable[[Any], Value], stored: Any, sentence: Callable[
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
-        raise InputError(sentence(where, first["msg"].removeprefix("Value error, "))) from error
+        known = _SAID_OF_MODELS.get(first["type"])
+        said = first["msg"] if known is None else known.format_map(first.get("ctx", {}))
+        raise InputError(sentence(where, said.removeprefix("Value error, "))) from error
 
 
 def read_each(places: Iterable[Path], read: Callable[[Path], Record], *, instead: str = "") -> list[Record]:

@@ -15,12 +15,12 @@ import numpy as np
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.machine.storage import write_json
-from benchmark.metrics.rates import Rate, ratios_over_scenes
+from benchmark.metrics.rates import ratios_over_scenes
 from benchmark.protocols import protocol
 from benchmark.records.ablation import RECORD, SCHEMA, VARIANTS, AblationReport, AblationRow, Variant
 from benchmark.records.attempts import ATTEMPTS_FILE, Attempt, read_attempts
 from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import DataFacts, RateRow
+from benchmark.records.run_schema import DataFacts
 from generation.pipeline.dry_run import estimate_build
 from generation.pipeline.recordings import source_scenes
 from generation.pipeline.report import BuildReport
@@ -146,11 +146,7 @@ def _counted(
         samples_attempted=int(below[:, 0].sum()),
         samples_kept=int(below[:, 1].sum()),
         colliding_samples=sum(colliding.values()),
-        rate_attempted=_rate_row(of_tried),
-        rate_kept=_rate_row(of_kept),
+        rate_attempted=of_tried,
+        rate_kept=of_kept,
         mean_gap_m=float(np.mean(gaps)) if gaps else None,
     )
-
-
-def _rate_row(rate: Rate) -> RateRow:
-    return RateRow(**asdict(rate))

@@ -15,8 +15,9 @@ from benchmark.constants import HORIZON_STEPS
 from benchmark.metrics.confusion import comparisons
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.effect import says_whom, touched_scenes
+from benchmark.metrics.rates import Rate
 from benchmark.records.run import NATIVE, RunRecord, protocol_of
-from benchmark.records.run_schema import ProtocolSummary, RateRow
+from benchmark.records.run_schema import ProtocolSummary
 from benchmark.records.scene_failures import scene_failures
 from benchmark.report.lettering import drawable
 from benchmark.report.plots import Sketch, Theme, for_pages, new_figure
@@ -112,7 +113,7 @@ def _horizon_figure(data_name: str, protocol: str, rows: Sequence[Row[ProtocolSu
     return figure
 
 
-def _band(axes: Axes, rates: Mapping[str, RateRow], style: dict[str, Any]) -> None:
+def _band(axes: Axes, rates: Mapping[str, Rate], style: dict[str, Any]) -> None:
     drawn = [
         (float(horizon.removesuffix("s")), rates[horizon])
         for horizon in HORIZON_STEPS

@@ -12,8 +12,8 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from benchmark.metrics.rates import Rate
 from benchmark.records.drives import DriveRecord
-from benchmark.records.run_schema import RateRow
 from benchmark.report.lettering import drawable
 from benchmark.report.plots import Theme, for_pages, new_figure
 from leaderboard.figures.charts import name_below, planner_style
@@ -85,7 +85,7 @@ def _frame(axes: Axes, said: str, budgets: Sequence[Budget], theme: Theme) -> No
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _line(axes: Axes, rates: Sequence[RateRow | None], beside: float, look: dict[str, Any], scale: float) -> None:
+def _line(axes: Axes, rates: Sequence[Rate | None], beside: float, look: dict[str, Any], scale: float) -> None:
     """A planner's numbers at all budgets, with their intervals; what is undefined leaves a gap."""
     places = [place + beside for place in range(len(rates))]
     values = [float("nan") if rate is None or rate.value is None else scale * rate.value for rate in rates]

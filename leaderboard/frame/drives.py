@@ -9,9 +9,9 @@ from typing import Final
 
 from benchmark.errors import InputError
 from benchmark.metrics.loops import is_stale
+from benchmark.metrics.rates import Rate
 from benchmark.records.drives import DriveRecord, columns_of
 from benchmark.records.planner_versions import labels
-from benchmark.records.run_schema import RateRow
 from benchmark.report.cells import PERCENT, Cell, Origin, Shown, named_record
 from leaderboard.frame.rows import (
     FEW_NOTE,
@@ -50,7 +50,7 @@ class Driven:
         return Origin(facts.measured.world, named_record(self.record.content_id, self.name, facts.split))
 
     @cached_property
-    def rates(self) -> Mapping[str, RateRow]:
+    def rates(self) -> Mapping[str, Rate]:
         """Rates of the record, by column, as they are defined now."""
         return columns_of(self.record)
 

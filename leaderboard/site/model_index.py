@@ -5,11 +5,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from benchmark.metrics.effect import attributes, says_whom, touched_scenes
+from benchmark.metrics.rates import Rate
 from benchmark.metrics.scores import registered_version
 from benchmark.records.driving import SUB_SCORES, TOTALS, VERSION
 from benchmark.records.file_plans import file_notes
 from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import DrivingSummary, ProtocolSummary, RateRow
+from benchmark.records.run_schema import DrivingSummary, ProtocolSummary
 from leaderboard.frame.rows import in_table_order, recordings
 
 _SHOWN_COLUMNS: Final = ("collision", "l2")
@@ -104,7 +105,7 @@ def _protocol(summary: ProtocolSummary, *, stale: bool) -> dict[str, Any]:
     }
 
 
-def _rate(rate: RateRow) -> dict[str, float | int | None]:
+def _rate(rate: Rate) -> dict[str, float | int | None]:
     return {
         "value": _rounded(rate.value),
         "low": _rounded(rate.low),

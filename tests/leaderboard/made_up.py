@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
+from benchmark.metrics.rates import Rate
 from benchmark.records.ablation import VARIANTS, AblationReport, AblationRow
-from benchmark.records.run_schema import DataFacts, PlannerFacts, RateRow
+from benchmark.records.run_schema import DataFacts, PlannerFacts
 from benchmark.records.scenes import AttemptFacts, Sheets, SplitSheet
 from benchmark.records.statistics import Runtime, SplitStatistics
 
@@ -93,8 +94,8 @@ def study(planner: str = "p", *, seed: int = 0, protocol: str = "exact") -> Abla
                 samples_attempted=80,
                 samples_kept=20 * kept,
                 colliding_samples=10 * kept,
-                rate_attempted=RateRow(value=kept / 8, numerator=10 * kept, denominator=80, low=0.0, high=0.5),
-                rate_kept=RateRow.model_validate(of_kept if kept else nothing),
+                rate_attempted=Rate(value=kept / 8, numerator=10 * kept, denominator=80, low=0.0, high=0.5),
+                rate_kept=Rate(**(of_kept if kept else nothing)),
                 mean_gap_m=0.4 if kept else None,
             )
         )

@@ -11,9 +11,9 @@ from benchmark.extensions.cards.croissant import Described
 from benchmark.extensions.cards.licences import UNKNOWN, licence_named, licence_page
 from benchmark.extensions.cards.writing import CITE, CROISSANT_FILE, CardSettings, WrittenCard, ending, write_card
 from benchmark.machine.storage import content_key
+from benchmark.metrics.rates import Rate
 from benchmark.records.drives import DriveRecord, columns_of
 from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import RateRow
 from benchmark.report.table import escape_markdown
 from benchmark.report.words import counted
 
@@ -124,7 +124,7 @@ def _whose(facts: Any, content_id: str) -> dict[str, Any]:
     }
 
 
-def _numbers(rate: RateRow) -> dict[str, Any]:
+def _numbers(rate: Rate) -> dict[str, Any]:
     return {name: getattr(rate, name) for name in ("value", "low", "high", "numerator", "denominator")}
 
 

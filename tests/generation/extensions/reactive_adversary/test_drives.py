@@ -13,9 +13,9 @@ from benchmark.closed_loop.engines import rides_as
 from benchmark.errors import InputError
 from benchmark.extensions.submissions.recomputed import drives_anew
 from benchmark.machine.workers import LocalProcesses
+from benchmark.metrics.rates import Rate
 from benchmark.records.considered import read_considered
 from benchmark.records.drives import DriveRecord, load_drives
-from benchmark.records.run_schema import RateRow
 from benchmark.runs import drive_work, ladders
 from benchmark.runs.driving import DriveSettings, drive_planners
 from benchmark.runs.redriving import considered_again, driven_again
@@ -80,13 +80,13 @@ def test_every_drive_says_where_the_adversary_went_and_whom_the_encounter_is_fai
 def test_a_submission_whose_summary_counted_bystanders_is_fit_and_a_wrong_count_is_found(
     records: list[DriveRecord],
 ) -> None:
-    def with_columns(**columns: RateRow) -> DriveRecord:
+    def with_columns(**columns: Rate) -> DriveRecord:
         return replace(records[0], summary=records[0].summary.model_copy(update={"columns": columns}))
 
     found = dict(records[0].summary.columns)
     without = {name: rate for name, rate in found.items() if name != "bystander"}
     old = with_columns(**{**without, "attributable": found["at_fault"]})
-    flattering = with_columns(**{**found, "attributable": found["at_fault"].model_copy(update={"value": 0.125})})
+    flattering = with_columns(**{**found, "attributable": replace(found["at_fault"], value=0.125)})
     assert list(drives_anew(old, town())) == []
     ((_, said),) = drives_anew(flattering, town())
     assert "claims attributable = 0.125" in said
