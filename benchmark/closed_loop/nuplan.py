@@ -12,7 +12,6 @@ import numpy as np
 import shapely
 
 from benchmark.closed_loop.driven_part import DrivenPart
-from benchmark.closed_loop.scored_contact import ScoredContact
 from benchmark.geometry import Bools, Floats, box_corners
 from benchmark.interactions.contacts import AHEAD_RAD, BEHIND_RAD, Pairs, bearing, is_agent
 from benchmark.pdm.comfort import comfort_checks, comfort_series, extremes_of
@@ -20,6 +19,7 @@ from benchmark.pdm.contacts import STANDING_M_S
 from benchmark.pdm.definition import SPEED, STATE_COLUMNS
 from benchmark.pdm.road import Road, Whereabouts, footprints, whereabouts
 from benchmark.pdm.route import course, direction_compliance
+from benchmark.records.drive_schema import ScoredContact
 
 LACKS: Final = ("SL (speed limits)", "traffic lights", "route blocks (the route is the recorded path)")
 """What of nuPlan's closed-loop score there is not."""

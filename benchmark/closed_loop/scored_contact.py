@@ -1,35 +1,11 @@
 """A contact of a drive in numbers: who, of what kind, at whose fault, how hard."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from benchmark.closed_loop.riding import Touch
 from benchmark.interactions.contacts import KINDS, Pairs, at_fault, delta_v, is_agent, mass_kg
+from benchmark.records.drive_schema import ScoredContact
 from benchmark.scene import Scene
-
-
-@dataclass(frozen=True, slots=True)
-class ScoredContact:
-    """Contact in numbers; kinds, blame and masses are in `benchmark.fairness.impact` and docs/severity.md.
-
-    Attributes:
-        seconds: Since the drive's first driven instant.
-        agent: Instance identifier of the touched agent.
-        adversary: Whether it was made to be an adversary.
-        impact_speed: Size of the difference of velocities, m/s.
-        delta_v_ego: Change of the ego's velocity in a plastic impact, m/s.
-    """
-
-    seconds: float
-    agent: str
-    category: str
-    adversary: bool
-    kind: str
-    at_fault: bool
-    impact_speed: float
-    delta_v_ego: float
-    delta_v_other: float
 
 
 def scored_contact(

@@ -12,7 +12,8 @@ from benchmark.closed_loop.hd_score import HdScore, hd_score
 from benchmark.closed_loop.nuplan import NuplanTerms, Progress, comfort, nuplan_terms, places_on
 from benchmark.closed_loop.riding import Touch
 from benchmark.closed_loop.route import Route
-from benchmark.closed_loop.scored_contact import ScoredContact, scored_contact
+from benchmark.closed_loop.scored_contact import scored_contact
+from benchmark.records.drive_schema import ScoredContact
 from benchmark.scene import Scene
 
 VERSION: Final = 1

@@ -1,10 +1,12 @@
 """The schema of records of drives: ``drive.json``, a line a drive in ``drives.jsonl``, ``summary.json``."""
 
+from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal, Self, get_args
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from benchmark.metrics.rates import Rate
+from benchmark.records.judgement import KindName, NotNegative
 from benchmark.records.run_schema import Name, RecordFacts, Version
 from benchmark.records.stored import Stored
 
@@ -93,18 +95,27 @@ class FailureRow(Stored):
     text: str
 
 
-class ContactRow(Stored):
-    """A contact (`benchmark.closed_loop.scored_contact.ScoredContact`)."""
+@dataclass(frozen=True, slots=True)
+class ScoredContact:
+    """Contact in numbers; kinds, blame and masses are in `benchmark.fairness.impact` and docs/severity.md.
+
+    Attributes:
+        seconds: Since the drive's first driven instant.
+        agent: Instance identifier of the touched agent.
+        adversary: Whether it was made to be an adversary.
+        impact_speed: Size of the difference of velocities, m/s.
+        delta_v_ego: Change of the ego's velocity in a plastic impact, m/s.
+    """
 
     seconds: float
     agent: str
     category: Name
     adversary: bool
-    kind: Literal["stopped_ego", "stopped_track", "front", "rear", "lateral"]
+    kind: KindName
     at_fault: bool
-    impact_speed: Annotated[float, Field(ge=0.0)]
-    delta_v_ego: Annotated[float, Field(ge=0.0)]
-    delta_v_other: Annotated[float, Field(ge=0.0)]
+    impact_speed: NotNegative
+    delta_v_ego: NotNegative
+    delta_v_other: NotNegative
 
 
 class NuplanRow(Stored):
@@ -234,12 +245,12 @@ class DriveRow(Stored):
     primed: Annotated[int, Field(ge=1, le=100)]
     ticks: TickRows
     plans: list[DrivePlan]
-    contact: ContactRow | None
+    contact: ScoredContact | None
     scores: ScoreRow | None
     failure: FailureRow | None
     adversary: AdversaryRow | None = None
     ladder: dict[str, LadderRow] | None = None
-    passed: list[ContactRow] = Field(default_factory=list)
+    passed: list[ScoredContact] = Field(default_factory=list)
     unlabelled: bool = False
 
     @model_serializer(mode="wrap")
@@ -247,7 +258,7 @@ class DriveRow(Stored):
         return _without_empty(write(self), "adversary", "ladder", "passed", "unlabelled")
 
     @property
-    def first_contact(self) -> ContactRow | None:
+    def first_contact(self) -> ScoredContact | None:
         """The first contact, whether it ended the drive or not."""
         return self.passed[0] if self.passed else self.contact
 

@@ -14,7 +14,7 @@ The ego is between the stored states, half a second apart, where a cubic through
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -87,7 +87,7 @@ def drive_index(drives: Sequence[DriveRecord], sheets: Sheets) -> list[dict[str,
     found = []
     for one in _shown(drives):
         facts, row = one.record.facts, one.row
-        contact = None if row.contact is None else row.contact.model_dump(mode="json")
+        contact = None if row.contact is None else asdict(row.contact)
         found.append(
             {
                 "key": one.key if _has_sheet(one, sheets) else None,
