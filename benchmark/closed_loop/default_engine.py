@@ -15,7 +15,6 @@ from benchmark.closed_loop.idm import Idm
 from benchmark.closed_loop.recorded import ego_columns, recorded_motion
 from benchmark.closed_loop.riding import (
     Motion,
-    NeuroncapScore,
     RecordedCan,
     Ride,
     RideMaker,
@@ -31,7 +30,7 @@ from benchmark.geometry import Floats
 from benchmark.machine.last_made import LastMade
 from benchmark.pdm.motion import headed
 from benchmark.planning import Plan
-from benchmark.records.drive_schema import UntilName
+from benchmark.records.drive_schema import NeuroncapScore, UntilName
 from benchmark.scene import Scene
 
 PRIMING_STEPS: Final = 2

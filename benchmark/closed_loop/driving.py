@@ -14,7 +14,6 @@ from benchmark.closed_loop.driven_scene import driven_scene
 from benchmark.closed_loop.observing import Observer
 from benchmark.closed_loop.riding import (
     Motion,
-    NeuroncapScore,
     RecordedCan,
     Ride,
     RideMaker,
@@ -26,6 +25,7 @@ from benchmark.closed_loop.sensors import Look, NoLook, Sensor
 from benchmark.errors import InputError
 from benchmark.machine.metering import Meter
 from benchmark.planning import CameraView, Command, Plan, Planner, PrivilegedPlanner, SceneInfo
+from benchmark.records.drive_schema import NeuroncapScore
 from benchmark.scene import Camera, Scene
 
 End = Literal["contact", "end", "failed"]

@@ -5,7 +5,6 @@ instant, in the world as it was driven, and are those of `benchmark.pdm` (docs/p
 history. Where the drive ends, all agents stay as they are for 3 s more, as HUGSIM keeps its last list of objects.
 """
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -16,28 +15,12 @@ from benchmark.closed_loop.route import Route
 from benchmark.constants import PLAN_STEPS
 from benchmark.pdm.judging import judge_scene
 from benchmark.planning import Plan
+from benchmark.records.drive_schema import HdScore
 from benchmark.scene import Scene
 
 NOT_HUGSIM: Final = "HD-Score's formula with our terms; not HUGSIM's number"
 COMPLETE_AT: Final = 0.9
 """Of the recorded poses, from which on the route is complete."""
-
-
-@dataclass(frozen=True, slots=True)
-class HdScore:
-    """HD-Score of one drive.
-
-    ``plans`` is the mean over planning instants of NC DAC (5 TTC + 2 C) / 7, ``completed`` the share of the route,
-    0 to 1.
-    """
-
-    plans: float
-    completed: float
-
-    @property
-    def score(self) -> float:
-        """Mean times route."""
-        return self.plans * self.completed
 
 
 def hd_score(scene: Scene, route: Route, drive: Drive) -> HdScore | None:
@@ -51,7 +34,8 @@ def hd_score(scene: Scene, route: Route, drive: Drive) -> HdScore | None:
     if not judged:
         return None
     terms = [each.nc * each.dac * (5 * each.ttc + 2 * (1.0 if each.hc is None else each.hc)) / 7 for each in judged]
-    return HdScore(float(np.mean(terms)), completed_share(scene, drive, first))
+    mean, completed = float(np.mean(terms)), completed_share(scene, drive, first)
+    return HdScore(score=mean * completed, plans=mean, completed=completed)
 
 
 def completed_share(scene: Scene, drive: Drive, first: int) -> float:

@@ -5,6 +5,8 @@ left out of sum and weights; the route is the recorded path instead of route blo
 compare only with one another.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -19,7 +21,7 @@ from benchmark.pdm.contacts import STANDING_M_S
 from benchmark.pdm.definition import SPEED, STATE_COLUMNS
 from benchmark.pdm.road import Road, Whereabouts, footprints, whereabouts
 from benchmark.pdm.route import course, direction_compliance
-from benchmark.records.drive_schema import ScoredContact
+from benchmark.records.drive_schema import NuplanTerms, ScoredContact
 
 LACKS: Final = ("SL (speed limits)", "traffic lights", "route blocks (the route is the recorded path)")
 """What of nuPlan's closed-loop score there is not."""
@@ -34,41 +36,6 @@ LONGEST_TTC_S: Final = 3.0
 _COMFORT_INSTANTS: Final = 15
 """The longest window of the smoothing filters; a shorter drive has no comfort."""
 _WEIGHTS: Final = (5.0, 5.0, 2.0)
-
-
-@dataclass(frozen=True, slots=True)
-class NuplanTerms:
-    """Terms of one drive, 0 to 1.
-
-    Attributes:
-        nc: No contact at fault: 1/2 at fault with a thing, 0 with a road user.
-        dac: No corner 0.3 m outside the drivable area.
-        mp: At least a fifth of the recorded way.
-        ddc: Not against the direction of the lanes of the route.
-        p: Progress beside the recorded ego's in the same time.
-        ttc: Time to collision above 0.95 s throughout.
-        c: Comfort; ``None`` of a drive shorter than 1.5 s, which counts as 1.
-        off_road_s: When a corner first is off the road, seconds.
-        least_ttc_s: The smallest time to collision, ``None`` above 2.9 s.
-    """
-
-    nc: float
-    dac: float
-    mp: float
-    ddc: float
-    p: float
-    ttc: float
-    c: float | None
-    off_road_s: float | None
-    least_ttc_s: float | None
-
-    @property
-    def score(self) -> float:
-        """The product of sum and multipliers."""
-        comfort = 1.0 if self.c is None else self.c
-        parts = (self.p, self.ttc, comfort)
-        total = sum(weight * part for weight, part in zip(_WEIGHTS, parts, strict=True)) / sum(_WEIGHTS)
-        return self.nc * self.dac * self.mp * self.ddc * total
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,17 +76,28 @@ def nuplan_terms(
     least = least_ttc(part, where)
     blamed = contact is not None and contact.at_fault
     share = progress.beside_recorded
+    nc, dac, mp = no_collision(contact), 0.0 if len(off) else 1.0, float(share >= LEAST_PROGRESS)
+    ddc = float(direction_compliance(wrong)[0])
+    p, ttc, c = share, float(least > TTC_S and not blamed), comfort(part.states)
     return NuplanTerms(
-        nc=no_collision(contact),
-        dac=0.0 if len(off) else 1.0,
-        mp=float(share >= LEAST_PROGRESS),
-        ddc=float(direction_compliance(wrong)[0]),
-        p=share,
-        ttc=float(least > TTC_S and not blamed),
-        c=comfort(part.states),
+        score=nuplan_score((nc, dac, mp, ddc), (p, ttc, c)),
+        nc=nc,
+        dac=dac,
+        mp=mp,
+        ddc=ddc,
+        p=p,
+        ttc=ttc,
+        c=c,
         off_road_s=float((part.times_us[off[0]] - part.times_us[0]) * 1e-6) if len(off) else None,
         least_ttc_s=float(least) if np.isfinite(least) else None,
     )
+
+
+def nuplan_score(multipliers: Sequence[float], parts: tuple[float, float, float | None]) -> float:
+    """The product of the weighted mean of P, TTC and C, which counts as 1 where it is ``None``, and of multipliers."""
+    known = [1.0 if part is None else part for part in parts]
+    mean = sum(weight * part for weight, part in zip(_WEIGHTS, known, strict=True)) / sum(_WEIGHTS)
+    return math.prod(multipliers) * mean
 
 
 def no_collision(contact: ScoredContact | None) -> float:

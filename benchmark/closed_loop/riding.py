@@ -12,6 +12,7 @@ from benchmark.closed_loop.adversary import AdversaryTrack
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, wrap_angle
 from benchmark.planning import Command, EgoState, Plan
+from benchmark.records.drive_schema import NeuroncapScore
 from benchmark.scene import Scene
 
 SUBSTEP_S: Final = 0.1
@@ -93,18 +94,6 @@ class Touch:
     ego_speed: float
     other: Floats
     other_velocity: Floats
-
-
-@dataclass(frozen=True, slots=True)
-class NeuroncapScore:
-    """Score of a run by NeuroNCAP's engine, 0 to 5; ``None`` where it does not exist (nothing of nothing).
-
-    Speeds are in m/s.
-    """
-
-    score: float | None
-    impact_speed: float
-    reference_speed: float
 
 
 class UndrivablePlanError(ValueError):

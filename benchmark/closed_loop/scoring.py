@@ -8,12 +8,12 @@ import numpy as np
 from benchmark.closed_loop.blame import scored_road, unsure_of_its_lane
 from benchmark.closed_loop.driven_part import DrivenPart
 from benchmark.closed_loop.driving import Drive
-from benchmark.closed_loop.hd_score import HdScore, hd_score
-from benchmark.closed_loop.nuplan import NuplanTerms, Progress, comfort, nuplan_terms, places_on
+from benchmark.closed_loop.hd_score import hd_score
+from benchmark.closed_loop.nuplan import Progress, comfort, nuplan_terms, places_on
 from benchmark.closed_loop.riding import Touch
 from benchmark.closed_loop.route import Route
 from benchmark.closed_loop.scored_contact import scored_contact
-from benchmark.records.drive_schema import ScoredContact
+from benchmark.records.drive_schema import HdScore, NuplanTerms, ScoredContact
 from benchmark.scene import Scene
 
 VERSION: Final = 1

@@ -118,8 +118,21 @@ class ScoredContact:
     delta_v_other: NotNegative
 
 
-class NuplanRow(Stored):
-    """nuPlan's terms (`benchmark.closed_loop.nuplan.NuplanTerms`) and their score."""
+@dataclass(frozen=True, slots=True)
+class NuplanTerms:
+    """nuPlan's terms of one drive, 0 to 1, and their score.
+
+    Attributes:
+        nc: No contact at fault: 1/2 at fault with a thing, 0 with a road user.
+        dac: No corner 0.3 m outside the drivable area.
+        mp: At least a fifth of the recorded way.
+        ddc: Not against the direction of the lanes of the route.
+        p: Progress beside the recorded ego's in the same time.
+        ttc: Time to collision above 0.95 s throughout.
+        c: Comfort; ``None`` of a drive shorter than 1.5 s, which counts as 1.
+        off_road_s: When a corner first is off the road, seconds.
+        least_ttc_s: The smallest time to collision, ``None`` above 2.9 s.
+    """
 
     score: Share
     nc: Share
@@ -133,16 +146,25 @@ class NuplanRow(Stored):
     least_ttc_s: float | None
 
 
-class HdRow(Stored):
-    """HD-Score's formula with our terms: mean over plans, share of the route, their product."""
+@dataclass(frozen=True, slots=True)
+class HdScore:
+    """HD-Score's formula with our terms, of one drive: a product.
+
+    ``plans`` is the mean over planning instants of NC DAC (5 TTC + 2 C) / 7, ``completed`` the share of the route,
+    0 to 1.
+    """
 
     score: Share
     plans: Share
     completed: Share
 
 
-class NeuroncapRow(Stored):
-    """Results of NeuroNCAP's engine: NNS, ``None`` of nothing of nothing, and both speeds."""
+@dataclass(frozen=True, slots=True)
+class NeuroncapScore:
+    """Score of a run by NeuroNCAP's engine, 0 to 5; ``None`` where it does not exist (nothing of nothing).
+
+    Speeds are in m/s.
+    """
 
     score: Annotated[float, Field(ge=0.0, le=5.0)] | None
     impact_speed: float
@@ -164,9 +186,9 @@ class ScoreRow(Stored):
     recorded_progress_m: float
     route_share: Fraction
     comfortable: Fraction
-    nuplan: NuplanRow | None
-    hd: HdRow | None
-    neuroncap: NeuroncapRow | None
+    nuplan: NuplanTerms | None
+    hd: HdScore | None
+    neuroncap: NeuroncapScore | None
 
 
 class TickRows(Stored):

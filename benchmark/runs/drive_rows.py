@@ -87,16 +87,15 @@ def track_of(row: DriveRow) -> AdversaryTrack | None:
 
 
 def _score_row(drive: Drive, scores: DriveScores) -> dict[str, Any]:
-    nuplan, hd, own = scores.nuplan, scores.hd, drive.neuroncap
     return _rounded(
         {
             "progress_m": scores.progress.metres,
             "recorded_progress_m": scores.progress.recorded_m,
             "route_share": scores.progress.share,
             "comfortable": scores.comfortable,
-            "nuplan": None if nuplan is None else {**asdict(nuplan), "score": nuplan.score},
-            "hd": None if hd is None else {**asdict(hd), "score": hd.score},
-            "neuroncap": None if own is None else asdict(own),
+            "nuplan": None if scores.nuplan is None else asdict(scores.nuplan),
+            "hd": None if scores.hd is None else asdict(scores.hd),
+            "neuroncap": None if drive.neuroncap is None else asdict(drive.neuroncap),
         }
     )
 

@@ -15,7 +15,6 @@ from benchmark.closed_loop.recorded import recorded_motion
 from benchmark.closed_loop.riding import (
     TICK_US,
     Motion,
-    NeuroncapScore,
     RecordedCan,
     Ride,
     Touch,
@@ -46,7 +45,7 @@ from benchmark.geometry import Floats, transform_matrix
 from benchmark.interactions.tracks import Tracks
 from benchmark.pdm.motion import headed
 from benchmark.planning import Command, Plan
-from benchmark.records.drive_schema import OWN, RECORDED
+from benchmark.records.drive_schema import OWN, RECORDED, NeuroncapScore
 from benchmark.records.neuroncap_switches import Switches
 from benchmark.scene import Scene
 

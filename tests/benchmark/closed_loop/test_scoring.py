@@ -9,10 +9,11 @@ from adapters.planners.log_replay import LogReplay
 from adapters.planners.stop import Stop
 from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.closed_loop.driving import Drive, drive
-from benchmark.closed_loop.nuplan import NuplanTerms, Progress, no_collision
+from benchmark.closed_loop.nuplan import Progress, no_collision, nuplan_score
 from benchmark.closed_loop.scoring import DriveScores, score_drive
 from benchmark.interactions.contacts import EGO_MASS_KG, mass_kg
 from benchmark.planning import Planner
+from benchmark.records.drive_schema import NuplanTerms
 from benchmark.scene import Scene
 from tests.benchmark.closed_loop.staged import Watching, staged
 from tests.hand_made import Car, scene_on_straight_road
@@ -133,10 +134,8 @@ def test_progress_is_compared_as_in_nuplan(metres: float, recorded: float, expec
 
 
 def test_the_score_is_the_formula() -> None:
-    found = NuplanTerms(nc=0.5, dac=1.0, mp=1.0, ddc=0.5, p=0.6, ttc=1.0, c=0.0, off_road_s=None, least_ttc_s=None)
-    assert found.score == pytest.approx(0.25 * (5 * 0.6 + 5) / 12)
-    unknown = NuplanTerms(nc=1.0, dac=1.0, mp=1.0, ddc=1.0, p=1.0, ttc=1.0, c=None, off_road_s=None, least_ttc_s=None)
-    assert unknown.score == 1.0
+    assert nuplan_score((0.5, 1.0, 1.0, 0.5), (0.6, 1.0, 0.0)) == pytest.approx(0.25 * (5 * 0.6 + 5) / 12)
+    assert nuplan_score((1.0, 1.0, 1.0, 1.0), (1.0, 1.0, None)) == 1.0
 
 
 def test_a_route_that_hardly_moves_has_no_share() -> None:
