@@ -6,7 +6,8 @@ world of its own. Contact is looked for every 0.05 s, as in the engine.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -21,37 +22,21 @@ from benchmark.interactions.driving import Advancing, Motion, Rung, Situation, g
 from benchmark.interactions.reaction import REACTING, Driver
 from benchmark.interactions.relations import Relations
 from benchmark.interactions.tracks import Tracks
+from benchmark.records.drive_schema import LadderOutcome
 from benchmark.scene import Scene
 
-
-@dataclass(frozen=True, slots=True)
-class LadderOutcome:
-    """Outcome of one reference driver.
-
-    Seconds are from the start of the drive until its first contact, ``None`` where it survives; ``at_fault`` is by
-    nuPlan's rules, as if the driver kept to one lane.
-    """
-
-    driver: Driver
-    seconds: float | None = None
-    agent: int | None = None
-    kind: str | None = None
-    at_fault: bool | None = None
-
-    @property
-    def survives(self) -> bool:
-        """Whether nothing was touched."""
-        return self.seconds is None
+DECIMALS: Final = 6
+"""Of seconds."""
 
 
-def climbed(scene: Scene, course: Course, drivers: Sequence[Driver]) -> list[LadderOutcome]:
+def climbed(scene: Scene, course: Course, drivers: Sequence[Driver]) -> dict[Driver, LadderOutcome]:
     """Let reference drivers drive a course, each by itself; the course's policy answers each driver."""
     tracks = Tracks.of_scene(scene)
     start = (course.start_us - int(scene.timestamps_us[0])) / 1e6
     last = (course.end_us - int(scene.timestamps_us[0])) / 1e6
     times = tracks.grid(start)
     situation = Situation(tracks, times[times <= last + 1e-6])
-    return [_driven(course, situation, driver) for driver in drivers]
+    return {driver: _driven(course, situation, driver) for driver in drivers}
 
 
 def _driven(course: Course, situation: Situation, driver: Driver) -> LadderOutcome:
@@ -71,11 +56,11 @@ def _driven(course: Course, situation: Situation, driver: Driver) -> LadderOutco
         memory, moved = course.policy.act(memory, moment, 0)
         touched = _first_touch(course, world, egos, moved, moment.time_us, float(motion.speed[step + 1]))
         if touched is not None:
-            return _outcome(driver, touched, course.start_us)
+            return _outcome(touched, course.start_us)
         speed = float(motion.speed[step + 1])
         now = moment.time_us + SUBSTEP_US
         moment = Moment(now, egos[-1], speed, moved.boxes[-1], moved.present[-1], moved.velocity)
-    return LadderOutcome(driver)
+    return LadderOutcome(survives=True)
 
 
 def _seen(situation: Situation, world: World, moment: Moment, step: int) -> Situation:
@@ -131,7 +116,7 @@ def _first_touch(
     return None
 
 
-def _outcome(driver: Driver, touched: Touched, start_us: int) -> LadderOutcome:
+def _outcome(touched: Touched, start_us: int) -> LadderOutcome:
     kind = KINDS[int(touched.pair.kinds[0])]
-    seconds = (touched.time_us - start_us) / 1e6
-    return LadderOutcome(driver, seconds, touched.agent, kind.value, at_fault(kind, unsure=False))
+    seconds = round((touched.time_us - start_us) / 1e6, DECIMALS)
+    return LadderOutcome(False, seconds, touched.uuid, kind.value, at_fault(kind, unsure=False))

@@ -1,9 +1,9 @@
 """The schema of records of drives: ``drive.json``, a line a drive in ``drives.jsonl``, ``summary.json``."""
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Final, Literal, Self, get_args
+from typing import Annotated, Any, ClassVar, Final, Literal, Self, get_args
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from benchmark.metrics.rates import Rate
 from benchmark.records.judgement import KindName, NotNegative
@@ -224,13 +224,17 @@ class AdversaryRow(Stored):
     scores: list[float | None] = Field(default_factory=list)
 
 
-class LadderRow(Stored):
-    """Outcome of a reference driver in the same encounter (`benchmark.closed_loop.ladder.LadderOutcome`).
+@dataclass(frozen=True, slots=True)
+class LadderOutcome:
+    """Outcome of a reference driver in the same encounter.
 
     Attributes:
-        seconds: When it first touched something; ``agent`` is the instance identifier.
+        survives: Whether nothing was touched.
+        seconds: From the start of the drive until its first contact; ``agent`` is the instance identifier.
+        at_fault: By nuPlan's rules, as if the driver kept to one lane.
     """
 
+    __pydantic_config__: ClassVar[ConfigDict] = Stored.model_config
     survives: bool
     seconds: float | None = None
     agent: str | None = None
@@ -271,7 +275,7 @@ class DriveRow(Stored):
     scores: ScoreRow | None
     failure: FailureRow | None
     adversary: AdversaryRow | None = None
-    ladder: dict[str, LadderRow] | None = None
+    ladder: dict[str, LadderOutcome] | None = None
     passed: list[ScoredContact] = Field(default_factory=list)
     unlabelled: bool = False
 

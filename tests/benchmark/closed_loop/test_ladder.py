@@ -28,20 +28,20 @@ def test_replayed_agents_give_the_outcomes_of_open_loop(which: str) -> None:
     surroundings = Surroundings.of(situation)
     expected = [surroundings.outcome(motion) for motion in drive(situation, [Rung(driver) for driver in LADDER])]
     found = climbed(scene, course_of(scene, keyframe=2), LADDER)
-    assert [each.driver for each in found] == list(LADDER)
+    assert list(found) == list(LADDER)
     last = float(scene.seconds[scene.keyframes[-1]])
-    for ours, theirs in zip(found, expected, strict=True):
+    for ours, theirs in zip(found.values(), expected, strict=True):
         contact = theirs.contact
         if contact is None or contact.time > last:
             assert ours.survives, ours
             continue
         assert ours.seconds == pytest.approx(contact.time - float(scene.seconds[keyframe]), abs=0.051)
-        assert (ours.agent, ours.kind) == (contact.agent, contact.kind.value)
+        assert (ours.agent, ours.kind) == (scene.agents.ids[contact.agent], contact.kind.value)
 
 
 def test_a_driver_is_answered_by_a_world_of_its_own() -> None:
     scene = scene_on_straight_road(SCENES["all parked"], seconds=9.0)
     course = course_of(scene, keyframe=2)
     together = climbed(scene, course, LADDER)
-    alone = [climbed(scene, course, [driver])[0] for driver in LADDER]
+    alone = {driver: climbed(scene, course, [driver])[driver] for driver in LADDER}
     assert together == alone
