@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from benchmark.closed_loop.following import Ego
-from benchmark.closed_loop.world import Contact
+from benchmark.closed_loop.riding import Touch
 from benchmark.geometry import Bools, Floats
 from benchmark.interactions.contacts import KINDS, ContactKind, at_fault
 from benchmark.machine.last_made import LastMade
@@ -36,7 +36,7 @@ class Blame:
 
     scene: Scene
 
-    def __call__(self, contact: Contact, ego: Floats) -> bool:
+    def __call__(self, contact: Touch, ego: Floats) -> bool:
         """Whether the ego is to blame.
 
         ``ego`` are (6,) values of `Ego` at the first end of a sub-step that does not come before the contact.

@@ -8,7 +8,8 @@ import numpy as np
 from benchmark.closed_loop.contract import AgentPolicy
 from benchmark.closed_loop.following import Ego
 from benchmark.closed_loop.replay import Replay
-from benchmark.closed_loop.world import STEP_US, Contact, Course
+from benchmark.closed_loop.riding import Touch
+from benchmark.closed_loop.world import STEP_US, Course
 from benchmark.constants import EGO_WHEELBASE_M
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, to_local, wrap_angle
@@ -29,7 +30,7 @@ def course_of(
     duration_s: float | None = None,
     seed: int = 0,
     latency_us: int = 0,
-    blamed: Callable[[Contact, Floats], bool] | None = None,
+    blamed: Callable[[Touch, Floats], bool] | None = None,
 ) -> Course:
     """The course of a scene, which starts with the recorded motion.
 

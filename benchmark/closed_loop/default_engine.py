@@ -24,7 +24,7 @@ from benchmark.closed_loop.riding import (
 )
 from benchmark.closed_loop.stepping import UndrivablePlanError as UndrivableWaypointsError
 from benchmark.closed_loop.stepping import begin, drivable, goes_on, step_together
-from benchmark.closed_loop.world import Contact, Course, Trace, World
+from benchmark.closed_loop.world import Course, Trace, World
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.last_made import LastMade
@@ -170,12 +170,12 @@ class DefaultRide:
     @property
     def touch(self) -> Touch | None:
         """The contact that ends it."""
-        return None if self.world.contact is None else _touch(self.world.contact)
+        return self.world.contact
 
     @property
     def passed(self) -> tuple[Touch, ...]:
         """Contacts before it that do not."""
-        return tuple(_touch(contact) for contact in self.world.passed)
+        return self.world.passed
 
     @property
     def adversary(self) -> AdversaryTrack | None:
@@ -228,10 +228,6 @@ class DefaultRide:
             present=trace.present[rows].T,
             ticks=np.array([len(times) - 1]),
         )
-
-
-def _touch(found: Contact) -> Touch:
-    return Touch(found.time_us, found.agent, found.ego, found.ego_speed, found.other, found.other_velocity)
 
 
 def _after_together(rides: "Sequence[DefaultRide]", plans: Sequence[Plan]) -> "list[DefaultRide | UndrivablePlanError]":

@@ -13,8 +13,8 @@ import numpy as np
 
 from benchmark.closed_loop.contract import Moment, Moved
 from benchmark.closed_loop.following import INSTANT_US, INSTANTS, SUBSTEP_US
+from benchmark.closed_loop.riding import Touch
 from benchmark.closed_loop.stepping import begin
-from benchmark.closed_loop.world import Contact as Touched
 from benchmark.closed_loop.world import Course, World
 from benchmark.geometry import Bools, Floats, boxes_overlap
 from benchmark.interactions.contacts import KINDS, at_fault
@@ -98,12 +98,12 @@ def _ego_boxes(situation: Situation, motion: Motion, step: int) -> Floats:
 
 def _first_touch(
     course: Course, world: World, egos: Floats, moved: Moved, time_us: int, ego_speed: float
-) -> Touched | None:
+) -> Touch | None:
     for row in range(INSTANTS):
         hit = moved.present[row] & ~world.ignored & boxes_overlap(egos[row][None], moved.boxes[row])
         if hit.any():
             agent = int(np.argmax(hit))
-            return Touched(
+            return Touch(
                 agent=agent,
                 uuid=course.ids[agent],
                 category=course.categories[agent],
@@ -116,7 +116,7 @@ def _first_touch(
     return None
 
 
-def _outcome(touched: Touched, start_us: int) -> LadderOutcome:
+def _outcome(touched: Touch, start_us: int) -> LadderOutcome:
     kind = KINDS[int(touched.pair.kinds[0])]
     seconds = round((touched.time_us - start_us) / 1e6, DECIMALS)
     return LadderOutcome(False, seconds, touched.uuid, kind.value, at_fault(kind, unsure=False))

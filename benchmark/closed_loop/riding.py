@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from benchmark.closed_loop.adversary import AdversaryTrack
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, wrap_angle
+from benchmark.interactions.contacts import Pairs, is_agent
 from benchmark.planning import Command, EgoState, Plan
 from benchmark.records.drive_schema import NeuroncapScore
 from benchmark.scene import Scene
@@ -88,12 +89,25 @@ class Touch:
     ``ego_speed`` is along the heading, m/s; ``other_velocity`` (2,) m/s.
     """
 
-    time_us: int
     agent: int
+    uuid: str
+    category: str
+    time_us: int
     ego: Floats
     ego_speed: float
     other: Floats
     other_velocity: Floats
+
+    @property
+    def pair(self) -> Pairs:
+        """As `benchmark.interactions.contacts` judges it: kind, blame, impact speed, change of velocity."""
+        return Pairs(
+            ego=self.ego[None],
+            ego_speed=np.array([self.ego_speed]),
+            other=self.other[None],
+            other_velocity=self.other_velocity[None],
+            is_agent=np.array([is_agent(self.category)]),
+        )
 
 
 class UndrivablePlanError(ValueError):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from benchmark.closed_loop.riding import Touch
-from benchmark.interactions.contacts import KINDS, Pairs, at_fault, delta_v, is_agent, mass_kg
+from benchmark.interactions.contacts import KINDS, at_fault, delta_v, mass_kg
 from benchmark.records.drive_schema import ScoredContact
 from benchmark.scene import Scene
 
@@ -18,22 +18,15 @@ def scored_contact(
         unsure: Whether the ego is in several lanes or off the drivable area, which makes a lateral contact its fault.
         adversary: Index of the agent that became an adversary in this drive alone.
     """
-    category, name = scene.agents.categories[touch.agent], scene.agents.ids[touch.agent]
-    pair = Pairs(
-        ego=touch.ego[None],
-        ego_speed=np.array([touch.ego_speed]),
-        other=touch.other[None],
-        other_velocity=touch.other_velocity[None],
-        is_agent=np.array([is_agent(category)]),
-    )
+    pair = touch.pair
     kind = KINDS[int(pair.kinds[0])]
     impact = pair.impact_speed
-    own, others = delta_v(impact, np.array([mass_kg(category)]))
+    own, others = delta_v(impact, np.array([mass_kg(touch.category)]))
     return ScoredContact(
         seconds=(touch.time_us - start_us) * 1e-6,
-        agent=name,
-        category=category,
-        adversary=name in scene.adversaries or touch.agent == adversary,
+        agent=touch.uuid,
+        category=touch.category,
+        adversary=touch.uuid in scene.adversaries or touch.agent == adversary,
         kind=kind.value,
         at_fault=at_fault(kind, unsure),
         impact_speed=float(impact[0]),

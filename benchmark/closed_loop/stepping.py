@@ -27,7 +27,8 @@ from benchmark.closed_loop.following import (
     followed,
 )
 from benchmark.closed_loop.plans_in_force import PlanInForce, coasting
-from benchmark.closed_loop.world import STEP_US, Contact, Course, Trace, World, ego_boxes
+from benchmark.closed_loop.riding import Touch
+from benchmark.closed_loop.world import STEP_US, Course, Trace, World, ego_boxes
 from benchmark.constants import EGO_LENGTH_M, FARTHEST_WAYPOINT_M, LONGEST_PLAN_STEPS, PLAN_STEPS
 from benchmark.geometry import Bools, Floats, boxes_overlap
 from benchmark.machine.storage import content_seed
@@ -173,10 +174,10 @@ def _without(present: Bools, gone: Sequence[int]) -> Bools:
 
 def _contacts(
     course: Course, world: World, trace: Trace, own: Floats, velocities: Sequence[Floats]
-) -> tuple[Contact | None, list[Contact]]:
+) -> tuple[Touch | None, list[Touch]]:
     """The touch that ends the drive, if any, and those before it that do not."""
     hits = _overlaps(own, trace.boxes, trace.present & ~world.ignored)
-    passed: list[Contact] = []
+    passed: list[Touch] = []
     while hits.any():
         row, contact = _first_contact(course, world, trace, own, velocities, hits)
         end_of_substep = -(-(row + 1) // INSTANTS) * INSTANTS
@@ -189,10 +190,10 @@ def _contacts(
 
 def _first_contact(
     course: Course, world: World, trace: Trace, own: Floats, velocities: Sequence[Floats], hits: Bools
-) -> tuple[int, Contact]:
+) -> tuple[int, Touch]:
     """The first instant at which an agent overlaps the ego, and that touch; of several, the first of the list."""
     row, agent = (int(index) for index in np.argwhere(hits)[0])
-    return row, Contact(
+    return row, Touch(
         agent=agent,
         uuid=course.ids[agent],
         category=course.categories[agent],

@@ -9,14 +9,13 @@ import numpy as np
 from benchmark.closed_loop.contract import AgentPolicy, Moment
 from benchmark.closed_loop.following import SUBSTEP_US, SUBSTEPS, Ego
 from benchmark.closed_loop.plans_in_force import PlanInForce
+from benchmark.closed_loop.riding import Touch
 from benchmark.constants import EGO_BODY_WIDTH_M, EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
-from benchmark.interactions.contacts import Pairs
 
 STEP_US: Final = SUBSTEPS * SUBSTEP_US
 ENGINE: Final = "default"
-_NOT_AGENTS: Final = ("movable_object.", "static_object.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +42,7 @@ class Course:
     policy: AgentPolicy[Any]
     seed: int = 0
     latency_us: int = 0
-    blamed: "Callable[[Contact, Floats], bool] | None" = None
+    blamed: Callable[[Touch, Floats], bool] | None = None
 
     def __post_init__(self) -> None:
         if self.latency_us < 0 or self.latency_us % SUBSTEP_US:
@@ -59,34 +58,6 @@ class Course:
         """What is measured: engine, agents, the latency if there is one, and what ends a drive if not any contact."""
         late = f" +{self.latency_us // 1000} ms" if self.latency_us else ""
         return f"{ENGINE} {self.policy.name}{late}{' until fault' if self.blamed else ''}"
-
-
-@dataclass(frozen=True, slots=True)
-class Contact:
-    """Touch of the ego and an agent, at most 0.05 s after it began.
-
-    Boxes are (5,), speeds m/s, the other's velocity (2,) m/s; ``agent`` is its index.
-    """
-
-    agent: int
-    uuid: str
-    category: str
-    time_us: int
-    ego: Floats
-    ego_speed: float
-    other: Floats
-    other_velocity: Floats
-
-    @property
-    def pair(self) -> Pairs:
-        """As `benchmark.interactions.contacts` judges it: kind, blame, impact speed, change of velocity."""
-        return Pairs(
-            ego=self.ego[None],
-            ego_speed=np.array([self.ego_speed]),
-            other=self.other[None],
-            other_velocity=self.other_velocity[None],
-            is_agent=np.array([not self.category.startswith(_NOT_AGENTS)]),
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +81,7 @@ class World:
         step: Number of the state, from 0.
         ignored: (N,) agents that overlapped the ego at the start, and never count.
         plans: Plans that are in force or will be, by when they take effect.
-        contact: The touch that ends the drive.
+        contact: The touch that ends the drive, at most 0.05 s after it began.
         trace: Of the step that led here.
         passed: Touches before it that are not the ego's fault, where such do not end the drive; whom they were with is
             gone from the planning instant after them on.
@@ -122,9 +93,9 @@ class World:
     memory: Any
     ignored: Bools
     plans: tuple[PlanInForce, ...] = ()
-    contact: Contact | None = None
+    contact: Touch | None = None
     trace: Trace | None = None
-    passed: tuple[Contact, ...] = ()
+    passed: tuple[Touch, ...] = ()
 
     @property
     def time_us(self) -> int:

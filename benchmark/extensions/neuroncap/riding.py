@@ -170,8 +170,10 @@ class NeuroncapRide:
         actor = self.engine.actors[contact.index]
         width, length = actor.size[:2].tolist()
         return Touch(
-            time_us=contact.time_us,
             agent=agent,
+            uuid=contact.uuid,
+            category=self.scene.agents.categories[agent],
+            time_us=contact.time_us,
             ego=box_of(pose, car.length_m, car.width_m, car.box_ahead_m),
             ego_speed=float(np.linalg.norm(contact.ego_velocity)),
             other=box_of(actor.pose_at(contact.time_us), length, width),
