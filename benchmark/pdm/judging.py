@@ -1,7 +1,7 @@
 """The plans of one scene, judged: what `eval` and `rescore` put beside each stored plan."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -13,6 +13,7 @@ from benchmark.pdm.definition import DT_S
 from benchmark.pdm.motion import all_headed, tracked
 from benchmark.pdm.recording import RecordedScene
 from benchmark.pdm.scoring import Judged, Surroundings, beside, human_scores, judged
+from benchmark.pdm.totals import DrivenPlan
 from benchmark.planning import Plan
 from benchmark.scene import Scene
 
@@ -21,54 +22,6 @@ AT_ONCE: Final = 256
 """Plans that are judged together: bounds the memory of a long scene, or of many planners."""
 DECIMALS: Final = 6
 """Of stored numbers: far below them, processors differ in the last bits of a motion."""
-
-
-@dataclass(frozen=True, slots=True)
-class DrivenPlan:
-    """Verdict on one plan.
-
-    Attributes:
-        nc: No collision at fault: 0, 1/2 or 1.
-        dac: Drivable area compliance: 0 or 1.
-        ddc: Driving direction compliance: 0, 1/2 or 1.
-        ep: Ego progress beside the recorded future, 0 to 1.
-        ttc: Time to collision: 0 or 1.
-        lk: Lane keeping: 0 or 1.
-        hc: History comfort: 0 or 1; ``None`` where the recording began less than 1.5 s before (totals count it as 1).
-        ec: Extended comfort: 0 or 1; ``None`` where no plan was made up to 0.55 s before.
-        forgiven: Sub-scores in which the recorded driver has 0: 1 in the filtered scores.
-        progress_m: Along the route in 3 s.
-        recorded_progress_m: The same of the recorded future, tracked in the same way.
-        collision_s: When the first contact at fault begins, if there is one.
-        ttc_s: The first time that is followed by contact within 0.9 s, if there is one.
-        hit: Instance that the driven plan touches first, at fault or not, if it touches any; of several the first by
-            name.
-        first_contact_s: When.
-        hit_adversary: Whether that is an adversary; false without contact.
-        adversary_contact_s: When an adversary is first touched, also after other objects.
-    """
-
-    nc: float
-    dac: float
-    ddc: float
-    ep: float
-    ttc: float
-    lk: float
-    hc: float | None
-    ec: float | None
-    forgiven: tuple[str, ...]
-    progress_m: float
-    recorded_progress_m: float
-    collision_s: float | None
-    ttc_s: float | None
-    hit: str | None
-    first_contact_s: float | None
-    hit_adversary: bool
-    adversary_contact_s: float | None
-
-    def as_json(self) -> dict[str, Any]:
-        """JSON values."""
-        return {**{each.name: getattr(self, each.name) for each in fields(self)}, "forgiven": list(self.forgiven)}
 
 
 def judge_scene(
@@ -137,7 +90,7 @@ def _batch(recorded: RecordedScene, samples: NDArray[np.int64], poses: Floats) -
             ep=round(float(scores.ep[row]), DECIMALS),
             hc=float(scores.hc[row]) if around.has_history[of] else None,
             ec=None,
-            forgiven=tuple(name for name, zero in forgiven.items() if zero[of]),
+            forgiven=[name for name, zero in forgiven.items() if zero[of]],
             progress_m=round(float(plans.course.progress_m[row]), DECIMALS),
             recorded_progress_m=round(float(references.course.progress_m[of]), DECIMALS),
             collision_s=_seconds(int(plans.collisions.step[row])),

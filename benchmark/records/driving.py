@@ -8,8 +8,8 @@ import numpy as np
 from benchmark.geometry import Bools, Floats
 from benchmark.metrics.rates import ratios_over_scenes
 from benchmark.pdm.definition import DEFINITION, NOTE, PDM, VERSION
-from benchmark.pdm.totals import FILTERED, SubScores
-from benchmark.records.row_schema import DrivingRow, SampleRow
+from benchmark.pdm.totals import FILTERED, DrivenPlan, SubScores
+from benchmark.records.row_schema import SampleRow
 from benchmark.records.run_schema import DrivingSummary
 
 __all__ = [
@@ -70,7 +70,7 @@ def driving_summary(scores: tuple[Floats, Bools], scenes: Sequence[str], planned
     return DrivingSummary(version=VERSION, columns=columns, counted=len(scenes), incomplete=planned - len(scenes))
 
 
-def sample_scores(rows: Sequence[DrivingRow]) -> tuple[Floats, Bools]:
+def sample_scores(rows: Sequence[DrivenPlan]) -> tuple[Floats, Bools]:
     """Driving scores of S samples: (S, C) values in the order of ``COLUMNS`` and (S, C) whether each exists."""
     always = {name: np.array([getattr(row, name) for row in rows], np.float64) for name in SUB_SCORES[:6]}
     # What does not exist is null and becomes NaN, which no score is.

@@ -6,6 +6,7 @@ from typing import Any, Final, Literal, get_args
 
 from pydantic import Field, model_validator
 
+from benchmark.pdm.totals import DrivenPlan
 from benchmark.protocols.touched import touches_adversary
 from benchmark.records.judgement import Impact, NotNegative, Text
 from benchmark.records.stored import Stored
@@ -88,31 +89,6 @@ class DiagnosisRow(Stored):
         if stored["cause"] == "misforecasting":
             return {**stored, "cause": "misforecast"}
         return {**stored, "cause": "unseen" if stored.get("reason") == NOT_NEAR else "misplanned"}
-
-
-class DrivingRow(Stored):
-    """Sub-scores of one plan under ``nuscenes-pdm`` (`benchmark.pdm.judging.DrivenPlan`, which explains each).
-
-    Older records do not say whom a plan touches: ``hit_adversary`` is null there.
-    """
-
-    nc: float
-    dac: float
-    ddc: float
-    ep: float
-    ttc: float
-    lk: float
-    hc: float | None
-    ec: float | None
-    forgiven: list[str]
-    progress_m: float
-    recorded_progress_m: float
-    collision_s: float | None
-    ttc_s: float | None
-    hit: Text | None = None
-    first_contact_s: float | None = None
-    hit_adversary: bool | None = None
-    adversary_contact_s: float | None = None
 
 
 class LongerRow(Stored):
@@ -205,7 +181,7 @@ class SampleRow(Stored):
     outcomes: dict[str, OutcomeRow]
     diagnosis: DiagnosisRow | None = None
     disagreements: dict[str, str] = Field(default_factory=dict)
-    driving: DrivingRow | None = None
+    driving: DrivenPlan | None = None
     longer: LongerRow | None = None
     place: PlaceName | None = None
     speed_m_s: float | None = Field(default=None, ge=0)

@@ -5,7 +5,7 @@ on a sample depends on that sample alone, so a scene judged today gives the byte
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -142,7 +142,7 @@ def _driving(samples: PlannedSamples) -> Sequence[Any]:
     plans = [[own.get(index) for index in range(count)] for own in samples.by_planner(samples.plans)]
     verdicts = judge_driving(scene.mapped, plans, scene.recorded)
     found = (verdicts[which][at] for which, at in samples.places)
-    return [None if verdict is None else verdict.as_json() for verdict in found]
+    return [None if verdict is None else asdict(verdict) for verdict in found]
 
 
 def _diagnosis(samples: PlannedSamples) -> Sequence[Any]:

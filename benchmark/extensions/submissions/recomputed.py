@@ -1,6 +1,7 @@
 """What the plans of a submitted record give, computed anew, against what the record says, field by field."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import BaseModel
@@ -12,11 +13,12 @@ from benchmark.datasets.scene_facts import with_truth
 from benchmark.errors import InputError
 from benchmark.extensions.submissions.findings import Level, Said
 from benchmark.pdm.definition import DEFINITION, VERSION
+from benchmark.pdm.totals import DrivenPlan
 from benchmark.protocols import PROTOCOLS
 from benchmark.protocols.touched import ADVERSARY_S, HIT_ADVERSARY, TOUCHED, TOUCHED_ADVERSARY
 from benchmark.records.drives import DriveRecord, columns_of
 from benchmark.records.drives import summarise as summarise_drives
-from benchmark.records.row_schema import DrivingRow, OutcomeRow, SampleRow
+from benchmark.records.row_schema import OutcomeRow, SampleRow
 from benchmark.records.run import RunRecord, summarise
 from benchmark.records.run_schema import Summary, TruthFacts
 from benchmark.report.words import counted
@@ -169,12 +171,15 @@ def _same_verdict(said: OutcomeRow | None, computed: OutcomeRow | None) -> bool:
     return said == computed.model_copy(update={"steps": steps, "facts": facts})
 
 
-def _drives_the_same(said: DrivingRow | None, computed: DrivingRow | None) -> bool:
+def _drives_the_same(said: DrivenPlan | None, computed: DrivenPlan | None) -> bool:
     """Whether two verdicts are equal; a record that was written before whom plans touch was kept cannot have it."""
     if said is None or computed is None or said.hit_adversary is not None:
         return said == computed
-    unsaid = {"hit", "first_contact_s", "hit_adversary", "adversary_contact_s"}
-    return said.model_dump(exclude=unsaid) == computed.model_dump(exclude=unsaid)
+    one, other = (
+        replace(each, hit=None, first_contact_s=None, hit_adversary=None, adversary_contact_s=None)
+        for each in (said, computed)
+    )
+    return one == other
 
 
 def _driving_is_of_now(summary: Summary) -> bool:

@@ -24,8 +24,9 @@ from benchmark.metrics.slices import (
     slice_sums,
     slicing,
 )
+from benchmark.pdm.totals import DrivenPlan
 from benchmark.records.driving import summarise_driving
-from benchmark.records.row_schema import DiagnosisRow, DrivingRow, SampleRow
+from benchmark.records.row_schema import DiagnosisRow, SampleRow
 from benchmark.records.run import RunRecord, summarise
 from benchmark.records.run_schema import SceneFacts
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, LATE, UNCOUNTED, hand_made
@@ -44,11 +45,13 @@ FACTS = {
     "b-again": SceneFacts(source="b", light=["day"], manoeuvre="tailgating"),
     "c": SceneFacts(source="c", light=["night"]),
 }
-DRIVEN = DrivingRow.model_validate(
-    {
-        **dict.fromkeys(("nc", "dac", "ddc", "ep", "ttc", "lk", "hc", "ec", "progress_m"), 1.0),
-        **{"forgiven": [], "recorded_progress_m": 1.0, "collision_s": None, "ttc_s": None},
-    }
+DRIVEN = DrivenPlan(
+    **dict.fromkeys(("nc", "dac", "ddc", "ep", "ttc", "lk", "hc", "ec"), 1.0),
+    forgiven=[],
+    progress_m=1.0,
+    recorded_progress_m=1.0,
+    collision_s=None,
+    ttc_s=None,
 )
 
 
@@ -155,9 +158,9 @@ def test_intervals_draw_recordings_of_the_whole_split() -> None:
 
 
 def test_driving_scores_of_a_slice_are_those_of_its_samples() -> None:
-    def driving(row: SampleRow) -> DrivingRow | None:
-        worse = {"nc": 0.0} if row.scene == "a" else {"ec": None}
-        return None if row.status == "failed" else DRIVEN.model_copy(update=worse)
+    def driving(row: SampleRow) -> DrivenPlan | None:
+        worse: dict[str, Any] = {"nc": 0.0} if row.scene == "a" else {"ec": None}
+        return None if row.status == "failed" else replace(DRIVEN, **worse)
 
     record = made(driving=driving)
     summary = summarise(record.rows, record.run.protocols, seed=0)

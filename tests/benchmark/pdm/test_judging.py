@@ -1,6 +1,6 @@
 """A scene's plans judged: what a good driver gets, what each fault costs, and what has no verdict."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -8,7 +8,8 @@ import pytest
 from shapely.geometry import MultiPolygon
 
 from benchmark.pdm import judging
-from benchmark.pdm.judging import DrivenPlan, judge_scene
+from benchmark.pdm.judging import judge_scene
+from benchmark.pdm.totals import DrivenPlan
 from benchmark.planning import Plan, PlanFrame
 from benchmark.road_map import RoadMap
 from benchmark.scene import Scene
@@ -26,7 +27,7 @@ def plans(scene: Scene, speed: float = 8.0, across: float = 0.0) -> list[Plan | 
 
 def verdicts(scene: Scene, given: list[Plan | None] | None = None) -> list[dict[str, Any]]:
     found = judge_scene(scene, plans(scene) if given is None else given)
-    return [verdict.as_json() for verdict in found if verdict is not None]
+    return [asdict(verdict) for verdict in found if verdict is not None]
 
 
 def scores(verdict: dict[str, Any]) -> dict[str, float]:

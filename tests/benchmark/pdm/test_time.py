@@ -1,6 +1,6 @@
 """Driving scores by the clock, and in whatever frame the world is written down."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from benchmark.geometry import Floats
 from benchmark.pdm.comfort import comfort_series, extremes_of
-from benchmark.pdm.judging import DrivenPlan, judge_scene
+from benchmark.pdm.judging import judge_scene
 from benchmark.pdm.motion import tracked
 from benchmark.pdm.recording import RecordedScene
+from benchmark.pdm.totals import DrivenPlan
 from benchmark.planning import Plan, PlanFrame
 from benchmark.scene import EgoTrack, Scene
 from tests.benchmark.irregular_time import at_other_times, with_key_frames, without_key_frames
@@ -44,7 +45,7 @@ def require_alike(some: DrivenPlan | None, others: DrivenPlan | None) -> None:
     if some is None or others is None:
         assert some is others
         return
-    one, other = some.as_json(), others.as_json()
+    one, other = asdict(some), asdict(others)
     metres = {"progress_m", "recorded_progress_m", "ep"}
     assert {name: one[name] for name in one if name not in metres} == {n: other[n] for n in one if n not in metres}
     assert [one[name] for name in metres] == pytest.approx([other[name] for name in metres], abs=1e-2)

@@ -9,8 +9,9 @@ import pytest
 
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.pdm.definition import VERSION
+from benchmark.pdm.totals import DrivenPlan
 from benchmark.records.driving import COLUMNS, SUB_SCORES, sample_scores, summarise_driving
-from benchmark.records.row_schema import DrivingRow, SampleRow
+from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import load_record, summarise
 from benchmark.runs.rescoring import rescore
 from tests.benchmark.fake_data import FakeData, town_of_two
@@ -23,15 +24,15 @@ PERFECT: dict[str, Any] = {
 }
 
 
-def driven(**changed: Any) -> DrivingRow:
-    return DrivingRow.model_validate({**PERFECT, **changed})
+def driven(**changed: Any) -> DrivenPlan:
+    return DrivenPlan(**{**PERFECT, **changed})
 
 
 def sample(scene: str, index: int, **changed: Any) -> SampleRow:
     return row(scene, index).model_copy(update={"driving": driven(**changed)})
 
 
-def column(rows: list[DrivingRow], name: str) -> list[float | None]:
+def column(rows: list[DrivenPlan], name: str) -> list[float | None]:
     values, known = sample_scores(rows)
     place = COLUMNS.index(name)
     return [float(value) if there else None for value, there in zip(values[:, place], known[:, place])]

@@ -12,10 +12,11 @@ from benchmark.fairness.plan_severity import plan_severities
 from benchmark.geometry import Bools, Floats, wrap_angle
 from benchmark.machine.storage import content_key, content_seed
 from benchmark.metrics.disagreement import MISS
+from benchmark.pdm.totals import DrivenPlan
 from benchmark.planning import Command, PlanFrame
 from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes
 from benchmark.records.judgement import JudgementSummary
-from benchmark.records.row_schema import DiagnosisRow, DrivingRow, ForecastRow, OutcomeRow, PlanRow, SampleRow
+from benchmark.records.row_schema import DiagnosisRow, ForecastRow, OutcomeRow, PlanRow, SampleRow
 from benchmark.records.run import write_record
 from benchmark.records.run_schema import DataFacts, SceneFacts
 from benchmark.truth import SampleTruth
@@ -296,12 +297,12 @@ def _row(
     )
 
 
-def _driving(truth: SampleTruth, planner: MadePlanner) -> DrivingRow:
+def _driving(truth: SampleTruth, planner: MadePlanner) -> DrivenPlan:
     """Sub-scores by chance, better for the alert."""
     rng = np.random.default_rng(content_seed("driving", truth.sample_token, planner.name))
     passed = (rng.random(8) < 0.6 + 0.4 * planner.alertness).astype(float).tolist()
     nc, dac, ddc, ttc, lk, hc, ec, _ = passed
-    return DrivingRow(
+    return DrivenPlan(
         nc=nc,
         dac=dac,
         ddc=ddc,
