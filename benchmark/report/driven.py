@@ -1,6 +1,6 @@
 """A drive as it is drawn: the world as it was driven, each instant's plan, the recorded path, the contact."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -25,23 +25,6 @@ PLAN_SEEN_S: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class DrivenContact:
-    """The first contact of a drive, in the sheet's metres.
-
-    Attributes:
-        seconds: After the sheet's first frame.
-        ego: (5,) box of the ego then.
-        other: (5,) of the other.
-        point: (2,) in the middle of what they share.
-    """
-
-    seconds: float
-    ego: Floats
-    other: Floats
-    point: Floats
-
-
-@dataclass(frozen=True, slots=True)
 class DrivenSheet:
     """Everything that is shown of one drive.
 
@@ -53,6 +36,7 @@ class DrivenSheet:
         recorded_speed: (T,) its speed, m/s.
         recorded_seconds: (T,) times of both after the sheet's first frame.
         speed: (F,) of the driven ego at the sheet's frames, m/s.
+        contact: The first contact, in the sheet's metres, its seconds after the sheet's first frame.
         considered: What an adversary considered at its planning frames, where that was kept.
     """
 
@@ -64,7 +48,7 @@ class DrivenSheet:
     recorded_speed: Floats
     recorded_seconds: Floats
     speed: Floats
-    contact: DrivenContact | None
+    contact: Contact | None
     considered: tuple[ConsideredFrame, ...] = ()
 
     @property
@@ -106,7 +90,7 @@ class DrivenSheet:
         now, then = float(self.seconds[frame]), float(self.seconds[made])
         contact, soon = None, self.contact
         if soon is not None and soon.seconds - now <= PLAN_SEEN_S:
-            contact = Contact(soon.seconds - then, soon.ego, soon.other, soon.point)
+            contact = replace(soon, seconds=soon.seconds - then)
         verdict = Verdict(contact is not None, "", "", counted=False)
         return PlanOverlay(name, style, self.plans[made], contact, verdict, age_s=now - then)
 

@@ -32,11 +32,11 @@ CANDIDATES_SHOWN: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Place and time at which a plan first touches something.
+    """Place and time at which a plan, or a drive, first touches something.
 
     Attributes:
         seconds: After the sample.
-        ego: (5,) the plan's footprint then.
+        ego: (5,) the ego's footprint then.
         other: (5,) what it touches, or ``None`` where the protocol does not say.
         point: (2,) in the middle of what they share.
     """

@@ -20,8 +20,8 @@ from benchmark.records.considered import read_considered
 from benchmark.records.drive_schema import DriveRow
 from benchmark.records.drives import DriveRecord
 from benchmark.records.scenes import Sheet, SheetCamera, StoredSheet, picture_name
-from benchmark.report.driven import DrivenContact, DrivenSheet, speeds_along
-from benchmark.report.overlays import shared_point
+from benchmark.report.driven import DrivenSheet, speeds_along
+from benchmark.report.overlays import Contact, shared_point
 from benchmark.report.placing import ego_pose, placed_waypoints
 from benchmark.runs.redriving import StoredPlans, seen_again
 from benchmark.scene import Scene
@@ -132,10 +132,10 @@ def _recorded(scene: Scene, sheet: Sheet) -> tuple[Floats, Floats]:
     return np.asarray(pose[:, :2] + ahead - np.array(sheet.origin_m)), np.asarray(seconds, np.float64)
 
 
-def _contact(found: Drive, sheet: Sheet) -> DrivenContact | None:
+def _contact(found: Drive, sheet: Sheet) -> Contact | None:
     if found.touch is None:
         return None
     moved = np.array([*sheet.origin_m, 0.0, 0.0, 0.0])
     ego, other = found.touch.ego - moved, found.touch.other - moved
     seconds = (found.touch.time_us - sheet.timestamps_us[0]) * 1e-6
-    return DrivenContact(float(seconds), ego, other, shared_point(ego, other))
+    return Contact(float(seconds), ego, other, shared_point(ego, other))

@@ -1,6 +1,6 @@
 """Drives that end at the ego's fault alone: whoever touches it otherwise goes, and everything else is as it was."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -107,7 +107,7 @@ def test_the_row_says_both_and_drives_again_to_the_same() -> None:
     assert driven_again(FAULT, scene, FakeData({scene.name: scene}), row) == row
     with pytest.raises(InputError, match="lead elsewhere"):
         driven_again(DefaultRides(), scene, FakeData({scene.name: scene}), row)
-    blamed = row.passed[0].model_copy(update={"at_fault": True}).model_dump()
+    blamed = {**asdict(row.passed[0]), "at_fault": True}
     with pytest.raises(ValueError, match="ends a drive"):
         DriveRow.model_validate({**row.model_dump(), "passed": [blamed]})
 
