@@ -1,14 +1,12 @@
 """How hard a contact is: what a row of a table says of the first contact of a scene."""
 
-from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from benchmark.interactions.contacts import (
     KINDS,
-    ContactKind,
     Pairs,
-    at_fault,
     delta_v,
     fatal_probability,
     is_agent,
@@ -16,45 +14,25 @@ from benchmark.interactions.contacts import (
 )
 from benchmark.interactions.outcomes import Contact
 from benchmark.interactions.tracks import STEP_S, Tracks
+from benchmark.records.judgement import Impact
+
+DIGITS: Final = 6
+"""Numbers are rounded, so that they are the same on every machine."""
 
 
-@dataclass(frozen=True, slots=True)
-class Impact:
-    """Contact in numbers; seconds and m/s.
-
-    Attributes:
-        agent: Index of the touched agent.
-        at_fault: Whether the ego is to blame.
-        delta_v_other: Change of the other's velocity: what to look at for people on foot.
-        fatal_probability: Of those in the ego.
-    """
-
-    time: float
-    agent: int
-    kind: ContactKind
-    at_fault: bool
-    impact_speed: float
-    delta_v_ego: float
-    delta_v_other: float
-    fatal_probability: float
-
-
-def impact_of(contact: Contact, category: str, *, unsure: bool = False) -> Impact:
-    """The numbers of the first contact of a run with an agent of a category.
-
-    ``unsure`` is the ego in several lanes or off the drivable area, which makes a lateral contact its fault.
-    """
+def impact_of(contact: Contact, category: str, at_fault: bool | None) -> Impact:
+    """The numbers of the first contact of a run with an agent of a category, and whether the ego is to blame."""
     ego, other = delta_v(np.asarray(contact.impact_speed), np.asarray(mass_kg(category)))
-    return Impact(
-        time=contact.time,
-        agent=contact.agent,
-        kind=contact.kind,
-        at_fault=at_fault(contact.kind, unsure),
-        impact_speed=contact.impact_speed,
-        delta_v_ego=float(ego),
-        delta_v_other=float(other),
-        fatal_probability=float(fatal_probability(ego)),
-    )
+    numbers = {
+        "time_s": contact.time,
+        "impact_speed_m_s": contact.impact_speed,
+        "delta_v_ego_m_s": float(ego),
+        "delta_v_other_m_s": float(other),
+        "fatal_probability": float(fatal_probability(ego)),
+    }
+    # Adding zero makes -0.0 plain.
+    rounded = {name: round(value, DIGITS) + 0.0 for name, value in numbers.items()}
+    return Impact(kind=contact.kind.value, at_fault=at_fault, **rounded)
 
 
 def contact_at(tracks: Tracks, agent: int, time: float) -> Contact:

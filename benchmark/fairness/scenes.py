@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmark.fairness.blame import Blame
 from benchmark.fairness.encounter import severity_of
-from benchmark.fairness.impact import contact_at, impact_of
+from benchmark.fairness.impact import DIGITS, contact_at, impact_of
 from benchmark.fairness.validity import faults_of
 from benchmark.interactions.contacts import BLAMELESS, KINDS
 from benchmark.interactions.outcomes import Outcome
@@ -18,7 +18,6 @@ from benchmark.interactions.tracks import Tracks
 from benchmark.records.judgement import (
     DEFINITION,
     DRIVER_NAMES,
-    FAULT_NAMES,
     Chance,
     DriverContact,
     DriverRun,
@@ -30,11 +29,6 @@ from benchmark.records.judgement import (
 )
 from benchmark.scene import Scene
 
-DIGITS: Final = 6
-"""Numbers are rounded, so that they are the same on every machine."""
-NO_MAP: Final = "no map"
-NO_TRACK: Final = "the generated 12 Hz track is not in the data set"
-_NEEDS_MAP: Final = ("off_road", "against_traffic")
 FEWEST_FRAMES: Final = 2
 Number = TypeVar("Number", float, None, float | None)
 
@@ -148,22 +142,14 @@ class _Judge:
 
     def _impact(self, agent: int, time: float) -> Impact:
         contact = contact_at(self.tracks, agent, time)
-        found = impact_of(contact, self.tracks.categories[agent])
-        return Impact(
-            time_s=_rounded(found.time),
-            kind=found.kind.value,
-            at_fault=self.blame.at_fault(contact.kind, contact.ego),
-            impact_speed_m_s=_rounded(found.impact_speed),
-            delta_v_ego_m_s=_rounded(found.delta_v_ego),
-            delta_v_other_m_s=_rounded(found.delta_v_other),
-            fatal_probability=_rounded(found.fatal_probability),
-        )
+        blamed = self.blame.at_fault(contact.kind, contact.ego)
+        return impact_of(contact, self.tracks.categories[agent], blamed)
 
     def _faults(self, agent: int) -> TrackFaults:
         known, scene = self.known, self.scene
         launch = known.launches.get(scene.agents.ids[agent], 0)
         frames = np.arange(launch, len(scene.timestamps_us)) if known.generated else scene.keyframes
-        found = faults_of(
+        return faults_of(
             self.tracks,
             agent,
             frames[frames >= launch],
@@ -171,9 +157,6 @@ class _Judge:
             at_keyframes=not known.generated,
             rounded_m=known.rounded_m,
         )
-        values = {name: getattr(found, name) for name in FAULT_NAMES}
-        unknown = {name: NO_MAP if name in _NEEDS_MAP else NO_TRACK for name in FAULT_NAMES if values[name] is None}
-        return TrackFaults(**values, unknown=unknown)
 
 
 def _acts(scene: Scene, known: TracksAtHand, adversaries: frozenset[int]) -> float | None:

@@ -3,8 +3,6 @@
 ``docs/realism.md``, "Validity rates". Unlike the divergences they need no recordings to compare with.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
@@ -14,6 +12,7 @@ from benchmark.dynamics.bicycle import DriverLimits
 from benchmark.dynamics.driver_limits import broken_limit
 from benchmark.geometry import Bools, Floats, box_corners, box_gap, boxes_overlap, wrap_angle
 from benchmark.interactions.tracks import Integers, Tracks
+from benchmark.records.judgement import FAULT_NAMES, TrackFaults
 from benchmark.road_map import RoadMap
 
 OFF_ROAD_M: Final = 0.3
@@ -26,39 +25,9 @@ TELEPORT_M_S2: Final = 10.0
 TELEPORT_RAD: Final = np.deg2rad(30.0)
 
 
-@dataclass(frozen=True, slots=True)
-class Faults:
-    """Faults of one adversary's track; ``None`` where it cannot be told: without a map, or a 12 Hz track.
-
-    Attributes:
-        beyond_limits: It asks more of car or driver than `benchmark.dynamics.bicycle.DriverLimits`.
-        off_road: A corner is more than 0.3 m off the drivable area.
-        contact: It touches another object than the ego.
-        against_traffic: It heads more than 90 degrees away from the lane below its centre for more than 1 s.
-        hovering: It stays within 0.5 m of the same other object for more than 0.5 s.
-        teleport: It moves or turns further between two frames than any car could.
-    """
-
-    beyond_limits: bool | None
-    off_road: bool | None
-    contact: bool
-    against_traffic: bool | None
-    hovering: bool
-    teleport: bool | None
-
-
-@dataclass(frozen=True, slots=True)
-class ValidityRate:
-    """Count of one kind of fault, a field of `Faults`, and of how many adversaries it could be asked."""
-
-    fault: str
-    count: int
-    of: int
-
-    @property
-    def share(self) -> float | None:
-        """Count of asked; ``None`` if none was."""
-        return self.count / self.of if self.of else None
+NO_MAP: Final = "no map"
+NO_TRACK: Final = "the generated 12 Hz track is not in the data set"
+_NEEDS_MAP: Final = ("off_road", "against_traffic")
 
 
 def faults_of(
@@ -69,7 +38,7 @@ def faults_of(
     *,
     at_keyframes: bool = False,
     rounded_m: float = 0.0,
-) -> Faults:
+) -> TrackFaults:
     """Look for faults of an adversary.
 
     Args:
@@ -86,23 +55,16 @@ def faults_of(
     others, present = _others(tracks, agent, there)
     touching, near = _nearness(boxes, others, present)
     ego = len(others) - 1
-    return Faults(
-        beyond_limits=None if at_keyframes else broken_limit(boxes, DriverLimits(), rounded_m=rounded_m) is not None,
-        off_road=None if road_map is None else bool(_off_road(boxes, road_map).any()),
-        contact=bool(np.delete(touching, ego, axis=0).any()),
-        against_traffic=None if road_map is None else _lasts(_against(boxes, road_map)[None], seconds, AGAINST_S),
-        hovering=_lasts(near, seconds, HOVERING_S),
-        teleport=None if at_keyframes else bool(teleports(seconds, boxes).any()),
-    )
-
-
-def validity_rates(faults: Sequence[Faults]) -> list[ValidityRate]:
-    """Sum adversaries up: one rate for each kind of fault."""
-    rates = []
-    for kind in fields(Faults):
-        asked = [found for found in (getattr(each, kind.name) for each in faults) if found is not None]
-        rates.append(ValidityRate(kind.name, sum(asked), len(asked)))
-    return rates
+    values = {
+        "beyond_limits": None if at_keyframes else broken_limit(boxes, DriverLimits(), rounded_m=rounded_m) is not None,
+        "off_road": None if road_map is None else bool(_off_road(boxes, road_map).any()),
+        "contact": bool(np.delete(touching, ego, axis=0).any()),
+        "against_traffic": None if road_map is None else _lasts(_against(boxes, road_map)[None], seconds, AGAINST_S),
+        "hovering": _lasts(near, seconds, HOVERING_S),
+        "teleport": None if at_keyframes else bool(teleports(seconds, boxes).any()),
+    }
+    unknown = {name: NO_MAP if name in _NEEDS_MAP else NO_TRACK for name in FAULT_NAMES if values[name] is None}
+    return TrackFaults(**values, unknown=unknown)
 
 
 def teleports(seconds: Floats, boxes: Floats) -> Bools:

@@ -116,14 +116,15 @@ class EncounterSeverity(Stored):
 
 
 class TrackFaults(Stored):
-    """Faults of an adversary's track (`benchmark.fairness.validity`); null where it could not be told.
+    """Faults of one adversary's track; null where it cannot be told: without a map, or a 12 Hz track.
 
     Attributes:
-        beyond_limits: It asks more than driver and car can do.
-        off_road: A corner is off the drivable area.
-        contact: It touches anything but the ego.
-        against_traffic: It drives against the lanes below it.
-        hovering: It stays within half a metre of another.
+        beyond_limits: It asks more of car or driver than `benchmark.dynamics.bicycle.DriverLimits`.
+        off_road: A corner is more than 0.3 m off the drivable area.
+        contact: It touches another object than the ego.
+        against_traffic: It heads more than 90 degrees away from the lane below its centre for more than 1 s.
+        hovering: It stays within 0.5 m of the same other object for more than 0.5 s.
+        teleport: It moves or turns further between two frames than any car could.
         unknown: Why each of those that are null is.
     """
 

@@ -60,9 +60,11 @@ def test_an_impact_in_numbers() -> None:
     situation = Situation.of(tracks)
     outcome = Surroundings.of(situation).outcome(drive(situation, [Rung(Driver.RECORDED)])[0])
     assert outcome.contact is not None
-    impact = impact_of(outcome.contact, "vehicle.truck")
-    assert impact.kind is ContactKind.STOPPED_TRACK and impact.at_fault
-    assert impact.impact_speed == pytest.approx(10.0) and impact.delta_v_ego == pytest.approx(10.0 * 12000 / 13600)
+    impact = impact_of(outcome.contact, "vehicle.truck", True)
+    assert impact.kind == ContactKind.STOPPED_TRACK and impact.at_fault
+    assert impact.impact_speed_m_s == pytest.approx(10.0) and impact.delta_v_ego_m_s == pytest.approx(
+        10.0 * 12000 / 13600
+    )
     assert 0.0 < impact.fatal_probability < 0.01
 
 

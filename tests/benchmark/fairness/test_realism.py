@@ -11,9 +11,10 @@ from benchmark.fairness.divergence import equal_bins, quantile_bins, w1
 from benchmark.fairness.features import FEATURES, recorded_runs, runs_of, stretches
 from benchmark.fairness.realism import realism_of
 from benchmark.fairness.road_edge import RoadEdge
-from benchmark.fairness.validity import Faults, faults_of, teleports, validity_rates
+from benchmark.fairness.validity import NO_MAP, faults_of, teleports
 from benchmark.geometry import Floats, box_gap
 from benchmark.interactions.tracks import Tracks
+from benchmark.records.judgement import FAULT_NAMES, TrackFaults
 from benchmark.road_map import RoadMap
 from tests.benchmark.interactions.made import SECONDS, along, boxes, ego, made_scene, scene
 from tests.hand_made import straight_road
@@ -101,7 +102,7 @@ def test_the_worst_feature_is_named_and_halves_stand_beside() -> None:
     assert same is not None and same.worst.realism == 1.0 and same.mean == 1.0
 
 
-def faults(track: Floats, *others: Floats, road_map: RoadMap | None = None) -> Faults:
+def faults(track: Floats, *others: Floats, road_map: RoadMap | None = None) -> TrackFaults:
     tracks = scene(ego(3.0), track, *others)
     return faults_of(tracks, 0, slice(None), road_map)
 
@@ -110,8 +111,8 @@ def test_a_car_that_drives_has_no_faults() -> None:
     road = straight_road()
     own = along(40.0, 198.25, 6.0)
     found = faults(own, along(80.0, 198.25, 6.0), road_map=road)
-    assert found == Faults(False, False, False, False, False, False)
-    assert faults(own).off_road is None and faults(own).against_traffic is None
+    assert found == TrackFaults(**dict.fromkeys(FAULT_NAMES, False))
+    assert faults(own).unknown == {"off_road": NO_MAP, "against_traffic": NO_MAP}
 
 
 def test_each_fault_is_found() -> None:
@@ -142,13 +143,6 @@ def test_frames_at_which_it_is_not_there_do_not_count() -> None:
     late = tracks.valid.copy()
     late[0, :20] = False
     assert not faults_of(replace(tracks, valid=late), 0, slice(None)).beyond_limits
-
-
-def test_rates_count_those_who_could_be_asked() -> None:
-    some = [Faults(True, None, False, None, False, False), Faults(False, True, False, False, False, False)]
-    rates = {rate.fault: (rate.count, rate.of) for rate in validity_rates(some)}
-    assert rates["beyond_limits"] == (1, 2) and rates["off_road"] == (1, 1) and rates["against_traffic"] == (0, 1)
-    assert validity_rates([])[0].share is None
 
 
 def ctg_scene(angle: float = 0.0, noise: float = 0.0) -> SceneTracks:
