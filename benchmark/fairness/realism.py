@@ -10,42 +10,16 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.fairness.divergence import Histograms, equal_bins, quantile_bins, w1
+from benchmark.fairness.divergence import Histograms, quantile_bins, w1
 from benchmark.fairness.features import FEATURES, ROAD_EDGE, Run
 from benchmark.geometry import Floats
+from benchmark.records.judgement import FeatureRealism
 
 BOOTSTRAP_DRAWS: Final = 200
 _INTERVAL: Final = (0.025, 0.975)
 
 RunsOfScenes = Mapping[str, Sequence[Run]]
 """Runs by the name of their scene."""
-
-
-@dataclass(frozen=True, slots=True)
-class FeatureRealism:
-    """Realism of one feature.
-
-    Attributes:
-        w1: Wasserstein-1 distance to the recordings, in the unit of the feature.
-        w1_of_halves: The same between two halves of the recordings; ``None`` where one has no samples.
-        realism: 1 - Jensen-Shannon divergence over quantile bins.
-        realism_equal_width: The same over bins of equal width, which is what others print.
-        realism_of_halves: Between two halves of the recordings.
-        interval: 95 % of bootstraps over scenes of `realism`; ``None`` for a single scene.
-    """
-
-    name: str
-    w1: float
-    w1_of_halves: float | None
-    realism: float
-    realism_equal_width: float
-    realism_of_halves: float | None
-    interval: tuple[float, float] | None
-
-    @property
-    def w1_in_halves(self) -> float | None:
-        """How many times as far from the recordings as two halves of them are from one another."""
-        return self.w1 / self.w1_of_halves if self.w1_of_halves else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,13 +58,15 @@ def realism_of(adversaries: RunsOfScenes, recorded: RunsOfScenes, seed: int = 0)
     halves = ({name: recorded[name] for name in scenes[first::2]} for first in (0, 1))
     even, odd = (_pooled(half, names) for half in halves)
     ours, reference = _pooled(adversaries, names), _pooled(recorded, names)
+    apart = {name: w1(ours[name], reference[name]) for name in names}
+    halves_apart = {name: _of_both(w1, even[name], odd[name]) for name in names}
     features = tuple(
         FeatureRealism(
             name=name,
-            w1=w1(ours[name], reference[name]),
-            w1_of_halves=_of_both(w1, even[name], odd[name]),
+            w1=apart[name],
+            w1_of_halves=halves_apart[name],
+            w1_in_halves=_times(apart[name], halves_apart[name]),
             realism=_realism(ours[name], reference[name]),
-            realism_equal_width=1.0 - equal_bins(ours[name], reference[name]).divergence,
             realism_of_halves=_of_both(_realism, even[name], odd[name]),
             interval=_interval(adversaries, reference[name], name, seed),
         )
@@ -101,6 +77,10 @@ def realism_of(adversaries: RunsOfScenes, recorded: RunsOfScenes, seed: int = 0)
 
 def _realism(sample: Floats, reference: Floats) -> float:
     return 1.0 - quantile_bins(sample, reference).divergence
+
+
+def _times(value: float, unit: float | None) -> float | None:
+    return value / unit if unit else None
 
 
 def _of_both(measure: Callable[[Floats, Floats], float], first: Floats, second: Floats) -> float | None:

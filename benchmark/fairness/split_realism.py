@@ -5,7 +5,7 @@ of its scene; where the recordings are not at hand, the unchanged agents of the 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -14,14 +14,14 @@ from benchmark.datasets.roots import DataSet
 from benchmark.fairness.ctg import Mask, Normalisation, SceneTracks, Version, deviations, histograms
 from benchmark.fairness.data_sets import adversarial_scene, launches_of
 from benchmark.fairness.features import Run, recorded_runs, runs_of
-from benchmark.fairness.realism import FeatureRealism, realism_of
+from benchmark.fairness.realism import realism_of
 from benchmark.fairness.road_edge import RoadEdge
 from benchmark.interactions.tracks import STEP_S, Tracks
 from benchmark.machine.progress import progress
 from benchmark.records.judgement import (
     FAULT_NAMES,
     CtgRow,
-    FeatureRow,
+    FeatureRealism,
     SceneJudgement,
     SplitRealism,
     ValidityRow,
@@ -85,7 +85,7 @@ def split_realism(
         validity=validity,
         reference=which,
         samples=realism.samples,
-        features=tuple(map(_row, realism.features)),
+        features=tuple(map(_rounded, realism.features)),
         worst=realism.worst.name,
         ctg=_ctg(pairs) if pairs else None,
     )
@@ -154,17 +154,8 @@ def _ctg(pairs: Sequence[tuple[SceneTracks, SceneTracks]]) -> CtgRow:
     )
 
 
-def _row(feature: FeatureRealism) -> FeatureRow:
-    def rounded(value: float | None) -> float | None:
-        return None if value is None else round(value, DIGITS)
-
-    low, high = map(rounded, feature.interval or (None, None))
-    return FeatureRow(
-        name=feature.name,
-        w1=round(feature.w1, DIGITS),
-        w1_of_halves=rounded(feature.w1_of_halves),
-        w1_in_halves=rounded(feature.w1_in_halves),
-        realism=round(feature.realism, DIGITS),
-        realism_of_halves=rounded(feature.realism_of_halves),
-        interval=None if low is None or high is None else (low, high),
-    )
+def _rounded(feature: FeatureRealism) -> FeatureRealism:
+    numbers = {name: round(value, DIGITS) for name, value in asdict(feature).items() if isinstance(value, float)}
+    low, high = feature.interval or (0.0, 0.0)
+    interval = feature.interval and (round(low, DIGITS), round(high, DIGITS))
+    return replace(feature, **numbers, interval=interval)

@@ -6,6 +6,7 @@ Times are seconds since the scene's first frame.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated, Final, Literal, Self, get_args
 
 from pydantic import Field, model_validator
@@ -267,12 +268,13 @@ def unsolvable(judgements: Sequence[SceneJudgement]) -> bool:
     return bool(asked) and all(each.unsolvable is True for each in asked)
 
 
-class FeatureRow(Stored):
-    """Realism of one feature (`benchmark.fairness.realism.FeatureRealism`).
+@dataclass(frozen=True, slots=True)
+class FeatureRealism:
+    """Realism of one feature.
 
     Attributes:
         w1: Wasserstein-1 distance to the recordings, in the unit of the feature.
-        w1_of_halves: The same between two halves of the recordings.
+        w1_of_halves: The same between two halves of the recordings; null where one has no samples.
         w1_in_halves: How many times as far as the halves are from one another.
         realism: 1 - Jensen-Shannon divergence over quantile bins.
         realism_of_halves: The same between two halves: what zero looks like.
@@ -329,12 +331,12 @@ class SplitRealism(Stored):
     reference: Text | None = None
     not_compared: Text | None = None
     samples: tuple[int, int] | None = None
-    features: tuple[FeatureRow, ...] = ()
+    features: tuple[FeatureRealism, ...] = ()
     worst: Text | None = None
     ctg: CtgRow | None = None
 
     @property
-    def headline(self) -> FeatureRow | None:
+    def headline(self) -> FeatureRealism | None:
         """The worst feature."""
         return next((row for row in self.features if row.name == self.worst), None)
 

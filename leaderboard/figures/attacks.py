@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from benchmark.metrics.attacks import attack_rates, counts_attacks, has_adversaries, says_severity
 from benchmark.metrics.judgements import split_ladders
 from benchmark.metrics.rates import Rate
-from benchmark.records.judgement import FeatureRow
+from benchmark.records.judgement import FeatureRealism
 from benchmark.records.run import RunRecord
 from benchmark.report.lettering import drawable
 from benchmark.report.plots import Theme, for_pages, new_figure
@@ -48,7 +48,7 @@ class Setting:
 
     data_name: str
     split: str
-    worst: FeatureRow | None
+    worst: FeatureRealism | None
     without_fault: Rate
     success: tuple[tuple[RunRecord, Rate], ...]
 

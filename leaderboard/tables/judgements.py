@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from benchmark.metrics.judgements import SplitLadder, judged_scenes, split_ladders
-from benchmark.records.judgement import DRIVER_NAMES, FAULT_NAMES, DriverName, FeatureRow, SplitRealism
+from benchmark.records.judgement import DRIVER_NAMES, FAULT_NAMES, DriverName, FeatureRealism, SplitRealism
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import Origin, origin_of
 from benchmark.report.table import Table
@@ -219,7 +219,7 @@ def _told_by_scenes(ladder: SplitLadder) -> _Told:
     return _Told(ladder.record, "scenes", len(judged), rows, (f"{ladder.record.run.split}: scenes are counted.",))
 
 
-def _headline_table(data_name: str, found: Sequence[tuple[RunRecord, SplitRealism, FeatureRow]]) -> Table:
+def _headline_table(data_name: str, found: Sequence[tuple[RunRecord, SplitRealism, FeatureRealism]]) -> Table:
     rows: list[Values] = []
     for record, said, worst in found:
         origin, adversaries = origin_of(record, REALISM), said.adversaries
@@ -259,7 +259,7 @@ def _realism_table(data_name: str, record: RunRecord, said: SplitRealism) -> Tab
     return tabulate(f"{REALISM}-{record.run.split}", title, _FEATURES, rows, (f"{_REALISM_NOTE}{reference}",))
 
 
-def _feature_values(origin: Origin, row: FeatureRow, samples: int) -> dict[str, Value]:
+def _feature_values(origin: Origin, row: FeatureRealism, samples: int) -> dict[str, Value]:
     low, high = row.interval or (None, None)
     return {
         "realism": origin.cell(row.realism, REALISM, samples, low=low, high=high),

@@ -6,7 +6,7 @@ from dataclasses import replace
 from benchmark.records.judgement import (
     FAULT_NAMES,
     CtgRow,
-    FeatureRow,
+    FeatureRealism,
     JudgementSummary,
     KindName,
     SplitRealism,
@@ -116,7 +116,7 @@ def with_realism(record: RunRecord, worst: float | None) -> RunRecord:
         said = SplitRealism(adversaries=count, validity=validity, not_compared="the recordings are our own town")
     else:
         features = tuple(
-            FeatureRow(
+            FeatureRealism(
                 name=name,
                 w1=0.4,
                 w1_of_halves=0.2,
