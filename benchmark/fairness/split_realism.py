@@ -6,7 +6,7 @@ of its scene; where the recordings are not at hand, the unchanged agents of the 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -155,7 +155,10 @@ def _ctg(pairs: Sequence[tuple[SceneTracks, SceneTracks]]) -> CtgRow:
 
 
 def _rounded(feature: FeatureRealism) -> FeatureRealism:
-    numbers = {name: round(value, DIGITS) for name, value in asdict(feature).items() if isinstance(value, float)}
-    low, high = feature.interval or (0.0, 0.0)
-    interval = feature.interval and (round(low, DIGITS), round(high, DIGITS))
-    return replace(feature, **numbers, interval=interval)
+    numbers: dict[str, Any] = {
+        name: round(value, DIGITS) for name, value in asdict(feature).items() if isinstance(value, float)
+    }
+    if feature.interval is not None:
+        low, high = feature.interval
+        numbers["interval"] = round(low, DIGITS), round(high, DIGITS)
+    return replace(feature, **numbers)

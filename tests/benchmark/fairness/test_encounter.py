@@ -6,7 +6,6 @@ import pytest
 from benchmark.fairness.attack import Attack, AttackSuccess, any_known, attack_success
 from benchmark.fairness.encounter import severity_of
 from benchmark.fairness.impact import impact_of
-from benchmark.interactions.contacts import ContactKind
 from benchmark.interactions.driving import Rung, Situation, drive
 from benchmark.interactions.outcomes import Surroundings
 from benchmark.interactions.reaction import Driver
@@ -61,7 +60,7 @@ def test_an_impact_in_numbers() -> None:
     outcome = Surroundings.of(situation).outcome(drive(situation, [Rung(Driver.RECORDED)])[0])
     assert outcome.contact is not None
     impact = impact_of(outcome.contact, "vehicle.truck", True)
-    assert impact.kind == ContactKind.STOPPED_TRACK and impact.at_fault
+    assert impact.kind == "stopped_track" and impact.at_fault
     assert impact.impact_speed_m_s == pytest.approx(10.0) and impact.delta_v_ego_m_s == pytest.approx(
         10.0 * 12000 / 13600
     )

@@ -111,7 +111,7 @@ def test_a_car_that_drives_has_no_faults() -> None:
     road = straight_road()
     own = along(40.0, 198.25, 6.0)
     found = faults(own, along(80.0, 198.25, 6.0), road_map=road)
-    assert found == TrackFaults(**dict.fromkeys(FAULT_NAMES, False))
+    assert found == TrackFaults.model_validate(dict.fromkeys(FAULT_NAMES, False))
     assert faults(own).unknown == {"off_road": NO_MAP, "against_traffic": NO_MAP}
 
 

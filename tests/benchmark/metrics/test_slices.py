@@ -46,7 +46,14 @@ FACTS = {
     "c": SceneFacts(source="c", light=["night"]),
 }
 DRIVEN = DrivenPlan(
-    **dict.fromkeys(("nc", "dac", "ddc", "ep", "ttc", "lk", "hc", "ec"), 1.0),
+    nc=1.0,
+    dac=1.0,
+    ddc=1.0,
+    ep=1.0,
+    ttc=1.0,
+    lk=1.0,
+    hc=1.0,
+    ec=1.0,
     forgiven=[],
     progress_m=1.0,
     recorded_progress_m=1.0,

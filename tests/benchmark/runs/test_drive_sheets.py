@@ -81,7 +81,7 @@ def test_the_sheet_is_the_driven_world(tmp_path: Path) -> None:
 
 def test_the_contact_is_where_both_touch(tmp_path: Path) -> None:
     hit = shown(tmp_path, driven(tmp_path / "out", Straight()), 1)
-    assert hit.contact is not None and hit.row.contact is not None
+    assert hit.contact is not None and hit.contact.other is not None and hit.row.contact is not None
     assert box_gap(hit.contact.ego, hit.contact.other) == pytest.approx(0.0, abs=1e-6)
     began = hit.seconds[hit.begins]
     assert hit.contact.seconds == pytest.approx(began + hit.row.contact.seconds, abs=1e-5)
