@@ -37,9 +37,9 @@ class Network:
         renamed: Patterns and replacements for tensor names that official files have under an older name.
         ignored: Patterns of tensor names that official files may have and the network does not need.
         anchors: Tensor of the network that official checkpoints lack, because it is published in a file of its own
-            (`adapters.checkpoints.motion_anchors`).
+            (`adapters.checkpoints.anchor_files`).
         clustered: Whether its queries start from cluster centres of a data set (`adapters.checkpoints.anchor_files`).
-        as_published: What it may do as in its published runs (`adapters.as_published`), and what of the configuration
+        as_published: What it may do as in its published runs (`adapters.planner`), and what of the configuration
             that changes.
     """
 
@@ -303,7 +303,7 @@ _PUBLISHED: Final = (
         replace(_UNIAD, settings={"solver": "ipopt", "stores_anchors": True}),
         weights="uniad",
         native_protocol="uniad",
-        requires="adapters.networks.uniad.collision_solvers:require_casadi",
+        requires="adapters.networks.uniad.collision_optimiser:require_casadi",
         extra="[uniad]",
         extra_package="casadi",
     ),
@@ -315,9 +315,9 @@ _MINIATURES: Final = (
         replace(_UNIAD, config="adapters.networks.uniad.config:UniADConfig.miniature", fitted=False),
         miniature=Miniature(
             ("uniad",),
-            "adapters.extensions.training.uniad.start:untrained",
+            "adapters.extensions.training.uniad.phases:untrained",
             "adapters.extensions.training.uniad.phases:phases",
-            "adapters.extensions.training.uniad.start:seen_by_vad",
+            "adapters.extensions.training.uniad.phases:seen_by_vad",
         ),
         native_protocol="uniad",
     ),
@@ -327,9 +327,9 @@ _MINIATURES: Final = (
         replace(_VAD, config="adapters.networks.vad.config:VADConfig.miniature"),
         miniature=Miniature(
             ("vad-tiny", "vad-base"),
-            "adapters.extensions.training.vad.start:untrained",
+            "adapters.extensions.training.vad.phases:untrained",
             "adapters.extensions.training.vad.phases:phases",
-            "adapters.extensions.training.vad.start:begun_from",
+            "adapters.extensions.training.vad.phases:begun_from",
         ),
         native_protocol="vad",
     ),
@@ -341,7 +341,7 @@ _MINIATURES: Final = (
             ("sparsedrive",),
             "adapters.extensions.training.sparse.start:untrained",
             "adapters.extensions.training.sparse.phases:phases",
-            "adapters.extensions.training.own_eyes:seen_with_own_eyes",
+            "adapters.extensions.training.front:seen_with_own_eyes",
         ),
         native_protocol="sparsedrive",
     ),

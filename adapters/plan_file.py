@@ -31,16 +31,15 @@ from benchmark.geometry import Floats
 from benchmark.machine.storage import file_sha256
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.records.caveats import Caveat
-from benchmark.records.inventory import where_planned
 from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run_schema import PlannerFacts
+from benchmark.records.store import where_planned
 from benchmark.runs.code_identity import code_sha256
 from benchmark.runs.planner_facts import known_native
 from benchmark.truth import SampleTruth
 from benchmark.untrusted.files import one_line
-from benchmark.untrusted.plan_plausibility import FrameName, plausibility_of
+from benchmark.untrusted.plan_plausibility import ComparedPlans, FrameName, plausibility_of
 from benchmark.untrusted.plan_verdicts import caveat_as_is, checks_said, refusal_of
-from benchmark.untrusted.plans_beside_recording import ComparedPlans
 from benchmark.untrusted.tables import read_table
 from benchmark.waypoints import waypoints_in_lidar
 

@@ -2,9 +2,9 @@
 # `__all__` is shown, by dir() and a star; the other names answer as well.
 
 from adapters.checkpoints.anchor_files import write_anchors as write_anchors
-from adapters.checkpoints.arrival import fetch_weights as fetch_weights
-from adapters.checkpoints.arrival import import_weights as import_weights
-from adapters.checkpoints.listing import known_weights as known_weights
+from adapters.checkpoints.loading import fetch_weights as fetch_weights
+from adapters.checkpoints.loading import import_weights as import_weights
+from adapters.checkpoints.cache import known_weights as known_weights
 from adapters.extensions.training.ego_status import train_ego_status as train_ego_status
 from adapters.extensions.training.planners import (
     PlannerTraining as PlannerTraining,
@@ -46,9 +46,9 @@ from benchmark.api.showing import (
     write_sheets as write_sheets,
 )
 from benchmark.api.verifying import verify as verify
-from benchmark.cli.demonstration import demo as demo
-from benchmark.cli.demonstration import full_demo as full_demo
-from benchmark.cli.demonstration import stale_demo as stale_demo
+from benchmark.cli.demo import demo as demo
+from benchmark.cli.demo import full_demo as full_demo
+from benchmark.cli.demo import stale_demo as stale_demo
 from benchmark.datasets.contents import contents as data_contents
 from benchmark.datasets.reviewed import record_verdicts as record_verdicts
 from benchmark.datasets.reviewed import scene_tokens as scene_tokens
@@ -91,7 +91,7 @@ from benchmark.extensions.submissions.checking import check_submission as check_
 from benchmark.fairness.splits import judge_split as judge_split
 from benchmark.machine.environment import checks as doctor
 from benchmark.machine.workspace import Workspace as Workspace
-from benchmark.metrics.frames import samples_frame as samples_frame
+from benchmark.metrics.scores import samples_frame as samples_frame
 from benchmark.metrics.transfer import transfer as transfer
 from benchmark.planning import (
     Command as Command,
@@ -141,7 +141,7 @@ from benchmark.runs.rescoring_drives import rescore_drives as rescore_drives
 from benchmark.runs.units import Shard as Shard
 from benchmark.scene import Scene as Scene
 from benchmark.scene_pages.writing import SheetSettings as SheetSettings
-from generation.diffusion.bank import write_bank as write_bank
+from generation.diffusion.checkpoint import write_bank as write_bank
 from generation.extensions.denoiser_training.card import write_model_card as write_model_card
 from generation.extensions.denoiser_training.loop import (
     TrainingConfig as TrainingConfig,

@@ -2,7 +2,7 @@
 
 Read from the top: `evaluate` chooses scenes, hands each to `benchmark.runs.scene_work`, and writes what comes back. One
 scene is one unit of work, because planners have memory; of planners whose memory outlives a change of scene the whole
-split is (`benchmark.runs.whole_split`). What the planner said about a scene is kept under a content key
+split is (`benchmark.runs.scene_work`). What the planner said about a scene is kept under a content key
 (`benchmark.runs.plan_rows`), so the same command goes on where it stopped; verdicts are computed anew each time, so a
 changed protocol never needs the planner.
 """
@@ -15,11 +15,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from benchmark.datasets.annotation_counts import require_annotated
+from benchmark.datasets.annotated import require_annotated
 from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.scene_facts import with_truth
 from benchmark.errors import InputError, did_you_mean
-from benchmark.machine.pages import keep_pages_of
+from benchmark.machine.metering import keep_pages_of
 from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import only_writer
 from benchmark.machine.workers import LocalProcesses, map_ordered, single_threaded, workers_at_hand
@@ -33,16 +33,14 @@ from benchmark.records.run import RunRecord, write_record
 from benchmark.records.run_schema import TruthFacts
 from benchmark.report.words import counted
 from benchmark.runs.caveats import run_caveats
-from benchmark.runs.failures import write_failures
-from benchmark.runs.judges import JudgedScenes, described
+from benchmark.runs.judging import JudgedScenes, described
 from benchmark.runs.pairing import with_partner
 from benchmark.runs.plan_rows import PlannerFactory, plan_scene, plan_store, scene_key, supervision_said
 from benchmark.runs.planner_facts import facts_of
+from benchmark.runs.rescoring import require_vocabulary, unjudged
 from benchmark.runs.run_directory import run_directory
-from benchmark.runs.scene_work import Run, SceneResult, reopening, work_here, work_in_worker
-from benchmark.runs.units import FinishedShard, Shard
-from benchmark.runs.vocabulary import require_vocabulary, unjudged
-from benchmark.runs.whole_split import work_through
+from benchmark.runs.scene_work import Run, SceneResult, reopening, work_here, work_in_worker, work_through
+from benchmark.runs.units import FinishedShard, Shard, write_failures
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet

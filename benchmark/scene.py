@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import EGO_BODY_WIDTH_M, EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M
 from benchmark.geometry import Bools, Floats, quaternion_from_yaw, yaw_of_quaternion
-from benchmark.report.notebook import html_table
+from benchmark.report.terminal import html_table
 from benchmark.road_map import RoadMap
 
 

@@ -14,8 +14,7 @@ from benchmark.report.plots import page_size
 from benchmark.report.table import Table, escape_markdown
 from leaderboard.frame.results import Results, frames_of
 from leaderboard.page.contents import SECTIONS
-from leaderboard.page.files import TABLES_FOLDER, table_files
-from leaderboard.page.sections import Item, NamedFigure, Section
+from leaderboard.page.sections import TABLES_FOLDER, Item, NamedFigure, Section, table_files
 from leaderboard.site.index_data import PlacedFigure, PlacedTable
 from leaderboard.site.site import INDEX_PATH, site_files
 from leaderboard.tables.contents import DataSetTables, data_set_tables

@@ -6,8 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from adapters.result_files.contract import LACKS, FileFrame, FilePlans, ResultFormat, Rows, key_of, numbers_of, refuse
-from adapters.result_files.samples import RecordedSamples
-from adapters.result_files.turning import turned
+from adapters.result_files.samples import RecordedSamples, turned
 from adapters.result_files.uniad import SAME_M, entries_of
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Floats

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from adapters.result_files.samples import RecordedSamples
 from benchmark.geometry import Floats
 from benchmark.records.run_schema import SampleOrder
-from benchmark.untrusted.files import one_line
-from benchmark.untrusted.refusals import Category, RefusedFile
+from benchmark.untrusted.files import Category, RefusedFile, one_line
 
 Rows = NDArray[np.int64]
 LONG_PLAN_STEPS: Final = 12

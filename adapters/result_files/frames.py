@@ -3,8 +3,7 @@
 import numpy as np
 
 from adapters.result_files.contract import FileFrame, FilePlans
-from adapters.result_files.samples import RecordedSamples
-from adapters.result_files.turning import turned
+from adapters.result_files.samples import RecordedSamples, turned
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Floats
 from benchmark.planning import Plan, PlanFrame

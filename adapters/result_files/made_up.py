@@ -4,8 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from adapters.result_files.samples import RecordedSamples
-from adapters.result_files.turning import turned
+from adapters.result_files.samples import RecordedSamples, turned
 from benchmark.constants import LIDAR_FROM_REAR_AXLE_M, PLAN_STEP_S, PLAN_STEPS
 from benchmark.geometry import Floats, to_local
 from benchmark.machine.storage import content_seed, token

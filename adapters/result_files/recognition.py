@@ -11,9 +11,7 @@ import numpy as np
 from adapters.result_files import bev_planner, sparsedrive, text_answers, trajectories, uniad, vad
 from adapters.result_files.contract import ResultFormat, refuse
 from benchmark.errors import InputError, did_you_mean
-from benchmark.untrusted.files import one_line, require_name
-from benchmark.untrusted.limits import ANSWER, RESULT_FILES
-from benchmark.untrusted.refusals import RefusedFile
+from benchmark.untrusted.files import ANSWER, RESULT_FILES, RefusedFile, one_line, require_name
 from benchmark.untrusted.result_files import first_bytes, parse_result_json, read_result_pickle, read_result_text
 
 FORMATS: Final[Mapping[str, ResultFormat]] = {

@@ -1,4 +1,7 @@
-"""What an importer must know of the samples that plans belong to: tokens, poses, recorded lidar futures, orders."""
+"""What an importer must know of the samples that plans belong to: tokens, poses, recorded lidar futures, orders.
+
+Turning points in the plane.
+"""
 
 from collections.abc import Callable, Collection, Set
 from dataclasses import dataclass, replace
@@ -6,17 +9,32 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
 from benchmark.datasets.contents import scenes_by_split
-from benchmark.datasets.exported_order import exported_order
+from benchmark.datasets.split_names import exported_order
 from benchmark.geometry import Bools, Floats, rotation_matrix, yaw_of_quaternion
 from benchmark.planning import Command
 from benchmark.scene import Scene
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
+
+_NOTHING_RAD = 1e-12
+
+
+def turned(points: Floats, angle_rad: ArrayLike) -> Floats:
+    """Points, (..., 2), turned counter-clockwise about the origin.
+
+    `angle_rad` is (...), less any axes; an angle that is none but for rounding leaves its points as they are.
+    """
+    angle = np.asarray(angle_rad, np.float64)
+    angle = np.where(np.abs(angle) < _NOTHING_RAD, 0.0, angle)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    x, y = points[..., 0], points[..., 1]
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
+
 
 UNDECIDED_M: Final = 0.05
 """So near to the border between two commands either may have been stored: official converters work in three dimensions
@@ -105,7 +123,7 @@ class RecordedSamples:
         """Samples in every order of info files that are sorted by time, the likelier one first.
 
         Where scenes overlap in time, as all variants of one recording do, a converter mixes them, and the info files
-        that are exported here keep them apart (`benchmark.datasets.exported_order`). No planner with memory
+        that are exported here keep them apart (`benchmark.datasets.split_names`). No planner with memory
         runs on variants that are mixed; recordings of two cars at the same time have official info files.
         """
         exported = exported_order(self.scenes, self.timestamps_us)

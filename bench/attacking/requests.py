@@ -12,9 +12,9 @@ from bench.attacking.children import HANG_S, Ended, begin_command
 from bench.attacking.verdicts import Verdict, fall
 from bench.processes import alive, resident_mb
 from benchmark.errors import InputError
-from benchmark.extensions.http.images import ImageFormat
 from benchmark.extensions.http.model import http_planner
-from benchmark.extensions.http.observed import request_of
+from benchmark.extensions.http.session import request_of
+from benchmark.extensions.http.values import ImageFormat
 from tests.benchmark.extensions.http.made import free_port, observed
 from tests.benchmark.extensions.http.malformed import Request, answered, posted
 

@@ -12,12 +12,12 @@ from typing import Any, Final
 import torch
 
 from bench.gpu_day.pieces import Piece, Setting, mean_seconds
-from generation.extensions.magicdrive.autoencoder import DIFFUSERS, VideoDecoder
+from generation.extensions.magicdrive.checkpoint import DIFFUSERS, VideoDecoder
 from generation.extensions.magicdrive.conditions import TEXT_TOKENS, Conditions, TextStates
 from generation.extensions.magicdrive.config import MagicDriveConfig
-from generation.extensions.magicdrive.guidance import GuidedModel
-from generation.extensions.magicdrive.latents import LatentSize
+from generation.extensions.magicdrive.layers import LatentSize
 from generation.extensions.magicdrive.model import MagicDriveDiT
+from generation.extensions.magicdrive.sampling import GuidedModel
 
 STEPS: Final = 30
 PUBLISHED_SECONDS: Final = 395.0

@@ -20,7 +20,7 @@ from benchmark.api.opening import (
     worker_count as worker_count,
     workspace as workspace,
 )
-from benchmark.api.options import named_alike as named_alike
+from benchmark.api.sources import named_alike as named_alike
 from benchmark.api.planners import (
     NEEDS_SERVE as NEEDS_SERVE,
     PlannerSource as PlannerSource,
@@ -35,7 +35,7 @@ from benchmark.api.sources import (
     DataSource as DataSource,
     town_bytes as town_bytes,
 )
-from benchmark.api.saying import say_once as say_once, tell as tell
+from benchmark.api.opening import say_once as say_once, tell as tell
 from benchmark.api.showing import (
     stale_leaderboard as stale_leaderboard,
     write_leaderboard as write_leaderboard,

@@ -1,9 +1,12 @@
-"""Data sets and their splits, opened, or made where the embedded ones are not there yet."""
+"""Data sets and their splits, opened, or made where the embedded ones are not there yet.
 
+How functions of the public face say something to the person who waits.
+"""
+
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from benchmark.api.saying import tell
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
@@ -11,6 +14,22 @@ if TYPE_CHECKING:
     from benchmark.datasets.schema import FaultList
     from benchmark.machine.workspace import Workspace
     from generation.render.contract import Renderer
+
+
+def tell(sentence: str) -> None:
+    """Say something to the person who waits; stdout stays free for results."""
+    print(sentence, file=sys.stderr, flush=True)
+
+
+_said: set[str] = set()
+
+
+def say_once(sentence: str) -> None:
+    """Say what holds for a whole command, however often it is found out."""
+    if sentence not in _said:
+        _said.add(sentence)
+        tell(sentence)
+
 
 OUT = Path("challenger-out")
 """Folder for everything that is made, unless another one is named."""

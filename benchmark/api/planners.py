@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from benchmark.api.driving import looks_at_images, require_sensor
-from benchmark.api.opening import worker_count
-from benchmark.api.options import named_alike
-from benchmark.api.saying import say_once
+from benchmark.api.opening import say_once, worker_count
+from benchmark.api.sources import named_alike
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
@@ -211,8 +210,8 @@ class PlannerSource:
         Raises:
             InputError: If a planner does nothing of the kind that is asked for.
         """
-        from adapters.as_published import CROSS_SCENES, options_of
         from adapters.models import MODELS
+        from adapters.planner import CROSS_SCENES, options_of
 
         if self.as_published and not self.names:
             raise InputError("--as-published says how networks run that --model names; leave it out")

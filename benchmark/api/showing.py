@@ -3,8 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from benchmark.api.opening import OUT, workspace
-from benchmark.api.saying import say_once
+from benchmark.api.opening import OUT, say_once, workspace
 from benchmark.machine.extension import AbsentExtensionError, from_extension
 
 if TYPE_CHECKING:
@@ -35,7 +34,7 @@ def write_sheets(dataset: "DataSet", split: str, root: Path, settings: "SheetSet
     from benchmark.machine.workspace import is_generated
     from benchmark.scene_pages.writing import write_sheets as write
     from generation.nuscenes_writer.plan import STATE_FOLDER
-    from generation.pipeline.profile import kept_runtime
+    from generation.pipeline.estimate import kept_runtime
     from generation.pipeline.said_settings import said_settings
 
     hyper = said_settings(dataset.root, dataset.provenance()) if is_generated(split) else {}
@@ -78,7 +77,7 @@ def stale_leaderboard(
 def _shown(out: Path, folders: "Sequence[Path] | None") -> "Results":
     """Sources of a leaderboard; without run records it may be made from the rest."""
     from benchmark.records.ablation import find_ablations
-    from benchmark.records.challenge_scores import find_scores
+    from benchmark.records.challenge import find_scores
     from benchmark.records.drives import find_drives
     from benchmark.records.quality import find_quality
     from benchmark.records.record_costs import with_cost, with_drive_cost

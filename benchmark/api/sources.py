@@ -1,12 +1,14 @@
-"""Data sets by name: what is known of one before it is opened or built, and the data set itself when it is needed."""
+"""Data sets by name: what is known of one before it is opened or built, and the data set itself when it is needed.
+
+Options of commands as what they become.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from benchmark.api.opening import DEFAULT_IMAGE_SIZE, OUT, open_data, open_split, worker_count, workspace
-from benchmark.api.options import named_alike
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.places import gigabytes, require_place, require_room
 from benchmark.report.words import counted
@@ -15,6 +17,12 @@ if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
     from benchmark.datasets.schema import FaultList
     from generation.splits.packaged import NamedSplit
+
+
+def named_alike(target: type, options: Any) -> dict[str, Any]:
+    """Values of those options that are called as fields of a dataclass."""
+    return {each.name: getattr(options, each.name) for each in fields(target) if hasattr(options, each.name)}
+
 
 _BYTES_OF_A_PIXEL: Final = 0.22
 """Of the embedded town's images, with their rows in the tables: 0.36 GB for 10 scenes at 448 x 256."""
@@ -108,8 +116,8 @@ class DataSource:
         Raises:
             InputError: If there is no such data set, split or scene, or no room or right to build what is absent.
         """
-        from benchmark.datasets.listing import listed_scenes
         from benchmark.datasets.split_names import NoSuchSplit
+        from benchmark.datasets.statistics import listed_scenes
         from benchmark.machine.workspace import how_generated, is_finished, is_generated
 
         if self._is_mini:
@@ -168,7 +176,7 @@ class DataSource:
 
     def _listed(self, split: str | None) -> tuple[str, ...]:
         """Names of scenes as the tables have them, without opening the data set."""
-        from benchmark.datasets.listing import listed_scenes
+        from benchmark.datasets.statistics import listed_scenes
 
         return listed_scenes(self._root, split, version=self.tables)
 
@@ -180,9 +188,9 @@ def town_bytes(scenes: int, size: tuple[int, int] = DEFAULT_IMAGE_SIZE, frames: 
 
 def _embedded(split: str, out: Path, scenes: Sequence[str] | None, limit: int | None) -> Ahead:
     """The embedded data set, of which everything is known before it is built."""
-    from benchmark.datasets.listing import listed_scenes
+    from benchmark.datasets.statistics import listed_scenes
     from benchmark.machine.workspace import EMBEDDED, GENERATED_SPLITS, cache_root, how_generated, is_finished
-    from benchmark.records.seed_splits import seed_of
+    from benchmark.records.attempts import seed_of
     from generation.sources.mini import TownSettings
     from generation.sources.town.scenes import town_scene_names
     from generation.splits.packaged import newest_split
@@ -236,7 +244,7 @@ def _frozen_ahead(newest: "NamedSplit") -> list[str]:
 
 
 def _require_not_rejected(scenes: Sequence[str] | None, where: Path, split: str, version: str | None = None) -> None:
-    from benchmark.datasets.listing import listed_review
+    from benchmark.datasets.statistics import listed_review
     from benchmark.records.review import require_not_rejected
 
     require_not_rejected(scenes or (), listed_review(where, split, version=version).rejected, str(where))

@@ -1,8 +1,18 @@
-"""The command line: which commands there are, and errors of the user as one sentence and exit code 2."""
+"""The command line: which commands there are, and errors of the user as one sentence and exit code 2.
 
+Text on terminals whose encoding lacks some of its characters: the closest ASCII stands for them.
+
+Commands of extensions: our own from the table of offers, those of other packages by an entry point.
+"""
+
+import codecs
 import errno
+import io
 import sys
-from typing import Annotated, Final
+import unicodedata
+from collections.abc import Callable, Mapping
+from importlib.metadata import entry_points
+from typing import Annotated, Any, Final, NoReturn
 
 import typer
 
@@ -20,14 +30,110 @@ from benchmark.cli import (
     verify,
     weights,
 )
-from benchmark.cli.extensions import Groups, add_command_of_extension, add_commands_of_others
 from benchmark.cli.help import WholeSummaries
 from benchmark.cli.settings import add_command
-from benchmark.cli.streams import replace_what_cannot_be_shown
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
-from benchmark.machine.extension import absent_extension, not_installed
-from benchmark.machine.garbage import collect_rarely
+from benchmark.machine.extension import (
+    OFFERS,
+    AbsentExtensionError,
+    absent_extension,
+    extension_of,
+    from_extension,
+    not_installed,
+)
+from benchmark.machine.workers import collect_rarely
+from benchmark.untrusted.files import one_line
+
+Groups = Mapping[str, typer.Typer]
+"""Groups of commands by name: the top one is ``""``, then ``data``, ``data export`` and ``leaderboard``."""
+Offered = Mapping[str, typer.Typer | Callable[..., Any]]
+"""Commands by the words that they are called with: an application, or a function that one makes a command of."""
+ENTRY_POINTS: Final = "challenger_bench.extensions"
+"""Group in which other packages name an `Offered`."""
+
+
+def add_command_of_extension(words: str, groups: Groups) -> None:
+    """Add a command of one of our extensions, or one that says that the extension is absent.
+
+    ``words`` are as the table of offers has them, ``data card``.
+    """
+    try:
+        _add(words, from_extension("command", words), groups)
+    except AbsentExtensionError:
+        _add_absent(words, extension_of(OFFERS["command"][words]), groups)
+
+
+def add_commands_of_others(groups: Groups) -> None:
+    """Add the commands of other packages; one that fails is named on standard error."""
+    for entry in entry_points(group=ENTRY_POINTS):
+        try:
+            offered: Offered = entry.load()
+            for words, command in offered.items():
+                _add(words, command, groups)
+        except Exception as error:
+            print(f"warning: the extension {entry.name} adds no commands: {one_line(error)}", file=sys.stderr)
+
+
+def _add(words: str, command: typer.Typer | Callable[..., Any], groups: Groups) -> None:
+    group, _, last = words.rpartition(" ")
+    if isinstance(command, typer.Typer):
+        groups[group].add_typer(command, name=last)
+    else:
+        add_command(groups[group], last, command)
+
+
+def _add_absent(words: str, name: str, groups: Groups) -> None:
+    group, _, last = words.rpartition(" ")
+    sentence = f"{words} belongs to the extension {name}, which is not installed here; install it to use the command"
+
+    def say() -> NoReturn:
+        raise InputError(sentence)
+
+    anything = {"allow_extra_args": True, "ignore_unknown_options": True}
+    groups[group].command(last, help=f"Not installed: extension {name}.", context_settings=anything)(say)
+
+
+_HANDLER: Final = "closest-ascii"
+_CLOSEST: Final = {
+    "×": "x",
+    "−": "-",
+    "–": "-",
+    "—": "-",
+    "±": "+-",
+    "→": "->",
+    "∞": "inf",
+    "φ": "phi",
+    "…": "...",
+    "†": "+",
+    "‡": "#",
+    "§": "$",
+    "¶": "*",
+    "✓": "v",
+    "█": "#",
+    "░": ".",
+}
+"""Marks of tables stay different from each other."""
+
+
+def replace_what_cannot_be_shown() -> None:
+    """Let stdout and stderr print any text; what their encoding lacks is replaced instead of ending the command."""
+    codecs.register_error(_HANDLER, _replaced)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors=_HANDLER)
+
+
+def _replaced(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    missing = error.object[error.start : error.end]
+    return "".join(_CLOSEST.get(character) or _without_accents(character) for character in missing), error.end
+
+
+def _without_accents(character: str) -> str:
+    return unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode() or "?"
+
 
 app = typer.Typer(
     name="challenger-bench",

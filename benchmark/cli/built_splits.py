@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from benchmark.api import Ahead, DataSource
-    from benchmark.cli.generate_options import GenerateOptions
+    from benchmark.cli.generate import GenerateOptions
     from benchmark.datasets.roots import DataSet
     from benchmark.machine.workers import Executor
     from benchmark.runs.units import Shard
@@ -58,8 +58,7 @@ def splits_to_build(options: "GenerateOptions", data: "DataSource") -> tuple[Spl
     The recordings are opened only for edited scenes, which are compared with them.
     """
     from generation.splits.format import require_freezable
-    from generation.splits.packaged import frozen_split
-    from generation.splits.seeds import file_of_seed, frozen_of_seed, seeds_of
+    from generation.splits.packaged import file_of_seed, frozen_of_seed, frozen_split, seeds_of
 
     split, seed, from_file, freeze = options.split, options.seed, options.from_file, options.freeze
     if from_file is not None:

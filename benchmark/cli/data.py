@@ -17,7 +17,7 @@ from benchmark.report.words import counted
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
-    from benchmark.records.judged_splits import SplitJudgement
+    from benchmark.records.statistics import SplitJudgement
 
 app = typer.Typer(cls=WholeSummaries, help="Look at, check, import, build and export data sets.", no_args_is_help=True)
 export_app = typer.Typer(cls=WholeSummaries, help="Write a data set for the code of others.", no_args_is_help=True)

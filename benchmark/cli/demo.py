@@ -1,18 +1,186 @@
-"""``demo``: the whole story on the embedded data."""
+"""``demo``: the whole story on the embedded data.
+
+What ``demo`` does, for Python too (`benchmark.demo`, `benchmark.full_demo`): all four packages in one story.
+"""
 
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.demonstration import RESULTS, demo, full_demo, stale_demo
 from benchmark.cli.output import print_json, print_result, same_out, say_next
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
+from benchmark.report.words import counted
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from benchmark.datasets.roots import DataSet
+    from benchmark.records.run import RunRecord
+    from generation.pipeline.report import BuildReport
+
+RESULTS = Path("docs/results")
+"""Folder of the page of measured results and its numbers."""
+FULL_DEMO_VEHICLES = 5
+"""Most vehicles tried of each recorded scene for the ablation of ``demo --full``."""
+
+
+def demo(
+    out: Path = api.OUT, *, town_scenes: int = 4, workers: int = 0, say: "Callable[[str], None]" = api.tell
+) -> "tuple[BuildReport, list[RunRecord]]":
+    """The whole story on a small embedded town: generate, evaluate, sheets, leaderboard.
+
+    Args:
+        out: Folder for everything that is made; the leaderboard is in ``<out>/leaderboard``.
+        town_scenes: Scenes of the town.
+        workers: Processes; 0 takes all processors.
+        say: Told what is being done.
+
+    Returns:
+        What was generated, and the records of the built-in planners on ``val`` and ``adv``.
+
+    Raises:
+        InputError: If nothing adversarial comes out, or the disk refuses.
+    """
+    from benchmark.datasets.roots import open_data as open_root
+    from benchmark.machine.workers import LocalProcesses
+    from benchmark.records.run import find_records
+    from benchmark.records.scenes import find_sheets
+    from benchmark.scene_pages.writing import SheetSettings
+    from generation.pipeline.settings import BuildSettings
+    from generation.pipeline.split import build_split
+    from generation.search.presets import hyper_parameters
+    from generation.sources.mini import TownSettings, build_town
+    from leaderboard.build import write_leaderboard
+    from leaderboard.frame.results import read_results
+
+    space, processes = api.workspace(out), api.worker_count(workers)
+    say(f"1/4 building {counted(town_scenes, 'scene')} of the embedded town")
+    # Planners, tables and the site look at samples; what lies between them is drawn when somebody asks for it.
+    settings = TownSettings(val_scenes=town_scenes, pictures="keyframes")
+    town = build_town(out / "data" / "demo" / "val", settings, workers=processes)
+    source = open_root(town, name="demo")
+    search = BuildSettings(
+        out=space.split_root("demo", "adv"),
+        timings=space.timings_of(space.split_root("demo", "adv")),
+        # The default keeps scenes of two of these four recordings alone, whose ego hardly reacts to anybody.
+        hyper=hyper_parameters("near", {"candidates": 64, "candidate_limit": 5}),
+        per_scene=1,
+        renderer=api.schematic_renderer(),
+        frames="keyframes",
+        executor=LocalProcesses(processes),
+        keep_rounds=True,
+    )
+    say("2/4 generating adversarial scenes")
+    report = build_split(source, "adv", search)
+    say(report.summary())
+    say("3/4 evaluating planners on val and adv")
+    records = []
+    for split in ("val", "adv"):
+        dataset = api.open_split(source, split, out, workers=workers)
+        records += _evaluate_built_in(dataset, split, out, processes)
+        api.write_sheets(dataset, split, space.sheet_root(), SheetSettings(workers=processes, rounds=split == "adv"))
+    say("4/4 writing the leaderboard")
+    write_leaderboard(
+        read_results(find_records(space.run_root()), sheets=find_sheets(space.sheet_root())), out / "leaderboard"
+    )
+    return report, records
+
+
+def _evaluate_built_in(dataset: "DataSet", split: str, out: Path, processes: int) -> "list[RunRecord]":
+    """Records of the baselines and of the miniatures."""
+    from adapters.models import baselines, miniatures
+    from adapters.registry import planner_factory
+    from benchmark.evaluation import EvalSettings, evaluate_together
+
+    planners, runs = (*baselines(), *miniatures()), api.workspace(out).run_root()
+    api.tell(f"{counted(len(planners), 'planner')} on {split}: {', '.join(planners)}")
+    settings = EvalSettings(workers=processes, timings=api.workspace(out).timings_of(runs))
+    return evaluate_together(dataset, split, [(planner_factory(name), settings) for name in planners], runs)
+
+
+def full_demo(out: Path = api.OUT, to: Path = RESULTS, *, workers: int = 0) -> list[Path]:
+    """Measure what docs/results shows: all splits of mini (adv is the newest frozen one), all planners, the ablation.
+
+    Args:
+        out: Folder for everything that is made.
+        to: Folder of the page and its numbers.
+        workers: Processes; 0 takes all processors.
+
+    Returns:
+        The page and its numbers.
+
+    Raises:
+        InputError: If something cannot be built, run or written.
+    """
+    from benchmark.datasets.roots import open_data as open_root
+    from benchmark.machine.workers import LocalProcesses
+    from benchmark.machine.workspace import EMBEDDED
+    from generation.pipeline.ablation import ablate
+    from generation.pipeline.settings import BuildSettings
+    from generation.search.presets import hyper_parameters
+    from leaderboard.results import write_results
+
+    made_from, source, processes = _results_from(), api.open_data(EMBEDDED, workers=workers), api.worker_count(workers)
+    records = []
+    for split in ("val", "val-r", "adv"):
+        # Planners see key frames only; the others would take most of the time.
+        if split == "adv":
+            # Not what somebody searched for below the same folder: the page is about the frozen split.
+            dataset = open_root(api.frozen_root(source, workers), name=source.name)
+        else:
+            dataset = api.open_split(source, split, out, workers=workers, frames="keyframes")
+        records += _evaluate_built_in(dataset, split, out, processes)
+    driver = api.planner_under_test("uniad-mini", data=EMBEDDED, workers=workers)
+    study = api.workspace(out).ablation_root() / source.name / driver.factory.facts.name
+    settings = BuildSettings(
+        out=study,
+        timings=api.workspace(out).timings_of(study),
+        hyper=hyper_parameters("default", {"candidate_limit": FULL_DEMO_VEHICLES}),
+        renderer=api.schematic_renderer(),
+        frames="keyframes",
+        executor=LocalProcesses(processes),
+    )
+    api.tell(f"ablation with {driver.factory.facts.name}")
+    return write_results(source.name, records, [ablate(source, driver, settings)], made_from, to)
+
+
+def stale_demo(to: Path = RESULTS) -> list[str]:
+    """Why the results of `full_demo` are not what would be measured now: one sentence a reason, none if current."""
+    from leaderboard.results import stale_results
+
+    return stale_results(to, _results_from())
+
+
+def _results_from() -> dict[str, Any]:
+    """Sources that the measured results depend on: miniatures, town, frozen split, renderer, search and protocols."""
+    from dataclasses import asdict
+
+    from adapters.models import miniatures
+    from benchmark.machine.storage import content_key, file_sha256
+    from benchmark.protocols import PROTOCOLS, STANDARD
+    from generation.search.adversary import ALGORITHM_VERSION
+    from generation.search.definition import PackagedPrior
+    from generation.search.presets import hyper_parameters
+    from generation.sources.mini import TownSettings
+    from generation.splits.packaged import newest_split
+
+    newest, renderer = newest_split("mini"), api.schematic_renderer()
+    return {
+        "weights": {name: file_sha256(each.packaged) for name, each in miniatures().items()},
+        "configurations": {name: content_key(asdict(each.configuration()))[:12] for name, each in miniatures().items()},
+        "town": TownSettings().drawn_name("mini"),
+        "frozen split": [newest.name, newest.frozen.content_id],
+        "search": [ALGORITHM_VERSION, hyper_parameters().fingerprint, FULL_DEMO_VEHICLES],
+        "renderer": [renderer.name, renderer.version],
+        "trajectory model": PackagedPrior(None, "cpu")().fingerprint,
+        "protocols": {name: PROTOCOLS[name].version for name in STANDARD},
+    }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

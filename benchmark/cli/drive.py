@@ -263,7 +263,7 @@ def _looks_at_nothing(planner: "NamedPlanner") -> bool:
 
 def _settings_of(planner: "NamedPlanner", how: "DriveSettings") -> "DriveSettings":
     """How a planner is driven: those that look at nothing have no sensor, and company."""
-    from benchmark.closed_loop.sensors import NoSensor
+    from benchmark.closed_loop.observing import NoSensor
 
     return replace(how, sensor=NoSensor(), together=TOGETHER) if _looks_at_nothing(planner) else how
 

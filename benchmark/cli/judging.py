@@ -98,8 +98,8 @@ def transfer_command(options: TransferOptions) -> None:
     from benchmark.machine.places import require_output_file
     from benchmark.metrics.disagreement import EXACT
     from benchmark.protocols import protocol as known_protocol
-    from benchmark.records.inventory import recorded, said_of
     from benchmark.records.run import NATIVE, find_records
+    from benchmark.records.store import recorded, said_of
     from benchmark.report.plots import FORMATS
     from leaderboard.figures.heat_map import write_heat_map, write_lift_map
     from leaderboard.tables.transfer import agreement_table, lift_table, transfer_matrices, transfer_table

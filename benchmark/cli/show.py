@@ -186,9 +186,9 @@ def slices_command(options: SlicesOptions) -> None:
     from benchmark.metrics.slices import KINDS, kinds_named
     from benchmark.protocols import protocol as known_protocol
     from benchmark.records.driving import PDM
-    from benchmark.records.inventory import recorded, said_of
     from benchmark.records.run import NATIVE, find_records
-    from leaderboard.selection import one_run_each
+    from benchmark.records.store import recorded, said_of
+    from leaderboard.results import one_run_each
     from leaderboard.tables.slices import DIAGNOSIS, slice_tables
 
     asked = tuple(dict.fromkeys(options.protocol or ["exact"]))

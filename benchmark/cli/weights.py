@@ -28,7 +28,7 @@ class WeightsListOptions:
 @command(WeightsListOptions, app, "list")
 def weights_list_command(options: WeightsListOptions) -> None:
     """List official files, where to get them, and what has been imported."""
-    from adapters.checkpoints.listing import known_weights
+    from adapters.checkpoints.cache import known_weights
 
     known = known_weights()
     if options.json_output:
@@ -60,7 +60,7 @@ def weights_import_command(options: WeightsImportOptions) -> None:
         raise InputError(f"there is no file or folder {options.path}; name one that is there")
     _require_weights(options.model, options.normalisation)
     require_file(options.anchors, "--anchors")
-    from adapters.checkpoints.arrival import import_weights
+    from adapters.checkpoints.loading import import_weights
 
     found = import_weights(options.path, options.model, normalisation=options.normalisation, anchors=options.anchors)
     print_result(found.as_json(), found.sentence(), json_output=options.json_output)
@@ -79,7 +79,7 @@ class WeightsFetchOptions:
 def weights_fetch_command(options: WeightsFetchOptions) -> None:
     """Fetch an official file, or a folder of published weights, from the internet and import it."""
     _require_weights(options.name, options.normalisation, files=True)
-    from adapters.checkpoints.arrival import fetch_weights
+    from adapters.checkpoints.loading import fetch_weights
 
     found = fetch_weights(options.name, normalisation=options.normalisation)
     print_result(found.as_json(), found.sentence(), json_output=options.json_output)

@@ -1,18 +1,20 @@
-"""The `default` engine as a ride: a scene of any split, driven after a second of priming to its end."""
+"""The `default` engine as a ride: a scene of any split, driven after a second of priming to its end.
+
+The part of a drive in which the ego is still the recorded one.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmark.closed_loop.adversary import ADVERSARY, AdversaryMaker, AdversaryTrack, DrivesAdversary
-from benchmark.closed_loop.blame import Blame
 from benchmark.closed_loop.contract import AgentPolicy
-from benchmark.closed_loop.courses import course_of, replay_of
+from benchmark.closed_loop.courses import course_of, recorded_ego, replay_of
 from benchmark.closed_loop.following import INSTANTS, SUBSTEP_US, Ego
 from benchmark.closed_loop.idm import Idm
-from benchmark.closed_loop.recorded import ego_columns, recorded_motion
 from benchmark.closed_loop.riding import (
     Motion,
     RecordedCan,
@@ -22,16 +24,33 @@ from benchmark.closed_loop.riding import (
     UndrivablePlanError,
     require_room,
 )
+from benchmark.closed_loop.scoring import Blame
 from benchmark.closed_loop.stepping import UndrivablePlanError as UndrivableWaypointsError
 from benchmark.closed_loop.stepping import begin, drivable, goes_on, step_together
 from benchmark.closed_loop.world import Course, Trace, World
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.machine.last_made import LastMade
+from benchmark.machine.kept_arrays import LastMade
 from benchmark.pdm.motion import headed
 from benchmark.planning import Plan
 from benchmark.records.drive_schema import NeuroncapScore, UntilName
 from benchmark.scene import Scene
+
+
+def recorded_motion(scene: Scene, first: int, last: int) -> Motion:
+    """Recorded frames from the first to the last as motion; the last one, a keyframe, is a planning instant."""
+    frames = slice(first, last + 1)
+    times = scene.timestamps_us[frames]
+    ego = np.array([ego_columns(recorded_ego(scene, time)) for time in times.tolist()])
+    agents = scene.agents
+    tick: NDArray[np.int64] = np.array([last - first])
+    return Motion(times, ego, agents.position[:, frames], agents.yaw[:, frames], agents.valid[:, frames], tick)
+
+
+def ego_columns(ego: Ego) -> Floats:
+    """(7,) an ego of the default engine in the columns of a motion."""
+    return np.array([ego.x, ego.y, ego.yaw, ego.speed, ego.acceleration, ego.yaw_rate, ego.steering])
+
 
 PRIMING_STEPS: Final = 2
 """Steps in which the ego is the recorded one, so that a planner with a memory has one (NeuroNCAP primes as long)."""

@@ -10,8 +10,7 @@ from typing import Literal, cast
 
 from benchmark.closed_loop.adversary import AdversaryTrack
 from benchmark.closed_loop.asking import Failure, Reason, asked, told
-from benchmark.closed_loop.driven_scene import driven_scene
-from benchmark.closed_loop.observing import Observer
+from benchmark.closed_loop.observing import Look, NoLook, Observer, Sensor
 from benchmark.closed_loop.riding import (
     Motion,
     RecordedCan,
@@ -20,8 +19,7 @@ from benchmark.closed_loop.riding import (
     Touch,
     UndrivablePlanError,
 )
-from benchmark.closed_loop.route import Route, RouteFollower
-from benchmark.closed_loop.sensors import Look, NoLook, Sensor
+from benchmark.closed_loop.route import Route, RouteFollower, driven_scene
 from benchmark.errors import InputError
 from benchmark.machine.metering import Meter
 from benchmark.planning import CameraView, Command, Plan, Planner, PrivilegedPlanner, SceneInfo

@@ -4,6 +4,8 @@ Vehicles with four wheels or more that move in their recording drive along their
 the lanes of the map, straight on where they fork; speed is that of the intelligent-driver model (10 m/s or what they
 drove where that was faster, 1.5 s and 1 m behind a leader, 1 and 2 m/s^2), and any that stands or moves in their way is
 the leader: the ego, others, people. All others, parked cars too, do what the tracks say.
+
+Who is ahead of each vehicle on its road: all vehicles of a scene at once.
 """
 
 from collections.abc import Sequence
@@ -14,7 +16,6 @@ import numpy as np
 
 from benchmark.closed_loop.contract import Moment, Moved
 from benchmark.closed_loop.following import INSTANT_US, INSTANTS
-from benchmark.closed_loop.leaders import Roads, leaders
 from benchmark.closed_loop.replay import Replay
 from benchmark.constants import FOUR_WHEELED_CATEGORIES
 from benchmark.dynamics.lane_path import SPACING_M, Path, lane_path, straight_path
@@ -23,6 +24,196 @@ from benchmark.interactions.keeping_distance import idm_acceleration
 from benchmark.interactions.tracks import Integers
 from benchmark.planning import Command
 from benchmark.road_map import RoadMap
+
+SIGHT_M: Final = 100.0
+SIDE_MARGIN_M: Final = 0.3
+"""Room beside a vehicle that counts as its way."""
+_BEHIND_M: Final = 20.0
+_BLOCK: Final = 16
+"""Points of a road in a block."""
+_SAFE_M: Final = 1e-6
+"""More than rounding can make of any of these distances."""
+
+
+@dataclass(frozen=True, slots=True)
+class Roads:
+    """Lines along which M vehicles drive, one after the other, in whole blocks of points.
+
+    Attributes:
+        length: (M,) points of each.
+        first: (M,) row at which each begins.
+        line: (P, 3) x, y, heading, every half metre; a line's last point fills its last block.
+        centre: (P / 16, 2) centres of circles around blocks of 16 points, metres.
+        radius: (P / 16,) their radii.
+        stray: (2, M) how far a place can be ahead of the point of a road that is nearest to it: so many metres, and so
+            many for each metre that it is beside the road.
+    """
+
+    paths: tuple[Path, ...]
+    length: Integers
+    first: Integers
+    line: Floats
+    centre: Floats
+    radius: Floats
+    stray: Floats
+
+    @classmethod
+    def of(cls, paths: Sequence[Path]) -> "Roads":
+        """Cut lines into blocks."""
+        length = np.array([len(path.points) for path in paths], np.int64)
+        whole = -(-length // _BLOCK) * _BLOCK
+        padded = [
+            np.pad(np.column_stack([path.points, path.heading]), ((0, more), (0, 0)), mode="edge")
+            for path, more in zip(paths, (whole - length).tolist(), strict=True)
+        ]
+        line = np.concatenate([np.zeros((0, 3)), *padded])
+        blocks = line[:, :2].reshape(-1, _BLOCK, 2)
+        centre = 0.5 * (blocks.min(axis=1) + blocks.max(axis=1))
+        away = np.hypot(blocks[..., 0] - centre[:, :1], blocks[..., 1] - centre[:, 1:])
+        return cls(
+            paths=tuple(paths),
+            length=length,
+            first=np.concatenate([np.zeros(1, np.int64), np.cumsum(whole)])[:-1],
+            line=line,
+            centre=centre,
+            radius=away.max(axis=1),
+            stray=np.array([_stray(path) for path in paths]).reshape(-1, 2).T,
+        )
+
+
+def leaders(roads: Roads, driving: Integers, station: Floats, here: Integers, moment: Moment) -> tuple[Floats, Floats]:
+    """The nearest in each vehicle's way.
+
+    (M,) metres to it, infinite without one, and (M,) its speed along the road, m/s. ``driving`` are the places of
+    the M vehicles among the agents, ``station`` metres along their roads, ``here`` those of them that are on the
+    road.
+    """
+    gaps, speeds = np.full(len(driving), np.inf), np.zeros(len(driving))
+    boxes, velocity, who, other = _in_sight(driving, here, moment)
+    if not len(who):
+        return gaps, speeds
+    # Nobody reaches farther to the side than half of its diagonal.
+    reach = 0.5 * np.hypot(boxes[other, 2], boxes[other, 3]) + 0.5 * moment.boxes[driving[who], 3]
+    reach += SIDE_MARGIN_M + _SAFE_M
+    found, point = _nearest(roads, who, station[who], boxes[other, :2], reach)
+    who, other, reach = who[found], other[found], reach[found]
+    line = roads.line[roads.first[who] + point]
+    offset = boxes[other, :2] - line[:, :2]
+    cos, sin = np.cos(line[:, 2]), np.sin(line[:, 2])
+    # Points are exactly half metres apart along the line.
+    along = point * SPACING_M + (offset[:, 0] * cos + offset[:, 1] * sin)
+    left = offset[:, 1] * cos - offset[:, 0] * sin
+    near = (along > station[who]) & (along <= station[who] + SIGHT_M) & (np.abs(left) <= reach)
+    who, other, along, left = who[near], other[near], along[near], left[near]
+    own = moment.boxes[driving[who]]
+    heading = np.empty(len(who))
+    for vehicle, rows in _runs(who):
+        path = roads.paths[vehicle]
+        heading[rows] = np.interp(along[rows], path.arc_length, path.heading)
+    box, motion = boxes[other], velocity[other]
+    cos, sin = np.cos(box[:, 4] - heading), np.sin(box[:, 4] - heading)
+    half_along = 0.5 * (np.abs(box[:, 2] * cos) + np.abs(box[:, 3] * sin))
+    half_across = 0.5 * (np.abs(box[:, 2] * sin) + np.abs(box[:, 3] * cos))
+    inside = np.abs(left) <= half_across + 0.5 * own[:, 3] + SIDE_MARGIN_M
+    gap = np.maximum(along - half_along - station[who] - 0.5 * own[:, 2], 0.0)
+    speed = motion[:, 0] * np.cos(heading) + motion[:, 1] * np.sin(heading)
+    who, gap, speed = who[inside], gap[inside], speed[inside]
+    for vehicle, rows in _runs(who):
+        nearest = rows.start + int(np.argmin(gap[rows]))
+        gaps[vehicle], speeds[vehicle] = gap[nearest], speed[nearest]
+    return gaps, speeds
+
+
+def _in_sight(driving: Integers, here: Integers, moment: Moment) -> tuple[Floats, Floats, Integers, Integers]:
+    """Boxes (N + 1, 5) and velocities of all, the ego last, and pairs: which vehicle, and whom it sees."""
+    yaw = moment.ego[4]
+    own_motion = moment.ego_speed * np.array([[np.cos(yaw), np.sin(yaw)]])
+    boxes = np.concatenate([moment.boxes, moment.ego[None]])
+    velocity = np.concatenate([moment.velocity, own_motion])
+    there = np.append(moment.present, True)
+    place = boxes[driving[here], :2]
+    seen = there & (np.hypot(boxes[:, 0] - place[:, :1], boxes[:, 1] - place[:, 1:]) < SIGHT_M)
+    seen[np.arange(len(here)), driving[here]] = False
+    row, other = np.nonzero(seen)
+    return boxes, velocity, here[row], other
+
+
+def _nearest(roads: Roads, who: Integers, station: Floats, places: Floats, reach: Floats) -> tuple[Integers, Integers]:
+    """Those of Q places that can be in the way of vehicles, and the points of their roads that are nearest to them.
+
+    Only the part of a road counts that is from 20 m behind a vehicle to 200 m ahead of it; of equals the first point.
+    Of Q vehicles at stations and (Q, 2) places of others, which have to be within ``reach`` beside the road to matter:
+    (R,) which of them, rising, and (R,) points.
+    """
+    # Truncation is towards zero, and whoever is before the start of its road is at its start.
+    lowest = np.maximum(((station - _BEHIND_M) / SPACING_M).astype(np.int64), 0)
+    beyond = np.minimum(((station + 2 * SIGHT_M) / SPACING_M).astype(np.int64) + 1, roads.length[who])
+    farthest = _farthest(roads, who, station, reach)
+    begin = lowest // _BLOCK
+    columns = np.arange(int(((beyond - 1) // _BLOCK - begin).max()) + 1)
+    block = (roads.first[who] // _BLOCK + begin)[:, None] + columns
+    inside = columns < (-(-beyond // _BLOCK) - begin)[:, None]
+    at = np.minimum(block, len(roads.radius) - 1)
+    x, y = roads.centre[:, 0][at] - places[:, :1], roads.centre[:, 1][at] - places[:, 1:]
+    pair, column = np.nonzero(inside & (x * x + y * y <= (roads.radius[at] + farthest[:, None]) ** 2))
+    point = ((begin[pair] + column) * _BLOCK)[:, None] + np.arange(_BLOCK)
+    line = roads.line[roads.first[who[pair], None] + point]
+    squared = (places[pair, :1] - line[..., 0]) ** 2 + (places[pair, 1:] - line[..., 1]) ** 2
+    squared[(point < lowest[pair, None]) | (point >= beyond[pair, None])] = np.inf
+    # Where the nearest point of all is not among these, what is found is too far away to matter, as it is itself.
+    squared[squared > farthest[pair, None] ** 2] = np.inf
+    best = squared.argmin(axis=1)
+    row = np.arange(len(best))
+    value, point = squared[row, best], point[row, best]
+    near = value < np.inf
+    pair, value, point = pair[near], value[near], point[near]
+    firsts = _firsts(pair)
+    least = np.repeat(np.minimum.reduceat(value, firsts), np.diff(np.append(firsts, len(pair)))) if len(pair) else value
+    pair, point = pair[value == least], point[value == least]
+    firsts = _firsts(pair)
+    return pair[firsts], point[firsts]
+
+
+def _farthest(roads: Roads, who: Integers, station: Floats, reach: Floats) -> Floats:
+    """(Q,) how far from the nearest point of a road a place is at most that is within reach of it.
+
+    Such a place is hardly ahead of the point or behind it (`_stray`); but beyond the end of a road it can be ahead as
+    far as is looked.
+    """
+    constant, slope = roads.stray[:, who]
+    beyond_end = station + SIGHT_M - SPACING_M * (roads.length[who] - 1)
+    return np.asarray(np.hypot(np.maximum(constant + slope * reach, beyond_end), reach) + _SAFE_M)
+
+
+def _stray(path: Path) -> tuple[float, float]:
+    """See `Roads`: infinite of a line that turns back on itself.
+
+    Of a place o from its nearest point, with steps u to the next point and from the one before, o u <= u u / 2 and
+    o u >= - u u / 2; along and across the heading there that bounds how far o is along it.
+    """
+    steps = np.diff(path.points, axis=0)
+    ahead = np.column_stack([np.cos(path.heading), np.sin(path.heading)])
+    aside = ahead[:, ::-1] * [-1.0, 1.0]
+    pairs = [(ahead[:-1], aside[:-1]), (ahead[1:], aside[1:])]
+    along = np.concatenate([(steps * each).sum(axis=1) for each, _ in pairs])
+    across = np.concatenate([np.abs((steps * each).sum(axis=1)) for _, each in pairs])
+    if along.min() <= 0.0:
+        return np.inf, 0.0
+    half = 0.5 * (steps**2).sum(axis=1)
+    return float((np.concatenate([half, half]) / along).max()) + _SAFE_M, float((across / along).max()) + _SAFE_M
+
+
+def _runs(rising: Integers) -> list[tuple[int, slice]]:
+    """Values of a rising list and where each one is."""
+    firsts = _firsts(rising)
+    ends = np.append(firsts, len(rising))
+    return [(int(rising[first]), slice(int(first), int(end))) for first, end in zip(firsts, ends[1:], strict=True)]
+
+
+def _firsts(rising: Integers) -> Integers:
+    """Where each value of a rising list is first."""
+    return np.flatnonzero(np.append(True, rising[1:] != rising[:-1])) if len(rising) else rising
+
 
 FREE_SPEED_M_S: Final = 10.0
 MOVING_M: Final = 2.0

@@ -2,10 +2,13 @@
 
 Nothing of the recording's future is in it but the command, which is the route's. Where the ego is still primed, motion
 is what the recorded car measured; from then on it is what was simulated, in the form in which a data set has it.
+
+What looks at a driven world for the planner: one Protocol, and the sensor that sees nothing.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -25,7 +28,78 @@ from benchmark.closed_loop.route import Route
 from benchmark.geometry import Floats, quaternion_from_yaw
 from benchmark.machine.storage import token
 from benchmark.planning import CameraView, Command, EgoState, Observation
-from benchmark.scene import EgoTrack, LidarMount, Scene
+from benchmark.scene import Camera, EgoTrack, LidarMount, Scene
+
+NO_SENSOR: Final = "none"
+
+
+class Look(Protocol):
+    """A sensor made ready for one scene."""
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The rig that it sees with."""
+
+    def views(self, driven: Scene) -> dict[str, CameraView]:
+        """What the cameras see now.
+
+        Args:
+            driven: The world as driven; its last frame is now.
+
+        Returns:
+            Images by camera name, in memory; drawn when they are looked at.
+        """
+
+
+class Sensor(Protocol):
+    """What cameras see of a driven world. Picklable; the same world gives the same pictures in every process."""
+
+    @property
+    def name(self) -> str:
+        """Part of the name of what was measured."""
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """What else its pictures depend on, as plain JSON values."""
+
+    def look(self, scene: Scene) -> Look:
+        """Make ready for a scene."""
+
+
+@runtime_checkable
+class RemoteSensor(Protocol):
+    """A sensor elsewhere: it shows one scene at a time, to one process."""
+
+    def require_alive(self) -> None:
+        """Refuse it where no server answers; raises `InputError`."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoSensor:
+    """For planners that need no images."""
+
+    name: str = NO_SENSOR
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """Nothing."""
+        return {}
+
+    def look(self, scene: Scene) -> "NoLook":
+        """The scene's own rig, that sees nothing."""
+        return NoLook(scene.cameras)
+
+
+@dataclass(frozen=True, slots=True)
+class NoLook:
+    """A rig that sees nothing."""
+
+    cameras: tuple[Camera, ...]
+
+    def views(self, driven: Scene) -> dict[str, CameraView]:
+        """None."""
+        return {}
+
 
 PAST_TICKS: Final = 5
 """Ego poses that a planner is given: now and two seconds back."""

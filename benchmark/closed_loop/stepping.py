@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.closed_loop.contract import Moment
+from benchmark.closed_loop.contract import Moment, PlanInForce, coasting
 from benchmark.closed_loop.following import (
     INSTANT_US,
     INSTANTS,
@@ -26,7 +26,6 @@ from benchmark.closed_loop.following import (
     Ego,
     followed,
 )
-from benchmark.closed_loop.plans_in_force import PlanInForce, coasting
 from benchmark.closed_loop.riding import Touch
 from benchmark.closed_loop.world import STEP_US, Course, Trace, World, ego_boxes
 from benchmark.constants import EGO_LENGTH_M, FARTHEST_WAYPOINT_M, LONGEST_PLAN_STEPS, PLAN_STEPS

@@ -6,9 +6,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.closed_loop.contract import AgentPolicy, Moment
+from benchmark.closed_loop.contract import AgentPolicy, Moment, PlanInForce
 from benchmark.closed_loop.following import SUBSTEP_US, SUBSTEPS, Ego
-from benchmark.closed_loop.plans_in_force import PlanInForce
 from benchmark.closed_loop.riding import Touch
 from benchmark.constants import EGO_BODY_WIDTH_M, EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M
 from benchmark.errors import InputError

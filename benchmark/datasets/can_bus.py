@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import FRAME_HZ
 from benchmark.datasets.schema.beside import CAN_BUS, require_records
-from benchmark.datasets.schema.kinds import Kind
+from benchmark.datasets.schema.tables import Kind
 from benchmark.geometry import Floats
 from benchmark.machine.storage import read_json
 from benchmark.planning import EgoState

@@ -7,8 +7,8 @@ from typing import Final
 
 from benchmark.constants import CATEGORIES, NUMBERED_CATEGORIES
 from benchmark.errors import InputError, did_you_mean
-from benchmark.untrusted.json_text import read_json
-from benchmark.untrusted.limits import SETTINGS
+from benchmark.untrusted.files import SETTINGS
+from benchmark.untrusted.text_files import read_json
 
 CategoryNames = tuple[tuple[str, str], ...]
 """Pairs of a data set's own name and nuScenes' name for it."""

@@ -13,7 +13,7 @@ from typing import Any
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.categories import CategoryNames, names_in
-from benchmark.datasets.devkit_rows import FURTHER_TABLES, devkit_with
+from benchmark.datasets.devkit_import import FURTHER_TABLES, devkit_with
 from benchmark.datasets.kept_tables import read_or_kept
 from benchmark.datasets.scene_tables import (
     GROWING_TABLES,

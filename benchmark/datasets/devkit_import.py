@@ -4,6 +4,8 @@ The devkit imports scikit-learn (and so scipy.stats and pandas) for one distance
 for its pictures: seconds of processor time in each process, of which nothing here uses anything. Its modules are given
 stand-ins that import the real thing once something is asked of them. Nobody else meets a stand-in: ``sys.modules``
 holds none.
+
+The devkit's object over rows that were read here; further tables it reads by itself where they are.
 """
 
 import builtins
@@ -14,9 +16,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
+from pathlib import Path
 from pkgutil import resolve_name
 from types import ModuleType
 from typing import Any, Final
+
+from benchmark.datasets.tables import Row, Tables
+from benchmark.errors import InputError
 
 _PUT_OFF: Final = (
     "sklearn.metrics",
@@ -113,3 +119,26 @@ def _finding() -> Iterator[None]:
         yield
     finally:
         sys.meta_path.remove(finder)
+
+
+FURTHER_TABLES: Final = ("lidarseg", "panoptic", "image_annotations")
+"""Tables that the devkit reads where they are, and nobody here."""
+
+
+def devkit_with(root: Path, version: str, tables: Tables) -> Any:
+    """``NuScenes`` of the devkit with rows that are at hand."""
+    as_published: Any = devkit_module("nuscenes.nuscenes").NuScenes
+
+    class NuScenesWithRows(as_published):  # type: ignore[misc]
+        """``NuScenes`` that is given its rows and reads no files; it reads tables that this product never uses."""
+
+        def __load_table__(self, table: str) -> list[Row]:
+            rows: list[Row] = tables[table] if table in tables else super().__load_table__(table)
+            return rows
+
+    try:
+        return NuScenesWithRows(version=version, dataroot=str(root), verbose=False)
+    except Exception as error:
+        raise InputError(
+            f"nuscenes-devkit cannot open {root / version} ({type(error).__name__}: {error}); correct the tables"
+        ) from error

@@ -1,13 +1,81 @@
-"""A content hash of a data set: equal for equal data, wherever it lies and whatever its folder is called."""
+"""A content hash of a data set: equal for equal data, wherever it lies and whatever its folder is called.
 
+Hashes of large files, kept in the user's cache under what tells that a file is still the one that was hashed.
+"""
+
+import hashlib
 import os
+import re
 import stat
+import time
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any, Final, Self
 
 from benchmark.constants import NUSCENES_TABLES
-from benchmark.datasets.kept_digests import KeptDigests
-from benchmark.machine.storage import content_key
+from benchmark.datasets.kept_tables import digests_beside, kept_at
+from benchmark.errors import InputError
+from benchmark.machine.storage import content_key, only_writer, read_kept_json, write_json
+from benchmark.machine.user_cache import Stamp, is_settled, stamp_of
+from benchmark.untrusted.files import TABLE, open_file
+
+WORTH_BYTES: Final = 1 << 22
+"""Smaller files are hashed each time."""
+_SHA256: Final = re.compile("[0-9a-f]{64}")
+
+
+class KeptDigests:
+    """Hashes of the files of one root.
+
+    Args:
+        place: Where they are kept, if anywhere.
+        known: Stamp and hash by path.
+    """
+
+    def __init__(self, place: Path | None, known: dict[str, tuple[Stamp, str]]) -> None:
+        self._place, self._known = place, known
+        self._new: dict[str, tuple[Stamp, str]] = {}
+
+    @classmethod
+    def of(cls, folder: Path) -> Self:
+        """Kept hashes of a root, given its version folder."""
+        beside = kept_at(folder)
+        place = None if beside is None else digests_beside(beside)
+        return cls(place, _sound(None if place is None or not place.is_file() else read_kept_json(place)))
+
+    def sha256(self, path: Path) -> str:
+        """Hash of a file's content, 64 hexadecimal digits; a file longer than any table is refused."""
+        name, looked_ns = str(path.resolve()), time.time_ns()
+        with open_file(path, TABLE) as stream:
+            stamp = stamp_of(os.fstat(stream.fileno()))
+            if name in self._known and self._known[name][0] == stamp:
+                return self._known[name][1]
+            found = hashlib.file_digest(stream, "sha256").hexdigest()
+            unchanged = stamp_of(os.fstat(stream.fileno())) == stamp
+        if unchanged and stamp[2] >= WORTH_BYTES and is_settled(stamp, looked_ns):
+            self._new[name] = stamp, found
+        return found
+
+    def keep(self) -> None:
+        """Keep what was hashed, where there is room and a right to; without, it is hashed again."""
+        if not self._new or self._place is None:
+            return
+        every = {name: [list(stamp), found] for name, (stamp, found) in (self._known | self._new).items()}
+        try:
+            with only_writer(self._place.parent):
+                write_json(self._place, every)
+        except InputError:
+            return
+
+
+def _sound(value: Any) -> dict[str, tuple[Stamp, str]]:
+    """Sound part of a kept file."""
+    found: dict[str, tuple[Stamp, str]] = {}
+    for name, entry in value.items() if isinstance(value, dict) else ():
+        match entry:
+            case [[*stamp], str(digest)] if _SHA256.fullmatch(digest) and all(type(each) is int for each in stamp):
+                found[name] = tuple(stamp), digest
+    return found
 
 
 def fingerprint_of(root: Path, version: str, images: Iterable[str]) -> str:

@@ -15,7 +15,7 @@ from benchmark.machine.storage import canonical_json, read_json
 from benchmark.records.judgement import DEFINITION, SceneJudgement, SplitRealism
 from benchmark.records.store import validated
 from benchmark.records.stored import Stored
-from benchmark.untrusted.limits import RECORD
+from benchmark.untrusted.files import RECORD
 
 JUDGEMENTS_FILE: Final = "judgements.json"
 

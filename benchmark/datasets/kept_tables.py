@@ -21,7 +21,7 @@ from benchmark.datasets.stored_rows import StoredRows, stamp_while_open
 from benchmark.machine.kept_arrays import arrow_of, kept_place, numpy_of, read_batch, write_batch
 from benchmark.machine.storage import content_key, file_sha256, parse_json
 from benchmark.machine.user_cache import Stamp, is_settled, stamp_of
-from benchmark.untrusted.limits import TABLE
+from benchmark.untrusted.files import TABLE
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -9,8 +9,7 @@ from typing import Any, Final, Self
 from shapely.geometry import MultiPolygon
 
 from benchmark.constants import LIDAR_NAME
-from benchmark.datasets.annotated import read_objects
-from benchmark.datasets.annotation_counts import AnnotationCount
+from benchmark.datasets.annotated import AnnotationCount, read_objects
 from benchmark.datasets.can_bus import CanBus
 from benchmark.datasets.categories import KNOWN, CategoryNames
 from benchmark.datasets.devkit import OpenTables, open_tables
@@ -22,12 +21,10 @@ from benchmark.datasets.reviewed import review_of_rows
 from benchmark.datasets.sample_truth import truth_of_scene
 from benchmark.datasets.scene_facts import scene_facts_of
 from benchmark.datasets.schema import FaultList
-from benchmark.datasets.sensors import read_cameras, read_lidar
+from benchmark.datasets.sensors import read_cameras, read_lidar, read_sweep_poses, videos_of_scene
 from benchmark.datasets.split_names import read_splits, scenes_of_split, split_names
-from benchmark.datasets.sweep_poses import read_sweep_poses
+from benchmark.datasets.steps import read_timeline, samples_of_scene
 from benchmark.datasets.tables import Row, find_version
-from benchmark.datasets.timeline import read_timeline, samples_of_scene
-from benchmark.datasets.videos import videos_of_scene
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key, read_json

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from benchmark.datasets.table_rows import table_rows
+from benchmark.datasets.stored_rows import table_rows
 from benchmark.datasets.tables import find_version, variant_folders
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.storage import only_writer, write_json

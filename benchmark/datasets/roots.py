@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, Self
 
-from benchmark.datasets.annotation_counts import AnnotationCount
+from benchmark.datasets.annotated import AnnotationCount
 from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.reviewed import joined, scene_tokens

@@ -1,6 +1,13 @@
-"""A road map as map features of a ScenarioNet file, and back."""
+"""A road map as map features of a ScenarioNet file, and back.
 
+Words of ScenarioNet files that are written here, beside those that every such file has.
+
+Values of ScenarioNet files as what they should be; a stranger's may be of any type.
+"""
+
+import hashlib
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -8,13 +15,95 @@ import numpy as np
 import shapely
 from shapely.geometry import MultiPolygon, Polygon
 
-from benchmark.datasets.own_words import OWN, RING_PREFIX
-from benchmark.datasets.scenarionet_values import FARTHEST_M, name_of, real_numbers
+from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_HEIGHT_M
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.road_map import Divider, DividerKind, Lane, RoadMap
-from benchmark.untrusted.files import one_line
-from benchmark.untrusted.limits import MAP_LANES, MAP_POINTS
+from benchmark.scene import EgoTrack, Scene
+from benchmark.untrusted.files import MAP_LANES, MAP_POINTS, one_line
+
+FARTHEST_M: Final = 1e8
+"""More than any projected map coordinate."""
+_LONGEST_NAME: Final = 256
+
+
+def real_numbers(value: Any) -> Floats:
+    """Numbers, in an array or a list of any shape, as an array in double precision.
+
+    Raises:
+        ValueError: If it is no rectangular array of real numbers.
+    """
+    try:
+        found = np.asarray(value)
+        if found.dtype.kind not in "biufO":
+            raise ValueError(f"{found.dtype} is no type of numbers")
+        return np.asarray(found, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(one_line(error, 80)) from error
+
+
+def name_of(value: Any, what: str, path: Path) -> str:
+    """A name or whole number of a file as text; ``what`` and ``path`` are for the message.
+
+    Raises:
+        InputError: If it is neither text nor a whole number, longer than any name, or cannot be printed.
+    """
+    text = str(value) if isinstance(value, str | int | np.integer) else ""
+    if len(text) > _LONGEST_NAME or not text.isprintable() or (not text and not isinstance(value, str)):
+        raise InputError(f"{path}: {what} must be a name, it is {one_line(repr(value), 60)}; fetch the file again")
+    return text
+
+
+OWN: Final = "challenger_bench"
+DATASET: Final = "challenger-bench"
+SCHEMA: Final = 1
+ADVERSARIES: Final = "adversaries"
+"""In the metadata of a file: names of the tracks that are adversaries."""
+IS_ADVERSARY: Final = "is_adversary"
+"""In the metadata of each track of a file that is written here."""
+RING_PREFIX: Final = "boundary_"
+"""What parts of the map that are rings of the drivable area are called after, as in files of nuScenes."""
+
+NEEDS_A_PACKAGE: Final = (
+    "writing OpenSCENARIO needs the package scenariogeneration; install it with: pip install "
+    "'challenger-bench[openscenario]'"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Exchanged:
+    """A scene and how it was made, as a file carries both.
+
+    Attributes:
+        source_scene: Name of the recorded scene that it was made from; its own name for a recording.
+        report: What ``challenger.json`` says of how it was made; JSON values.
+    """
+
+    scene: Scene
+    source_scene: str
+    report: Mapping[str, Any] = field(default_factory=dict)
+
+
+def ego_center(ego: EgoTrack) -> Floats:
+    """(T, 3) centre of the ego's body, which is what positions of tracks are; `EgoTrack` has the rear axle."""
+    yaw = ego.yaw
+    ahead = EGO_CENTER_FROM_REAR_AXLE_M * np.column_stack([np.cos(yaw), np.sin(yaw)])
+    return np.column_stack([ego.position[:, :2] + ahead, ego.position[:, 2] + 0.5 * EGO_HEIGHT_M])
+
+
+def track_digest(position: Floats, yaw: Floats, size: Floats, valid: Any) -> str:
+    """Hash of a track, 64 hexadecimal digits, by which an edited one is known.
+
+    Args:
+        position: (T, 3) metres.
+        yaw: (T,) radians.
+        size: (3,) metres.
+        valid: (T,) whether it is there; where it is not, nothing counts.
+    """
+    there = np.asarray(valid, np.bool_)
+    parts = (np.asarray(position, "<f8")[there], np.asarray(yaw, "<f8")[there], np.asarray(size, "<f8"))
+    return hashlib.sha256(there.tobytes() + b"".join(part.tobytes() for part in parts)).hexdigest()
+
 
 Feature = dict[str, Any]
 

@@ -19,10 +19,9 @@ from benchmark.constants import (
     FRAMES_PER_KEYFRAME,
     OFFICIAL_LOCATIONS,
 )
-from benchmark.datasets.own_words import Exchanged
+from benchmark.datasets.scenario_map import Exchanged, name_of, real_numbers
 from benchmark.datasets.scenarionet_map import map_of_features
 from benchmark.datasets.scenarionet_tracks import SourceTrack, objects_of_tracks, read_track
-from benchmark.datasets.scenarionet_values import name_of, real_numbers
 from benchmark.datasets.scene_of_own import OwnFile, adversaries_of, own_block, scene_of_own
 from benchmark.datasets.scene_words import described, place_and_light, traffic_and_road
 from benchmark.datasets.sensors import standard_lidar
@@ -31,9 +30,8 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats, poses_between, quaternion_from_yaw
 from benchmark.machine.storage import content_seed, token
 from benchmark.scene import EgoTrack, Scene
-from benchmark.untrusted.files import one_line
-from benchmark.untrusted.limits import RECORDED_OBJECTS, RECORDED_POSES, RECORDING_S
-from benchmark.untrusted.pickles import read_pickle
+from benchmark.untrusted.children import read_pickle
+from benchmark.untrusted.files import RECORDED_OBJECTS, RECORDED_POSES, RECORDING_S, one_line
 
 _FALLBACK_LOCATION: Final = OFFICIAL_LOCATIONS[0]
 _UNOFFICIAL_NUMBERS: Final = range(2000, 10000)

@@ -9,11 +9,11 @@ import numpy as np
 import shapely
 from shapely.geometry import LineString, MultiPolygon, Polygon
 
-from benchmark.datasets.scenarionet_values import FARTHEST_M, name_of, real_numbers
+from benchmark.datasets.scenario_map import FARTHEST_M, name_of, real_numbers
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, wrap_angle
 from benchmark.road_map import Divider, DividerKind, Lane, RoadMap, as_multipolygon
-from benchmark.untrusted.limits import MAP_LANES, MAP_LINKS, MAP_MEETINGS, MAP_POINTS
+from benchmark.untrusted.files import MAP_LANES, MAP_LINKS, MAP_MEETINGS, MAP_POINTS
 
 _REACH_M: Final = 200.0
 """Files cut their map around the ego; nearer than this to its path they are complete."""

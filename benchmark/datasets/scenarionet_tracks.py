@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import CATEGORIES
 from benchmark.datasets.annotated import nearest_valid
-from benchmark.datasets.scenarionet_values import FARTHEST_M, real_numbers
+from benchmark.datasets.scenario_map import FARTHEST_M, real_numbers
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, poses_between, quaternion_from_yaw
 from benchmark.scene import Agents, Annotations

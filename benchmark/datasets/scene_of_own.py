@@ -10,23 +10,24 @@ from numpy.typing import NDArray
 
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_HEIGHT_M
 from benchmark.datasets.annotated import nearest_valid
-from benchmark.datasets.own_words import (
+from benchmark.datasets.scenario_map import (
     ADVERSARIES,
+    FARTHEST_M,
     OWN,
     SCHEMA,
     Exchanged,
     ego_center,
+    map_of_own_features,
+    name_of,
+    real_numbers,
     track_digest,
 )
-from benchmark.datasets.scenario_map import map_of_own_features
 from benchmark.datasets.scenarionet_tracks import SourceTrack
-from benchmark.datasets.scenarionet_values import FARTHEST_M, name_of, real_numbers
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, quaternion_from_yaw
 from benchmark.scene import Agents, Annotations, Camera, EgoTrack, LidarMount, Scene, SweepPoses
-from benchmark.untrusted.files import one_line
-from benchmark.untrusted.json_text import parse_json
-from benchmark.untrusted.limits import RECORD
+from benchmark.untrusted.files import RECORD, one_line
+from benchmark.untrusted.text_files import parse_json
 
 _SAME_M: Final = 1e-6
 """How far the ego may be from where the file's own block has it before somebody moved it."""

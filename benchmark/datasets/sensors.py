@@ -1,17 +1,83 @@
-"""Cameras and lidar of a nuScenes data set: calibration, and images on demand."""
+"""Cameras and lidar of a nuScenes data set: calibration, and images on demand.
 
+All camera images of a scene, keyframes and the sweeps between them, as one video a camera.
+
+Where lidar and cameras were at their sweeps, each by its own clock.
+"""
+
+from collections.abc import Sequence
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmark.constants import CAMERA_NAMES, LIDAR_FROM_REAR_AXLE_M, LIDAR_NAME
 from benchmark.datasets.tables import Row
-from benchmark.geometry import quaternion_from_yaw, transform_matrix
+from benchmark.errors import InputError
+from benchmark.geometry import Floats, quaternion_from_yaw, rotation_matrix, transform_matrix
 from benchmark.planning import CameraView
-from benchmark.scene import Camera, LidarMount
-from benchmark.untrusted.pictures import read_picture
+from benchmark.scene import Camera, LidarMount, SweepPoses
+from benchmark.untrusted.wire_images import read_picture
+
+
+def read_sweep_poses(
+    nusc: Any, samples: Sequence[Row], keyframes: NDArray[np.int64], cameras: Sequence[str]
+) -> SweepPoses | None:
+    """Poses of the sensors at the frames of a scene.
+
+    The k-th frame after a keyframe takes the sensor's k-th following row. Where there are fewer rows before the next
+    keyframe the last one is repeated.
+
+    Args:
+        samples: Rows of the scene's K samples in time order.
+        keyframes: (K,) frame of each.
+
+    Returns:
+        Poses at the frames from the first to the last of these, or ``None`` where a sensor has no sweeps at all or
+        there is no camera.
+    """
+    if not cameras:
+        return None
+    poses = []
+    for channel in (LIDAR_NAME, *cameras):
+        rows = _rows_at_frames(nusc, samples, np.diff(keyframes).tolist(), channel)
+        if rows is None:
+            return None
+        poses.append(_global_T_sensor(nusc, rows))
+    return SweepPoses(poses[0], np.stack(poses[1:]))
+
+
+def _rows_at_frames(nusc: Any, samples: Sequence[Row], frames: Sequence[int], channel: str) -> list[Row] | None:
+    """Rows of one channel at every frame; nothing where a keyframe or all sweeps are missing."""
+    if any(channel not in sample["data"] for sample in samples):
+        return None
+    rows: list[Row] = []
+    swept = len(samples) == 1
+    for sample, count in zip(samples, frames):
+        row: Row = nusc.get("sample_data", sample["data"][channel])
+        rows.append(row)
+        for _ in range(count - 1):
+            following: Row | None = nusc.get("sample_data", row["next"]) if row["next"] else None
+            if following is not None and not following["is_key_frame"]:
+                row, swept = following, True
+            rows.append(row)
+    rows.append(nusc.get("sample_data", samples[-1]["data"][channel]))
+    return rows if swept else None
+
+
+def _global_T_sensor(nusc: Any, rows: Sequence[Row]) -> Floats:
+    """(T, 4, 4) sensor frame to global frame."""
+    chain = []
+    for table, link in (("ego_pose", "ego_pose_token"), ("calibrated_sensor", "calibrated_sensor_token")):
+        records = [nusc.get(table, row[link]) for row in rows]
+        matrix = np.tile(np.eye(4), (len(rows), 1, 1))
+        matrix[:, :3, :3] = rotation_matrix(np.array([record["rotation"] for record in records], np.float64))
+        matrix[:, :3, 3] = [record["translation"] for record in records]
+        chain.append(matrix)
+    return np.asarray(chain[0] @ chain[1])
 
 
 def standard_lidar() -> LidarMount:
@@ -72,3 +138,44 @@ def _camera(nusc: Any, row: Row) -> Camera:
         width=row["width"],
         height=row["height"],
     )
+
+
+def videos_of_scene(
+    nusc: Any, root: Path, samples: Sequence[Row], *, sweeps: bool
+) -> dict[str, tuple[CameraView, ...]]:
+    """Images by camera name in time order; files are opened only when a view is loaded.
+
+    Args:
+        sweeps: Also the images between keyframes, from the first keyframe to the last.
+
+    Returns:
+        Views by camera, cameras in the order of `read_views` of the first sample.
+    """
+    videos: dict[str, list[CameraView]] = {}
+    for index, sample in enumerate(samples):
+        for name, view in read_views(nusc, root, sample).items():
+            video = videos.setdefault(name, [])
+            video.append(view)
+            if sweeps and index + 1 < len(samples):
+                video += _sweeps(nusc, root, sample["data"][name], view)
+    for name, video in videos.items():
+        times = [view.timestamp_us for view in video]
+        if any(later <= earlier for earlier, later in pairwise(times)):
+            raise InputError(
+                f"the images of {name} of scene {samples[0]['scene_token']} turn back in time; fix sample_data.json"
+            )
+    return {name: tuple(video) for name, video in videos.items()}
+
+
+def _sweeps(nusc: Any, root: Path, token: str, keyframe: CameraView) -> list[CameraView]:
+    """Views after a keyframe up to the next one; the calibration is that of the keyframe."""
+    found: list[CameraView] = []
+    row, seen = nusc.get("sample_data", token), {token}
+    while row["next"] and row["next"] not in seen:
+        seen.add(row["next"])
+        row = nusc.get("sample_data", row["next"])
+        if row["is_key_frame"]:
+            return found
+        found.append(view_of(nusc, root, row, keyframe.camera))
+    # No keyframe follows although there is a later sample: the chain is broken, and its rows belong nowhere.
+    return []

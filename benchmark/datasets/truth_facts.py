@@ -1,22 +1,172 @@
-"""What a data set holds of the truth of a scene, so that a record can say which of its numbers rest on nothing."""
+"""What a data set holds of the truth of a scene, so that a record can say which of its numbers rest on nothing.
+
+What a scene holds of what planners and metrics want beside annotations, and what of it cannot be.
+
+What recorded motion says against a data set: boxes that jump or lie across it, rotations in another order.
+"""
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEPS
+from benchmark.datasets.annotated import labelled_keyframes
 from benchmark.datasets.categories import KNOWN
-from benchmark.datasets.labelled import labelled_keyframes
-from benchmark.datasets.scene_inputs import scene_inputs
 from benchmark.datasets.steps import other_interval_us
-from benchmark.records.run_schema import TruthFacts
+from benchmark.geometry import Bools, Floats, wrap_angle, yaw_of_quaternion
+from benchmark.records.run_schema import InputFacts, TruthFacts
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
+
+FASTEST_M_S: Final = 60.0
+"""Nothing on a road is faster."""
+MOVING_M_S: Final = 3.0
+"""Slower objects, and people, may move to any side of theirs."""
+ACROSS_RAD: Final = np.radians(60.0)
+"""From here on a box lies across its motion; a car that slides or turns stays far below."""
+WIDER: Final = 1.1
+"""A moving object is longer than wide; what is nearly square says nothing."""
+UPRIGHT: Final = 0.7
+"""Least vertical part of a car's own vertical: 45 degrees of roll and pitch together."""
+SENSIBLE_SHARE: Final = 0.9
+"""Of the rotations of a data set that is read in the right order, at least; in a wrong one it is less than half."""
+MISFIT_SHARE: Final = 0.2
+"""Of the samples, at which the recorded ego is off the drivable area: more, and the map is of another place."""
+LEAST_MOVING: Final = 3
+"""Fewer moving objects say nothing of how boxes lie."""
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """S steps of objects from one annotation to the next, over all objects of a scene.
+
+    Attributes:
+        row: (S,) annotation at which it begins.
+        owner: (S,) the object.
+        speed: (S,) m/s.
+        direction: (S,) of the motion, radians.
+    """
+
+    row: NDArray[np.int64]
+    owner: NDArray[np.int64]
+    speed: Floats
+    direction: Floats
+
+    @classmethod
+    def of(cls, owner: NDArray[np.int64], seconds: Floats, position: Floats) -> "Steps":
+        """Steps of R annotations; none where time does not go on.
+
+        Args:
+            owner: (R,) number of the object; those of an object stand together, in time order.
+            seconds: (R,) times.
+            position: (R, 2) metres.
+        """
+        elapsed, moved = np.diff(seconds), np.diff(position[:, :2], axis=0)
+        row = np.flatnonzero((owner[1:] == owner[:-1]) & (elapsed > 0.0))
+        away = moved[row]
+        return cls(row, owner[row], np.hypot(*away.T) / elapsed[row], np.arctan2(away[:, 1], away[:, 0]))
+
+    @property
+    def jumps(self) -> Bools:
+        """(S,) whether a step is faster than anything on a road."""
+        return self.speed > FASTEST_M_S
+
+    @property
+    def drives(self) -> Bools:
+        """(S,) whether a step tells where an object drives to."""
+        return (self.speed > MOVING_M_S) & ~self.jumps
+
+    def directions(self, count: int) -> Floats:
+        """(R,) where the owner of each of R annotations drives to from there, radians; NaN where it does not."""
+        found = np.full(count, np.nan)
+        found[self.row[self.drives]] = self.direction[self.drives]
+        return found
+
+
+def objects_across(steps: Steps, yaw: Floats, size: Floats) -> tuple[int, int]:
+    """Number of objects that move, and of those that lie across their motion at most of their moving steps.
+
+    A box lies across its motion if its heading is at right angles to it or it is wider than long.
+
+    Args:
+        yaw: (R,) headings, radians.
+        size: (R, 2) length and width, metres.
+    """
+    driving = steps.drives
+    row, owner = steps.row[driving], steps.owner[driving]
+    # Backwards is along, too.
+    turned = np.abs(wrap_angle(2.0 * (steps.direction[driving] - yaw[row]))) / 2.0 > ACROSS_RAD
+    across = turned | (size[row, 1] > WIDER * size[row, 0])
+    objects, which, count = np.unique(owner, return_inverse=True, return_counts=True)
+    most = np.bincount(which, weights=across, minlength=len(objects)) > 0.5 * count
+    return len(objects), int(np.count_nonzero(most))
+
+
+def lie_across(moving: int, across: int) -> bool:
+    """Whether boxes have width and length exchanged, or headings of another convention, by `objects_across`."""
+    return moving >= LEAST_MOVING and across > 0.5 * moving
+
+
+def in_another_order(quaternions: Floats, direction: Floats | None = None) -> bool:
+    """Whether rotations make sense only if they are read as x, y, z, w.
+
+    Args:
+        quaternions: (R, 4) as they are read: w, x, y, z.
+        direction: (R,) motion of their objects, NaN where these do not move; not asked without it.
+
+    Returns:
+        Whether most are upside down, lie on a side or look away from the motion as they are read, and hardly any does
+        in the other order.
+    """
+    if not len(quaternions):
+        return False
+    other = np.roll(quaternions, 1, axis=-1)
+    return _sensible(quaternions, direction) < 0.5 and _sensible(other, direction) >= SENSIBLE_SHARE
+
+
+def _sensible(quaternions: Floats, direction: Floats | None) -> float:
+    """Share of rotations that stand upright, and look where the motion goes."""
+    w, x, y, z = np.moveaxis(quaternions, -1, 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        upright = (w * w - x * x - y * y + z * z) / (w * w + x * x + y * y + z * z) > UPRIGHT
+    if direction is not None:
+        away = np.abs(wrap_angle(yaw_of_quaternion(quaternions) - np.nan_to_num(direction)))
+        upright &= np.isnan(direction) | (away < np.pi / 4)
+    return float(upright.mean())
+
+
+def scene_inputs(scene: Scene, *, lidar: bool) -> InputFacts:
+    """Look at map, rig, boxes and rotations of a scene.
+
+    Args:
+        lidar: Whether its data set says where the lidar sits.
+    """
+    known, ego, seconds = scene.annotations, scene.ego, scene.seconds[scene.keyframes]
+    owner, at = np.nonzero(known.valid)
+    rotation = known.rotation[owner, at]
+    steps = Steps.of(owner, seconds[at], known.position[owner, at, :2])
+    moving, across = objects_across(steps, yaw_of_quaternion(rotation), known.size[owner, at, :2])
+    position, area = ego.position[scene.keyframes, :2], scene.road_map.drivable_area
+    driven = Steps.of(np.zeros(len(seconds), np.int64), seconds, position).directions(len(seconds))
+    return InputFacts(
+        samples=len(seconds),
+        lanes=len(scene.road_map.lanes),
+        off_road=None if area.is_empty else int(np.count_nonzero(~scene.road_map.is_drivable(position))),
+        cameras=len(scene.cameras),
+        lidar=lidar,
+        jumps=int(np.count_nonzero(steps.jumps)),
+        moving=moving,
+        across=across,
+        turned_quaternions=in_another_order(ego.rotation[scene.keyframes], driven) or in_another_order(rotation),
+    )
+
 
 MOTIONLESS_S: Final = 5.0
 """A scene at least so long in which the ego pose is the same number throughout has most likely none. A car that waits

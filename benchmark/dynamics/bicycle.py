@@ -3,6 +3,8 @@
 Paper section 3, "Physics-aware Planning Simulator". Everything is vectorised over candidates. `MotionModel.si` works in
 seconds with the vehicle's own wheelbase and with limits that drivers and tyres have; `MotionModel.reference`
 repeats the units and quirks of the public reference code (one frame counts as one second, no limits).
+
+Which limit of a driver a recorded or generated track breaks, by finite differences at 12 Hz.
 """
 
 from dataclasses import dataclass
@@ -19,7 +21,7 @@ from benchmark.dynamics.tracker import (
     speeds_ahead,
     steering_law,
 )
-from benchmark.geometry import Bools, Floats
+from benchmark.geometry import Bools, Floats, wrap_angle
 
 REAR_AXLE_BEHIND_CENTER = 0.3
 """Of the vehicle's length."""
@@ -279,3 +281,42 @@ def _global(drive: Drive, pose: Floats, ahead_m: float) -> tuple[Floats, Floats]
     center = states[:, :3].copy()
     center[:, :2] += ahead_m * (turn @ drive.direction)
     return states, center
+
+
+LIMIT_TOLERANCE = 1.05
+"""Finite differences at 12 Hz overshoot the simulator's own limits by less than this factor."""
+SIDEWAYS_M_S = 0.3
+"""Sideways speed of the rear axle that an explicit integration step may show in a tight turn."""
+
+
+def broken_limit(boxes: Floats, limits: DriverLimits, *, rounded_m: float = 0.0) -> tuple[str, float, float] | None:
+    """First limit of the driver that a 12 Hz track breaks: finite differences of the rear axle's path.
+
+    Name with unit, value and limit, or ``None``; tracks of fewer than three frames break none.
+    ``rounded_m`` is how far each position may be from where it was, where a file holds it to a few digits: the limits
+    are wider by what that does to the differences.
+    """
+    if len(boxes) < 3:
+        return None
+    axle = rear_axle(boxes[:, [0, 1, 4]], float(boxes[0, 2]))
+    step = np.diff(axle[:, :2], axis=0) * FRAME_HZ
+    yaw = axle[:-1, 2]
+    along = step[:, 0] * np.cos(yaw) + step[:, 1] * np.sin(yaw)
+    across = step[:, 1] * np.cos(yaw) - step[:, 0] * np.sin(yaw)
+    yaw_rate = wrap_angle(np.diff(axle[:, 2])) * FRAME_HZ
+    acceleration = np.diff(along) * FRAME_HZ
+    sideways = SIDEWAYS_M_S + 2 * rounded_m * FRAME_HZ
+    more = 4 * rounded_m * FRAME_HZ**2
+    measured = (
+        ("speed sideways, m/s", np.abs(across).max(), sideways),
+        ("speed backwards, m/s", -along.min(), sideways),
+        ("acceleration, m/s^2", acceleration.max(), limits.acceleration_m_s2 * LIMIT_TOLERANCE + more),
+        ("braking, m/s^2", -acceleration.min(), limits.braking_m_s2 * LIMIT_TOLERANCE + more),
+        ("yaw rate, rad/s", np.abs(yaw_rate).max(), limits.yaw_rate_rad_s * LIMIT_TOLERANCE),
+        (
+            "lateral acceleration, m/s^2",
+            np.abs(yaw_rate * along).max(),
+            limits.lateral_acceleration_m_s2 * LIMIT_TOLERANCE,
+        ),
+    )
+    return next(((name, float(value), limit) for name, value, limit in measured if not value <= limit), None)

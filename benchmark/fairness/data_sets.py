@@ -2,22 +2,27 @@
 
 What is read of a data set is linear between 2 Hz keyframes, so that those that are made here know less than those of
 the generator of the scenes (`SceneJudgement.tracks`).
+
+Facts of scenes for records, with judgements of those without one: made once, then found.
 """
 
 import functools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from benchmark.datasets.judged import stored_judgements
+from benchmark.datasets.judged import JUDGEMENTS_FILE, judgements_text, read_judgements, stored_judgements
 from benchmark.datasets.roots import DataSet
 from benchmark.fairness.scenes import TracksAtHand, judge_scene
 from benchmark.geometry import Floats
+from benchmark.machine.storage import write_bytes
 from benchmark.machine.workers import Executor
 from benchmark.records.attempts import reports_of
-from benchmark.records.judgement import SceneJudgement
+from benchmark.records.judgement import JudgementSummary, SceneJudgement
+from benchmark.records.run_schema import SceneFacts
 from benchmark.scene import Scene
 
 MOVED_M: Final = 0.1
@@ -107,3 +112,32 @@ def _keyframe_times(scene: Scene) -> Floats:
 def _judged(work: tuple[Scene, Launches]) -> tuple[SceneJudgement, ...]:
     scene, launches = work
     return judge_scene(scene, TracksAtHand(generated=False, launches=launches))
+
+
+KEPT_FOLDER: Final = ".judgements"
+"""Below the folder of runs: what is said of data sets that bring no judgements, a folder for each content."""
+
+
+def judged_facts(data: DataSet, names: Sequence[str], kept: Path, executor: Executor) -> dict[str, SceneFacts]:
+    """Facts of scenes as records have them, by name; scenes with adversaries are judged, recordings without are not.
+
+    Args:
+        kept: Folder of runs, where judgements of data sets without their own are kept and found again.
+        executor: Where scenes without a judgement are judged; nothing depends on it.
+    """
+    facts = data.scene_facts(names)
+    open_ = [name for name in names if facts[name].judgement is None and facts[name].adversaries != 0]
+    if not open_:
+        return facts
+    folder = kept / KEPT_FOLDER / data.fingerprint()[:16]
+    known = read_judgements(folder)
+    missing = [name for name in open_ if name not in known]
+    if missing:
+        known = {**known, **judge_data(data, missing, executor)}
+        write_bytes(folder / JUDGEMENTS_FILE, judgements_text(known).encode())
+    return {name: _with(facts[name], known.get(name, ())) for name in names}
+
+
+def _with(facts: SceneFacts, judgements: Sequence[SceneJudgement]) -> SceneFacts:
+    said = JudgementSummary.of(judgements) if judgements and facts.judgement is None else facts.judgement
+    return facts.model_copy(update={"judgement": said})

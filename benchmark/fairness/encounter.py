@@ -12,8 +12,8 @@ import numpy as np
 from benchmark.geometry import Bools, Floats, box_gap, boxes_overlap
 from benchmark.interactions.contacts import is_agent, time_to_contact
 from benchmark.interactions.ego_path import EgoPath
+from benchmark.interactions.reaction import HARDEST_BRAKING
 from benchmark.interactions.relations import Relations
-from benchmark.interactions.rules import HARDEST_BRAKING
 from benchmark.interactions.tracks import STEP_S, Integers, Tracks
 
 CRITICAL_S: Final = 1.5

@@ -1,108 +1,70 @@
-"""The realism of a set of adversaries against recordings: every feature, the worst by name, and what zero looks like.
+"""How far two samples of a feature are apart: Wasserstein-1, and Jensen-Shannon divergences over two kinds of bins.
 
-``docs/realism.md``, "What is printed". One aggregate hides one bad feature, so the headline is the worst feature and
-never the mean; and a value better than that of one half of the recordings against the other is no evidence of anything.
+``docs/realism.md``, "Divergences". Bins between the quantiles of the recordings see what bins of equal width are blind
+to: annotation noise stretches the range of recorded accelerations so far that nearly everything falls into three bins.
 """
 
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import wasserstein_distance
 
-from benchmark.fairness.divergence import Histograms, quantile_bins, w1
-from benchmark.fairness.features import FEATURES, ROAD_EDGE, Run
 from benchmark.geometry import Floats
-from benchmark.records.judgement import FeatureRealism
 
-BOOTSTRAP_DRAWS: Final = 200
-_INTERVAL: Final = (0.025, 0.975)
+QUANTILES: Final = np.arange(1, 20) * 0.05
+BINS: Final = 20
+_RANGE: Final = (0.001, 0.999)
+_NARROWEST: Final = 1e-9
+_PSEUDO_COUNT: Final = 0.5
 
-RunsOfScenes = Mapping[str, Sequence[Run]]
-"""Runs by the name of their scene."""
+Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class Realism:
-    """Realism of all features.
+class Histograms:
+    """Counts of a sample and of the recordings in the same bins.
 
-    Attributes:
-        features: By the order of `FEATURES`, then `ROAD_EDGE` where all scenes have a map.
-        samples: Samples of adversaries, and of recordings.
+    Edges are the inner ones, or the two ends of the range.
     """
 
-    features: tuple[FeatureRealism, ...]
-    samples: tuple[int, int]
+    edges: Floats
+    counts: Integers
+    reference: Integers
 
     @property
-    def worst(self) -> FeatureRealism:
-        """The headline: the feature whose divergence is largest."""
-        return min(self.features, key=lambda feature: feature.realism)
-
-    @property
-    def mean(self) -> float:
-        """Mean over features, which hides one bad feature; never printed alone."""
-        return float(np.mean([feature.realism for feature in self.features]))
-
-
-def realism_of(adversaries: RunsOfScenes, recorded: RunsOfScenes, seed: int = 0) -> Realism | None:
-    """Compare adversaries with recordings, both by scene; ``None`` if one side has no run that counts.
-
-    The reference is in the order of the scenes; every second scene is one half.
-    """
-    scenes = list(recorded)
-    if not any(map(len, adversaries.values())) or not any(map(len, recorded.values())):
-        return None
-    everything = [run for runs in (*adversaries.values(), *recorded.values()) for run in runs]
-    names = (*FEATURES, *([ROAD_EDGE] if all(ROAD_EDGE in run.values for run in everything) else []))
-    halves = ({name: recorded[name] for name in scenes[first::2]} for first in (0, 1))
-    even, odd = (_pooled(half, names) for half in halves)
-    ours, reference = _pooled(adversaries, names), _pooled(recorded, names)
-    apart = {name: w1(ours[name], reference[name]) for name in names}
-    halves_apart = {name: _of_both(w1, even[name], odd[name]) for name in names}
-    features = tuple(
-        FeatureRealism(
-            name=name,
-            w1=apart[name],
-            w1_of_halves=halves_apart[name],
-            w1_in_halves=_times(apart[name], halves_apart[name]),
-            realism=_realism(ours[name], reference[name]),
-            realism_of_halves=_of_both(_realism, even[name], odd[name]),
-            interval=_interval(adversaries, reference[name], name, seed),
+    def divergence(self) -> float:
+        """Jensen-Shannon divergence to the base 2, after half a count more in each bin; 0 to 1."""
+        first, second = (
+            (counts + _PSEUDO_COUNT) / (counts + _PSEUDO_COUNT).sum() for counts in (self.counts, self.reference)
         )
-        for name in names
+        middle = 0.5 * (first + second)
+        bits = first * np.log2(first / middle) + second * np.log2(second / middle)
+        return float(0.5 * bits.sum())
+
+
+def w1(sample: Floats, reference: Floats) -> float:
+    """Wasserstein-1 distance of raw samples, at least one each, in the unit of the feature."""
+    return float(wasserstein_distance(sample, reference))
+
+
+def quantile_bins(sample: Floats, reference: Floats) -> Histograms:
+    """Bins between the distinct 5 % quantiles of the reference; the two outer ones are open."""
+    edges = np.unique(np.quantile(reference, QUANTILES))
+    counts, theirs = (
+        np.bincount(np.searchsorted(edges, values, side="right"), minlength=len(edges) + 1)
+        for values in (sample, reference)
     )
-    return Realism(features, (len(ours[FEATURES[0]]), len(reference[FEATURES[0]])))
+    return Histograms(edges, counts, theirs)
 
 
-def _realism(sample: Floats, reference: Floats) -> float:
-    return 1.0 - quantile_bins(sample, reference).divergence
-
-
-def _times(value: float, unit: float | None) -> float | None:
-    return value / unit if unit else None
-
-
-def _of_both(measure: Callable[[Floats, Floats], float], first: Floats, second: Floats) -> float | None:
-    return measure(first, second) if len(first) and len(second) else None
-
-
-def _pooled(runs: RunsOfScenes, names: Sequence[str]) -> dict[str, Floats]:
-    return {
-        name: np.concatenate([np.empty(0), *(run.values[name] for some in runs.values() for run in some)])
-        for name in names
-    }
-
-
-def _interval(adversaries: RunsOfScenes, reference: Floats, name: str, seed: int) -> tuple[float, float] | None:
-    """Scenes of the adversaries are drawn again and again; the recordings stay."""
-    scenes = [np.concatenate([run.values[name] for run in runs]) for runs in adversaries.values() if runs]
-    if len(scenes) < 2:
-        return None
-    bins = [quantile_bins(scene, reference) for scene in scenes]
-    counts = np.array([each.counts for each in bins])
-    rng = np.random.default_rng(seed)
-    drawn = rng.integers(len(scenes), size=(BOOTSTRAP_DRAWS, len(scenes)))
-    values = [1.0 - Histograms(bins[0].edges, counts[draw].sum(axis=0), bins[0].reference).divergence for draw in drawn]
-    low, high = np.quantile(values, _INTERVAL).tolist()
-    return low, high
+def equal_bins(sample: Floats, reference: Floats) -> Histograms:
+    """20 bins of equal width over the middle 99.8 % of the reference; what is outside counts in the last ones."""
+    low, high = np.quantile(reference, _RANGE).tolist()
+    if high - low < _NARROWEST:
+        low, high = low - 0.5, high + 0.5
+    counts, theirs = (
+        np.histogram(np.clip(values, low, high), bins=BINS, range=(low, high))[0] for values in (sample, reference)
+    )
+    return Histograms(np.array([low, high]), counts, theirs)

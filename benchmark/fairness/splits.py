@@ -1,17 +1,266 @@
-"""A split judged: the ladder in sum, how severe its encounters are, how real its adversaries move."""
+"""A split judged: the ladder in sum, how severe its encounters are, how real its adversaries move.
 
-from collections.abc import Sequence
-from typing import Final
+The realism of a split: its adversaries against the recordings that its scenes were made from.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final
 
 import numpy as np
 
 from benchmark.datasets.roots import DataSet
-from benchmark.fairness.data_sets import judge_data
-from benchmark.fairness.split_realism import split_realism
+from benchmark.fairness.ctg import Mask, Normalisation, SceneTracks, Version, deviations, histograms
+from benchmark.fairness.data_sets import adversarial_scene, judge_data, launches_of
+from benchmark.fairness.features import FEATURES, ROAD_EDGE, RoadEdge, Run, recorded_runs, runs_of
+from benchmark.fairness.realism import Histograms, quantile_bins, w1
+from benchmark.geometry import Floats
+from benchmark.interactions.tracks import STEP_S, Tracks
+from benchmark.machine.progress import progress
 from benchmark.machine.workers import Executor, LocalProcesses
-from benchmark.records.judged_splits import LadderRow, SeverityRow, SplitJudgement
-from benchmark.records.judgement import DRIVER_NAMES, DriverRun, EncounterSeverity, SceneJudgement, unsolvable
-from benchmark.records.statistics import Quantiles
+from benchmark.records.judgement import (
+    DRIVER_NAMES,
+    FAULT_NAMES,
+    CtgRow,
+    DriverRun,
+    EncounterSeverity,
+    FeatureRealism,
+    SceneJudgement,
+    SplitRealism,
+    ValidityRow,
+    unsolvable,
+)
+from benchmark.records.statistics import LadderRow, Quantiles, SeverityRow, SplitJudgement
+from benchmark.scene import Scene
+
+BOOTSTRAP_DRAWS: Final = 200
+_INTERVAL: Final = (0.025, 0.975)
+
+RunsOfScenes = Mapping[str, Sequence[Run]]
+"""Runs by the name of their scene."""
+
+
+@dataclass(frozen=True, slots=True)
+class Realism:
+    """Realism of all features.
+
+    Attributes:
+        features: By the order of `FEATURES`, then `ROAD_EDGE` where all scenes have a map.
+        samples: Samples of adversaries, and of recordings.
+    """
+
+    features: tuple[FeatureRealism, ...]
+    samples: tuple[int, int]
+
+    @property
+    def worst(self) -> FeatureRealism:
+        """The headline: the feature whose divergence is largest."""
+        return min(self.features, key=lambda feature: feature.realism)
+
+    @property
+    def mean(self) -> float:
+        """Mean over features, which hides one bad feature; never printed alone."""
+        return float(np.mean([feature.realism for feature in self.features]))
+
+
+def realism_of(adversaries: RunsOfScenes, recorded: RunsOfScenes, seed: int = 0) -> Realism | None:
+    """Compare adversaries with recordings, both by scene; ``None`` if one side has no run that counts.
+
+    The reference is in the order of the scenes; every second scene is one half.
+    """
+    scenes = list(recorded)
+    if not any(map(len, adversaries.values())) or not any(map(len, recorded.values())):
+        return None
+    everything = [run for runs in (*adversaries.values(), *recorded.values()) for run in runs]
+    names = (*FEATURES, *([ROAD_EDGE] if all(ROAD_EDGE in run.values for run in everything) else []))
+    halves = ({name: recorded[name] for name in scenes[first::2]} for first in (0, 1))
+    even, odd = (_pooled(half, names) for half in halves)
+    ours, reference = _pooled(adversaries, names), _pooled(recorded, names)
+    apart = {name: w1(ours[name], reference[name]) for name in names}
+    halves_apart = {name: _of_both(w1, even[name], odd[name]) for name in names}
+    features = tuple(
+        FeatureRealism(
+            name=name,
+            w1=apart[name],
+            w1_of_halves=halves_apart[name],
+            w1_in_halves=_times(apart[name], halves_apart[name]),
+            realism=_realism(ours[name], reference[name]),
+            realism_of_halves=_of_both(_realism, even[name], odd[name]),
+            interval=_interval(adversaries, reference[name], name, seed),
+        )
+        for name in names
+    )
+    return Realism(features, (len(ours[FEATURES[0]]), len(reference[FEATURES[0]])))
+
+
+def _realism(sample: Floats, reference: Floats) -> float:
+    return 1.0 - quantile_bins(sample, reference).divergence
+
+
+def _times(value: float, unit: float | None) -> float | None:
+    return value / unit if unit else None
+
+
+def _of_both(measure: Callable[[Floats, Floats], float], first: Floats, second: Floats) -> float | None:
+    return measure(first, second) if len(first) and len(second) else None
+
+
+def _pooled(runs: RunsOfScenes, names: Sequence[str]) -> dict[str, Floats]:
+    return {
+        name: np.concatenate([np.empty(0), *(run.values[name] for some in runs.values() for run in some)])
+        for name in names
+    }
+
+
+def _interval(adversaries: RunsOfScenes, reference: Floats, name: str, seed: int) -> tuple[float, float] | None:
+    """Scenes of the adversaries are drawn again and again; the recordings stay."""
+    scenes = [np.concatenate([run.values[name] for run in runs]) for runs in adversaries.values() if runs]
+    if len(scenes) < 2:
+        return None
+    bins = [quantile_bins(scene, reference) for scene in scenes]
+    counts = np.array([each.counts for each in bins])
+    rng = np.random.default_rng(seed)
+    drawn = rng.integers(len(scenes), size=(BOOTSTRAP_DRAWS, len(scenes)))
+    values = [1.0 - Histograms(bins[0].edges, counts[draw].sum(axis=0), bins[0].reference).divergence for draw in drawn]
+    low, high = np.quantile(values, _INTERVAL).tolist()
+    return low, high
+
+
+OWN_TOWN: Final = "n000"
+"""Vehicle of the embedded town's recordings (`generation.sources.town.scenes`)."""
+OWN_TOWN_REASON: Final = (
+    "the recordings are our own town, whose cars are simulated too: a comparison would say nothing about real ones"
+)
+NO_ADVERSARY: Final = "nobody is known to be an adversary"
+TOO_SHORT: Final = "no adversary, or no recorded agent of its category, moves 5 m in 2 s or more of keyframes"
+DIGITS: Final = 6
+
+
+@dataclass(frozen=True, slots=True)
+class _Compared:
+    """What one scene gives: runs of its adversaries and their reference, and both versions as ``ctg`` sees them."""
+
+    adversaries: list[Run]
+    recorded: list[Run]
+    scenes: tuple[SceneTracks, SceneTracks] | None
+
+
+def split_realism(
+    data: DataSet,
+    judgements: Mapping[str, Sequence[SceneJudgement]],
+    recordings: DataSet | None = None,
+) -> SplitRealism:
+    """Realism of the motion of adversaries in scenes of a data set.
+
+    ``recordings`` is the data set that its scenes were made from, if at hand. Validity rates are there always, the
+    comparison where there is something to compare with.
+    """
+    judged = [each for of_scene in judgements.values() for each in of_scene if each.adversary is not None]
+    validity = validity_rows(judged)
+    names = [name for name, said in judgements.items() if any(each.adversary is not None for each in said)]
+    if not names:
+        return SplitRealism(adversaries=0, validity=validity, not_compared=NO_ADVERSARY)
+    if data.scene(names[0]).vehicle == OWN_TOWN:
+        return SplitRealism(adversaries=len(judged), validity=validity, not_compared=OWN_TOWN_REASON)
+    sources = {name: facts.source for name, facts in data.scene_facts(names).items()}
+    if recordings is not None and not set(sources.values()) <= set(recordings.scene_names(None)):
+        recordings = None
+    adversaries: dict[str, list[Run]] = {}
+    recorded: dict[str, list[Run]] = {}
+    pairs: list[tuple[SceneTracks, SceneTracks]] = []
+    seen: set[tuple[str, str]] = set()
+    for name in progress(names, total=len(names), label="comparing with recordings"):
+        found = _compared(data, name, sources[name], recordings, seen)
+        adversaries.setdefault(sources[name], []).extend(found.adversaries)
+        recorded.setdefault(sources[name], []).extend(found.recorded)
+        pairs += [] if found.scenes is None else [found.scenes]
+    realism = realism_of(adversaries, {name: recorded[name] for name in sorted(recorded)})
+    if realism is None:
+        return SplitRealism(adversaries=len(judged), validity=validity, not_compared=TOO_SHORT)
+    which = "the unchanged agents of the same scenes" if recordings is None else f"the recordings {recordings.name}"
+    return SplitRealism(
+        adversaries=len(judged),
+        validity=validity,
+        reference=which,
+        samples=realism.samples,
+        features=tuple(map(_rounded, realism.features)),
+        worst=realism.worst.name,
+        ctg=_ctg(pairs) if pairs else None,
+    )
+
+
+def validity_rows(judged: Sequence[SceneJudgement]) -> tuple[ValidityRow, ...]:
+    """Faults of adversaries, counted: one row for each kind."""
+    tracks = [each.faults for each in judged if each.faults is not None]
+    rows = []
+    for name in FAULT_NAMES:
+        asked = [value for value in (getattr(each, name) for each in tracks) if value is not None]
+        unknown = sorted({each.unknown[name] for each in tracks if name in each.unknown})
+        rows.append(ValidityRow(fault=name, count=sum(asked), of=len(asked), unknown=tuple(unknown)))
+    return tuple(rows)
+
+
+def _compared(
+    data: DataSet, name: str, source: str, recordings: DataSet | None, seen: set[tuple[str, str]]
+) -> _Compared:
+    scene = adversarial_scene(data, name, recordings)
+    base = scene if recordings is None else recordings.scene(source)
+    agents = [scene.agents.ids.index(each) for each in scene.adversaries if each in scene.agents.ids]
+    with_map = not scene.road_map.drivable_area.is_empty and not base.road_map.drivable_area.is_empty
+    tracks, launches = Tracks.of_scene(scene), launches_of(data, scene)
+    road, last = RoadEdge(scene.road_map.drivable_area) if with_map else None, float(scene.seconds[-1])
+    mine = []
+    for agent in agents:
+        start = float(scene.seconds[launches.get(scene.agents.ids[agent], 0)])
+        mine += runs_of(tracks, scene.keyframes, agent, between=(start, last), road=road)
+    theirs: list[Run] = []
+    for category in sorted({scene.agents.categories[agent] for agent in agents}):
+        # Variants of one recording have one reference.
+        if (source, category) not in seen:
+            seen.add((source, category))
+            theirs += recorded_runs(
+                Tracks.of_scene(base),
+                base.keyframes,
+                category,
+                without=agents if recordings is None else (),
+                road=RoadEdge(base.road_map.drivable_area) if with_map else None,
+            )
+    scenes = None if recordings is None else (_ten_hz(scene), _ten_hz(base))
+    return _Compared(mine, theirs, scenes)
+
+
+def _ten_hz(scene: Scene) -> SceneTracks:
+    """The ego and all vehicles at 10 Hz, as ``ctg-realism@code`` reads them."""
+    chosen = [row for row, category in enumerate(scene.agents.categories) if category.startswith("vehicle.")]
+    tracks = Tracks.of_scene(scene).only(chosen)
+    times = STEP_S * np.arange(int(scene.seconds[-1] / STEP_S + 1e-9) + 1)
+    boxes, present = tracks.agents_at(times)
+    everybody = np.concatenate([tracks.ego_at(times)[None], np.where(present[..., None], boxes, np.nan)])
+    return SceneTracks(everybody[..., :2], everybody[..., 4])
+
+
+def _ctg(pairs: Sequence[tuple[SceneTracks, SceneTracks]]) -> CtgRow:
+    version, normalisation, mask = Version.CTG, Normalisation.SCENE, Mask.CURRENT_SPEED
+    ours, theirs = (histograms(scenes, version, normalisation, mask) for scenes in zip(*pairs, strict=True))
+    found = deviations(ours, theirs)
+    return CtgRow(
+        version=version.value,
+        normalisation=normalisation.value,
+        mask=mask.value,
+        mean_real_dev=round(found["mean_real_dev"], DIGITS),
+        mean_real_dev_int=round(found["mean_real_dev_int"], DIGITS),
+    )
+
+
+def _rounded(feature: FeatureRealism) -> FeatureRealism:
+    numbers: dict[str, Any] = {
+        name: round(value, DIGITS) for name, value in asdict(feature).items() if isinstance(value, float)
+    }
+    if feature.interval is not None:
+        low, high = feature.interval
+        numbers["interval"] = round(low, DIGITS), round(high, DIGITS)
+    return replace(feature, **numbers)
+
 
 _LEVELS: Final = {"least": 0.0, "tenth": 0.1, "median": 0.5, "ninetieth": 0.9, "most": 1.0}
 _STRUCK: Final = ("rear", "stopped_ego")

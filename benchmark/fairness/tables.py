@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import Final
 
-from benchmark.records.judged_splits import SplitJudgement
 from benchmark.records.judgement import DRIVER_NAMES, CtgRow, DriverRun, SceneJudgement, SplitRealism, unsolvable
+from benchmark.records.statistics import SplitJudgement
 from benchmark.report.table import Table, table_of
 
 _NOTHING: Final = "-"

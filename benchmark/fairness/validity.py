@@ -8,8 +8,7 @@ from typing import Final
 import numpy as np
 import shapely
 
-from benchmark.dynamics.bicycle import DriverLimits
-from benchmark.dynamics.driver_limits import broken_limit
+from benchmark.dynamics.bicycle import DriverLimits, broken_limit
 from benchmark.geometry import Bools, Floats, box_corners, box_gap, boxes_overlap, wrap_angle
 from benchmark.interactions.tracks import Integers, Tracks
 from benchmark.records.judgement import FAULT_NAMES, TrackFaults

@@ -7,12 +7,11 @@ that rolls backwards is taken to stand where a rule squares its speed (``docs/se
 import numpy as np
 
 from benchmark.geometry import Bools, Floats
-from benchmark.interactions.reaction import Driver
-from benchmark.interactions.relations import Around
-from benchmark.interactions.rules import (
+from benchmark.interactions.reaction import (
     CAREFUL_TIME_S,
     REGULATION_SIDE_M,
     STEP_S,
+    Driver,
     critical_score,
     fuzzy_target,
     proactive_score,
@@ -20,6 +19,7 @@ from benchmark.interactions.rules import (
     rss_distance_across,
     rss_distance_along,
 )
+from benchmark.interactions.relations import Around
 
 
 def unsafe_agents(driver: Driver, around: Around, speed: Floats) -> Bools:

@@ -1,6 +1,8 @@
 """How reference drivers brake once they find a situation unsafe: reaction time, then braking that builds up.
 
 A driver brakes in unsafe steps only and holds its speed in others; its clock and its braking are never set back.
+
+When reference drivers hold a situation to be unsafe: the distances and scores of UN Regulation 157, RSS and FSM.
 """
 
 from collections.abc import Sequence
@@ -11,7 +13,92 @@ from typing import Final
 import numpy as np
 
 from benchmark.geometry import Bools, Floats
-from benchmark.interactions.rules import HARDEST_BRAKING, REGULATION_BRAKING, STEP_S
+
+STEP_S: Final = 0.1
+HARDEST_BRAKING: Final = 0.774 * 9.81
+"""m/s^2: what UN Regulation 157 Annex 3 credits a careful and competent human with, and a dry road."""
+CAREFUL_TIME_S: Final = 2.0
+"""The careful human reacts when contact is this near."""
+REGULATION_BRAKING: Final = 6.0
+REGULATION_REACTION_S: Final = 0.35
+REGULATION_SIDE_M: Final = 0.5
+REACTION_S: Final = 0.75
+_RSS_ACCELERATION: Final = 3.0
+_RSS_BRAKING: Final = 6.0
+_RSS_SIDE_ACCELERATION: Final = 1.0
+_RSS_SIDE_MARGIN_M: Final = 0.3
+_FSM_COMFORTABLE: Final = 4.0
+_FSM_HARD: Final = 6.0
+_FSM_LEADER: Final = 7.0
+_FSM_MARGIN_M: Final = 2.0
+
+
+def rss_distance_along(speed: Floats, leader_speed: Floats) -> Floats:
+    """Smallest safe gap to a leader by RSS, metres, possibly negative.
+
+    React, accelerating, then brake while the leader brakes.
+    """
+    after = speed + REACTION_S * _RSS_ACCELERATION
+    reacting = speed * REACTION_S + 0.5 * _RSS_ACCELERATION * REACTION_S**2
+    return np.asarray(reacting + (after**2 - leader_speed**2) / (2 * _RSS_BRAKING))
+
+
+def rss_distance_across(side_speed: Floats) -> Floats:
+    """Smallest safe distance sideways by RSS, metres.
+
+    ``side_speed`` is of the other across the path, not negative.
+    """
+    after = side_speed + _RSS_SIDE_ACCELERATION * REACTION_S
+    reacting = np.abs((side_speed + after) * REACTION_S / 2)
+    return np.asarray(_RSS_SIDE_MARGIN_M + reacting + after**2 / (2 * _RSS_SIDE_ACCELERATION))
+
+
+def proactive_score(gap: Floats, speed: Floats, leader_speed: Floats) -> Floats:
+    """FSM's proactive fuzzy score: 0 where the gap would do if the leader stopped hard, 1 where it surely would not."""
+    reacting, leader = speed * REACTION_S, leader_speed**2 / (2 * _FSM_LEADER)
+    safe = reacting + speed**2 / (2 * _FSM_COMFORTABLE) - leader + _FSM_MARGIN_M
+    unsafe = reacting + speed**2 / (2 * _FSM_HARD) - leader
+    return _between(gap - _FSM_MARGIN_M, safe, unsafe)
+
+
+def critical_score(gap: Floats, speed: Floats, leader_speed: Floats, acceleration: Floats) -> Floats:
+    """FSM's critical fuzzy score, 0 to 1: whether the gap would do if the leader kept its speed.
+
+    The acceleration is that of the ego.
+    """
+    held = np.maximum(acceleration, -_FSM_COMFORTABLE)
+    later = speed + REACTION_S * held
+    reacting = REACTION_S * (speed + 0.5 * REACTION_S * held - leader_speed)
+    closing = (later - leader_speed) ** 2
+    safe, unsafe = reacting + closing / (2 * _FSM_COMFORTABLE), reacting + closing / (2 * _FSM_HARD)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        needed = (speed - leader_speed) ** 2 / np.abs(2 * acceleration)
+    braked = np.where(gap < needed, 1.0, 0.0)
+    score = np.where(later < leader_speed, braked, _between(gap, safe, unsafe))
+    return np.where(speed <= leader_speed, 0.0, score)
+
+
+def fuzzy_target(critical: Floats, proactive: Floats) -> Floats:
+    """Braking that FSM asks for, m/s^2; 0 where it is at ease."""
+    strong = _FSM_COMFORTABLE + (_FSM_HARD - _FSM_COMFORTABLE) * critical
+    return np.where(critical > 0, strong, _FSM_COMFORTABLE * proactive)
+
+
+def regulation_time(closing: Floats) -> Floats:
+    """Time to contact below which UN Regulation 157, 5.2.5.2 asks for braking, seconds; 0.1 s is one step more."""
+    return closing / (2 * REGULATION_BRAKING) + (REGULATION_REACTION_S + STEP_S)
+
+
+def _between(gap: Floats, safe: Floats, unsafe: Floats) -> Floats:
+    """0 beyond the safe gap, 1 below the unsafe one, linear between."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = (gap - safe) / (unsafe - safe)
+    return np.where(gap > safe, 0.0, np.where(gap < unsafe, 1.0, share))
+
+
+def at_most(quantity: Floats, limit: Floats | float) -> Bools:
+    """Whether a quantity does not exceed a limit; NaN, as of 0/0, does not."""
+    return np.asarray(~(quantity > limit))
 
 
 class Driver(StrEnum):

@@ -10,11 +10,10 @@ from typing import Self
 
 import shapely
 
-from benchmark.interactions.driving import Situation, drive
+from benchmark.interactions.driving import Situation, drive, first_visible
 from benchmark.interactions.last_chance import REACTION_S, Base, LastChance
 from benchmark.interactions.outcomes import Outcome, Surroundings
 from benchmark.interactions.reaction import Driver
-from benchmark.interactions.sight import first_visible
 from benchmark.interactions.tracks import Tracks
 
 

@@ -10,11 +10,13 @@ from typing import Final
 import numpy as np
 
 from benchmark.geometry import Bools, Floats
-from benchmark.interactions.reaction import REACTING, Driver, Reactions
-from benchmark.interactions.rules import (
+from benchmark.interactions.reaction import (
     CAREFUL_TIME_S,
+    REACTING,
     REGULATION_SIDE_M,
     STEP_S,
+    Driver,
+    Reactions,
     at_most,
     critical_score,
     fuzzy_target,

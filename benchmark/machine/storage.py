@@ -16,9 +16,9 @@ from typing import Any, BinaryIO, Final
 from urllib.parse import quote
 
 from benchmark.errors import InputError
-from benchmark.untrusted.json_text import parse_json as parse_json
-from benchmark.untrusted.json_text import read_json as read_json
-from benchmark.untrusted.json_text import read_json_lines as read_json_lines
+from benchmark.untrusted.text_files import parse_json as parse_json
+from benchmark.untrusted.text_files import read_json as read_json
+from benchmark.untrusted.text_files import read_json_lines as read_json_lines
 
 _PROC: Final = Path("/proc/self/fd")
 """Where files without a name are found, to be given one."""

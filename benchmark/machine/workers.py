@@ -2,9 +2,12 @@
 
 Results come in the order of the items whatever the number of workers; every process computes with one thread, so that
 one worker and many give the same bytes. Items are drawn only a little ahead of the results: they may be large.
+
+Reading many values without Python's collector passing over all of them again and again.
 """
 
 import functools
+import gc
 import multiprocessing
 import os
 import pickle
@@ -20,11 +23,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 from benchmark.errors import InputError
-from benchmark.machine.garbage import collect_rarely
 from benchmark.machine.progress import WATCH, Count, Work, progress
 
 if TYPE_CHECKING:
     from multiprocessing.sharedctypes import Synchronized
+
+
+def collect_rarely() -> None:
+    """Let this process look for reference cycles a hundred times less often: commands end soon and make few."""
+    gc.set_threshold(100_000, 20, 50)
+
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -8,11 +8,11 @@ from benchmark.datasets.roots import DataSet, open_data
 from benchmark.datasets.split_names import NoSuchSplit
 from benchmark.errors import InputError
 from benchmark.machine.user_cache import cache_root as cache_root
-from benchmark.records.seed_splits import seed_of
+from benchmark.records.attempts import seed_of
 
 GENERATED_SPLITS = ("val-r", "adv")
 """Splits that `generate` builds, beside the source's own."""
-# Beside these: one split for each seed (`benchmark.records.seed_splits`).
+# Beside these: one split for each seed (`benchmark.records.attempts`).
 EMBEDDED = "mini"
 DEMONSTRATED = "demo"
 """The small town, and the ``adv`` made from it, that ``challenger-bench demo`` leaves below ``--out``."""

@@ -14,9 +14,9 @@ import numpy as np
 from benchmark.fairness.attack import READINGS, Attack, Reading, any_known
 from benchmark.metrics.rates import Rate, ratios_over_scenes
 from benchmark.metrics.scores import source_of_scenes
+from benchmark.records.attempts import is_adversarial
 from benchmark.records.row_schema import BriefRow
 from benchmark.records.run import RunRecord
-from benchmark.records.seed_splits import is_adversarial
 
 __all__ = [
     "READINGS",

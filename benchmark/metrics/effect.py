@@ -16,13 +16,12 @@ from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.metrics.attacks import has_adversaries, knows_adversaries
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.paired_interval import PairedDifference, paired_difference
-from benchmark.metrics.rates import HORIZONS, with_average
+from benchmark.metrics.rates import HORIZONS, PairedDifference, paired_difference, with_average
 from benchmark.metrics.scores import Scored, require_current, scored, source_of_scenes
 from benchmark.protocols import PROTOCOLS, published_values
-from benchmark.protocols.touched import HIT_ADVERSARY, TOUCHED_ADVERSARY, touches_adversary
+from benchmark.protocols.raster import HIT_ADVERSARY, TOUCHED_ADVERSARY, touches_adversary
+from benchmark.records.rows import scene_failures, scenes_with
 from benchmark.records.run import RunRecord
-from benchmark.records.scene_failures import scene_failures, scenes_with
 
 HORIZON_S: Final = (1.0, 2.0, 3.0)
 AT_3_S: Final = 2

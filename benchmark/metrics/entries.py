@@ -14,7 +14,7 @@ from benchmark.metrics.attacks import scene_attacks
 from benchmark.metrics.effect import touching_adversary
 from benchmark.metrics.rates import HORIZONS, SceneSums, ends, ratios_over_scenes, resampled, sums_by_scene
 from benchmark.metrics.scores import Scored, scored, source_of_scenes
-from benchmark.records.challenge_scores import Measured, Pair
+from benchmark.records.challenge import Measured, Pair
 from benchmark.records.run import RunRecord
 
 

@@ -19,8 +19,8 @@ from benchmark.metrics.scores import require_current
 from benchmark.records.drive_schema import DriveRow
 from benchmark.records.drives import DriveRecord
 from benchmark.records.planner_versions import version_of
+from benchmark.records.rows import scene_failures
 from benchmark.records.run import RunRecord
-from benchmark.records.scene_failures import scene_failures
 
 OPEN_LOOP: Final = "exact"
 """Who judges in open loop."""

@@ -2,20 +2,25 @@
 
 Only what the map supports is said: a map without junction surfaces (imported recordings) tells junctions by lanes that
 cross, and a place without any lane is unknown.
+
+What each sample of a scene is sorted by: the place of the recorded car and its speed.
 """
 
 import heapq
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 import shapely
 from shapely.geometry import LineString, Point, Polygon
 
 from benchmark.geometry import Floats, wrap_angle
+from benchmark.pdm.definition import SIDE_SPEED, SPEED
+from benchmark.pdm.recording import recorded_motion
 from benchmark.road_map import Lane, RoadMap
+from benchmark.scene import Scene
 
 NEAR_M = 60.0
 """Lanes farther away than this say nothing about a place."""
@@ -275,3 +280,29 @@ def _turns(points: Floats) -> Floats:
     """Changes of direction between the steps of a polyline, radians."""
     step = np.diff(points, axis=0)
     return wrap_angle(np.diff(np.arctan2(step[:, 1], step[:, 0])))
+
+
+SPEED_DECIMALS: Final = 3
+"""Of stored speeds: below them, processors differ."""
+
+
+@dataclass(frozen=True, slots=True)
+class Circumstances:
+    """Place and speed of the recorded car at one sample.
+
+    The place is that of its middle; the speed is that of the parabola through eleven recorded poses, as for driving
+    scores.
+    """
+
+    place: Place
+    speed_m_s: float
+
+
+def circumstances_of(scene: Scene) -> tuple[Circumstances, ...]:
+    """Place and speed of the recorded car at every sample, in time order; without a map every place is unknown."""
+    places, boxes = Places(scene.road_map), scene.ego.boxes[scene.keyframes]
+    motion = recorded_motion(scene.ego.pose, scene.seconds)[scene.keyframes]
+    speeds = np.hypot(motion[:, SPEED], motion[:, SIDE_SPEED])
+    return tuple(
+        Circumstances(places.of(box, box), round(float(speed), SPEED_DECIMALS)) for box, speed in zip(boxes, speeds)
+    )

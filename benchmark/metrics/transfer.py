@@ -22,9 +22,9 @@ from benchmark.metrics.effect import says_whom, touched_scenes
 from benchmark.metrics.rates import Estimate, Rate, all_ends, resampled
 from benchmark.metrics.scores import named, require_current, source_of_scenes
 from benchmark.protocols import protocol as definition_of
-from benchmark.records.file_plans import file_notes
+from benchmark.records.planner_versions import file_notes
+from benchmark.records.rows import scene_failures
 from benchmark.records.run import NATIVE, RunRecord, protocol_of
-from benchmark.records.scene_failures import scene_failures
 
 Verdicts = Mapping[str, bool | None]
 """Whether a planner fails, by scene; ``None`` where that cannot be said."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from benchmark.geometry import Bools, Floats, boxes_overlap
 from benchmark.interactions.contacts import AHEAD_RAD, BEHIND_RAD, FRONT, LATERAL, STOPPED_TRACK, contact_kinds
 from benchmark.pdm.definition import HEADING, LENGTH_M, SIDE_SPEED, SPEED, STATES, WIDTH_M
-from benchmark.pdm.road import Whereabouts, footprints
+from benchmark.pdm.layers import Whereabouts, footprints
 from benchmark.pdm.traffic import Traffic
 
 STANDING_M_S: Final = 0.005

@@ -2,8 +2,11 @@
 
 Tracker and bicycle are those of `benchmark.dynamics` in the units of NAVSIM: 0.1 s a step, nuPlan's wheelbase, no limit
 but that of the steering angle. Differences to NAVSIM's own numbers are below 1e-9 (`challenger-bench verify pdm`).
+
+Comfort: HC, of one motion and what was before it, and EC, how far two consecutive plans agree.
 """
 
+import functools
 from collections.abc import Sequence
 from typing import Final
 
@@ -12,11 +15,14 @@ import numpy as np
 from benchmark.constants import PLAN_STEPS
 from benchmark.dynamics.bicycle import Drive, MotionModel, drive_along
 from benchmark.dynamics.reference_path import ReferencePath, fitted_path
-from benchmark.geometry import Floats, to_global, wrap_angle
+from benchmark.geometry import Bools, Floats, to_global, wrap_angle
 from benchmark.pdm.definition import (
     ACCELERATION,
+    COMFORT_CENTER_AHEAD_M,
     DT_S,
     HEADING,
+    HISTORY_ROWS,
+    SIDE_ACCELERATION,
     SPEED,
     STATE_COLUMNS,
     STATES,
@@ -29,6 +35,142 @@ from benchmark.pdm.definition import (
 )
 from benchmark.planning import Plan, PlanFrame
 from benchmark.waypoints import chord_headings, points_in_ego
+
+BOUNDS: Final = ((-4.05, 2.40), (-4.89, 4.89), (-8.37, 8.37), (-4.13, 4.13), (-1.93, 1.93), (-0.95, 0.95))
+"""Of acceleration along, across (m/s^2), jerk of its magnitude, jerk along (m/s^3), yaw acceleration, yaw rate."""
+AGREEMENT: Final = (0.7, 0.5, 0.1, 0.1)
+"""Largest root mean square differences: acceleration, jerk, yaw rate, yaw acceleration."""
+LONGEST_BETWEEN_S: Final = 0.55
+"""Plans whose samples are farther apart have no EC."""
+DECIMALS: Final = 8
+HISTORY_KEY_FRAMES: Final = 4
+"""-1.5, -1.0, -0.5 and 0 s."""
+
+
+def history_rows(key_frames: Floats) -> Floats:
+    """(B, 14, 11) states at -1.5 .. -0.2 s before a motion: linear, headings by the shortest turn, rates zero.
+
+    They are made of (B, 4, 8) pose, velocity and acceleration (the first columns of a state) at -1.5, -1, -0.5 and
+    0 s.
+    """
+    values = key_frames.copy()
+    values[..., HEADING] = _unwrapped(values[..., HEADING])
+    time = np.arange(HISTORY_ROWS) / 5.0
+    before = time.astype(np.int64)
+    fraction = (time - before)[:, None]
+    rows = np.zeros((len(key_frames), HISTORY_ROWS, STATE_COLUMNS))
+    rows[..., :8] = values[:, before] + fraction * (values[:, before + 1] - values[:, before])
+    return rows
+
+
+def comfort_series(states: Floats, history: Floats) -> Floats:
+    """(B, 6, 45) series that comfort is judged by, in the order of ``BOUNDS``.
+
+    Motions are (B, 31, 11), the states before them (B, 14, 11).
+    """
+    rows = np.concatenate([history, states], axis=1)
+    felt = rows[..., ACCELERATION] + COMFORT_CENTER_AHEAD_M * (rows[..., YAW_RATE] ** 2 + rows[..., YAW_ACCELERATION])
+    along = _filtered(felt, 8, 2, 0)
+    heading = _unwrapped(rows[..., HEADING])
+    series = (
+        along,
+        _filtered(rows[..., SIDE_ACCELERATION], 8, 2, 0),
+        _filtered(_magnitude(rows), 15, 2, 1),
+        _filtered(along, 15, 2, 1),
+        _filtered(heading, 5, 3, 2),
+        _filtered(heading, 5, 2, 1),
+    )
+    return np.stack(series, axis=1)
+
+
+def comfort_checks(extremes: Floats) -> Bools:
+    """HC, test by test: (..., 6) whether each series stays inside its bounds; all six make HC 1.
+
+    ``extremes`` are (..., 6, 2), the lowest and highest value of each series.
+    """
+    low, high = np.array(BOUNDS).T
+    return np.asarray((extremes[..., 0] > low) & (extremes[..., 1] < high))
+
+
+def extremes_of(series: Floats) -> Floats:
+    """(..., 2) lowest and highest value of (..., T) series."""
+    return np.stack([series.min(axis=-1), series.max(axis=-1)], axis=-1)
+
+
+def states_between(seconds: float) -> int | None:
+    """By how many states two consecutive samples are apart; ``None`` where they are too far apart to be compared."""
+    return round(seconds / DT_S) if 0.0 < seconds < LONGEST_BETWEEN_S and round(seconds / DT_S) > 0 else None
+
+
+def disagreement(earlier: Floats, later: Floats, apart: int) -> Floats:
+    """(B, 4) root mean square differences of two plans where both say something, in the order of ``AGREEMENT``.
+
+    Motions are (B, 31, 11); ``apart`` are the states between the starts of the two.
+    """
+    differences = _plan_series(later[:, : STATES - apart]) - _plan_series(earlier[:, apart:])
+    return np.asarray(np.sqrt(np.mean(differences**2, axis=-1)))
+
+
+def extended_comfort(differences: Floats) -> Floats:
+    """EC, 0 or 1, of (..., 4) root mean squares."""
+    return np.asarray((differences <= np.array(AGREEMENT)).all(axis=-1), np.float64)
+
+
+def _plan_series(states: Floats) -> Floats:
+    heading = _unwrapped(states[..., HEADING])
+    acceleration = _magnitude(states)
+    return np.stack(
+        [acceleration, _filtered(acceleration, 15, 2, 1), _filtered(heading, 5, 2, 1), _filtered(heading, 5, 2, 2)],
+        axis=1,
+    )
+
+
+def _magnitude(rows: Floats) -> Floats:
+    """Smoothed magnitude of the acceleration of the rear axle."""
+    return _filtered(np.hypot(rows[..., ACCELERATION], rows[..., SIDE_ACCELERATION]), 8, 2, 0)
+
+
+def _unwrapped(heading: Floats) -> Floats:
+    turns = np.zeros_like(heading)
+    turns[..., 1:] = np.cumsum(np.round(np.diff(heading, axis=-1) / (2 * np.pi)), axis=-1)
+    return np.asarray(heading - 2 * np.pi * turns)
+
+
+def _filtered(values: Floats, window: int, order: int, derivative: int) -> Floats:
+    """A filter along the last axis, rounded as officially."""
+    matrix = _savitzky_golay(values.shape[-1], window, order, derivative)
+    # einsum without optimisation adds in a fixed order; a BLAS product would depend on how many plans there are.
+    return np.asarray(np.round(np.einsum("...t,st->...s", values, matrix), DECIMALS))
+
+
+@functools.cache
+def _savitzky_golay(count: int, window: int, order: int, derivative: int) -> Floats:
+    """(T, T) the filter as a matrix: least-squares polynomials over windows, none beyond the ends.
+
+    The first and the last half window come from the polynomials through the first and the last whole window.
+    """
+    half = window // 2
+    matrix = np.zeros((count, count))
+    for sample in range(count):
+        if sample < half:
+            start, place = 0, float(sample)
+        elif sample >= count - half:
+            start, place = count - window, float(sample - (count - window))
+        else:
+            # An even window reaches one sample farther ahead than back, and its middle is half a sample ahead.
+            start, place = sample - (window - 1) // 2, (window - 1) / 2
+        matrix[sample, start : start + window] = _weights(window, order, derivative, place)
+    matrix.setflags(write=False)
+    return matrix
+
+
+def _weights(window: int, order: int, derivative: int, place: float) -> Floats:
+    """(W,) what each sample of a window adds to a derivative at a place in it."""
+    offset = np.arange(window) - place
+    powers = offset[:, None] ** np.arange(order + 1)
+    factorial = float(np.prod(np.arange(1, derivative + 1)))
+    return np.asarray(np.linalg.pinv(powers)[derivative] * factorial / DT_S**derivative)
+
 
 MODEL: Final = MotionModel(DT_S, STATES_PER_WAYPOINT, WHEELBASE_M, False, None)
 _STEERING_LAG_SHARE: Final = 2.0 / 3.0

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from benchmark.constants import PLAN_STEPS
 from benchmark.datasets.steps import KeyFrameSteps, TimedSteps, values_at
 from benchmark.geometry import Bools, Floats, poses_between, to_local, wrap_angle, yaw_of_quaternion
-from benchmark.pdm.comfort import HISTORY_KEY_FRAMES, history_rows
 from benchmark.pdm.definition import ACCELERATION, SIDE_SPEED, SPEED, STATE_COLUMNS
 from benchmark.pdm.layers import road_of, route_of
+from benchmark.pdm.motion import HISTORY_KEY_FRAMES, history_rows
 from benchmark.pdm.scoring import Surroundings, log_replay
 from benchmark.pdm.traffic import AGENT_CATEGORIES, KeyFrames, at_states
 from benchmark.scene import Scene

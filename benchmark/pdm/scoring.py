@@ -2,20 +2,224 @@
 
 Each plan is judged beside the recorded future, which is brought to motion in the same way: it is the measure of EP, and
 what its driver fails is forgiven in the filtered scores.
+
+Verdicts on plans, and from sub-scores to scores: products, means, the filter by what the recorded driver did.
+
+What is measured along the route: wrong way (DDC), progress (EP) and lane keeping (LK).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Annotated, Any, Final, Self
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
+from pydantic import Field
 
 from benchmark.geometry import Bools, Floats
-from benchmark.pdm.comfort import comfort_checks, comfort_series, extremes_of
 from benchmark.pdm.contacts import Collisions, NearMisses, collisions, near_misses
-from benchmark.pdm.road import Road, Whereabouts, footprints, whereabouts
-from benchmark.pdm.route import Course, course, direction_compliance, ego_progress, lane_keeping
-from benchmark.pdm.totals import SubScores
+from benchmark.pdm.layers import Road, Whereabouts, footprints, whereabouts
+from benchmark.pdm.motion import comfort_checks, comfort_series, extremes_of
 from benchmark.pdm.traffic import Traffic, touching_at_start, without
+
+WRONG_WAY_STATES: Final = 11
+"""Displacements that are added up: 1.1 s, as the official code slices them."""
+WRONG_WAY_M: Final = (2.0, 6.0)
+"""From here on DDC is 1/2, from there on 0."""
+OFF_LANE_M: Final = 0.5
+OFF_LANE_STATES: Final = 20
+SHORTEST_PROGRESS_M: Final = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """B motions along a route.
+
+    Attributes:
+        wrong_way_m: (B,) longest distance against or off the route within 1.1 s.
+        progress_m: (B,) along the route from the first to the last state, not negative.
+        beside: (B, 31) whether the car's centre is more than 0.5 m from the route.
+    """
+
+    wrong_way_m: Floats
+    progress_m: Floats
+    beside: Bools
+
+
+def course(states: Floats, route: Floats, oncoming: Bools, in_intersection: Bools) -> Course:
+    """Measure motions along a route.
+
+    Args:
+        states: (B, 31, 11) motions.
+        route: (M, 2) polyline.
+        oncoming: (B, 31) where the car's centre is on no lane of the route.
+        in_intersection: (B, 31) where its centre is in an intersection.
+    """
+    center = footprints(states)[..., :2]
+    moved = np.zeros(states.shape[:2])
+    moved[:, 1:] = np.hypot(*np.moveaxis(np.diff(center, axis=1), -1, 0))
+    moved[~oncoming | in_intersection] = 0.0
+    padded = np.concatenate([np.zeros((len(states), WRONG_WAY_STATES - 1)), moved], axis=1)
+    within = np.lib.stride_tricks.sliding_window_view(padded, WRONG_WAY_STATES, axis=1).sum(axis=-1)
+    line = shapely.linestrings(route)
+    points = shapely.points(center)
+    # On the route of a car that stands, which has no length, every place is its beginning.
+    with np.errstate(invalid="ignore"):
+        ends = shapely.line_locate_point(line, points[:, [0, -1]])
+    return Course(
+        wrong_way_m=within.max(axis=1),
+        progress_m=np.maximum(ends[:, 1] - ends[:, 0], 0.0),
+        beside=_beside(route, points),
+    )
+
+
+def offsets(states: Floats, route: Floats) -> Floats:
+    """(B, 31) distance of the car's centre from the route, metres; arguments are those of `course`."""
+    points = shapely.points(footprints(states)[..., :2])
+    return np.asarray(shapely.distance(shapely.linestrings(route), points), np.float64)
+
+
+def _beside(route: Floats, points: NDArray[Any]) -> Bools:
+    """Whether points are off the lane: `offsets` from it, asked only of the pieces of the route that are near."""
+    pieces = shapely.STRtree(shapely.linestrings(np.stack([route[:-1], route[1:]], axis=1)))
+    found = np.ones(points.shape, np.bool_)
+    found.reshape(-1)[pieces.query(points.reshape(-1), predicate="dwithin", distance=OFF_LANE_M)[0]] = False
+    return found
+
+
+def direction_compliance(wrong_way_m: Floats) -> Floats:
+    """DDC: 0, 1/2 or 1."""
+    return np.select([wrong_way_m < WRONG_WAY_M[0], wrong_way_m < WRONG_WAY_M[1]], [1.0, 0.5], 0.0)
+
+
+def lane_keeping(off_lane: Bools, in_intersection: Bools) -> Floats:
+    """LK, (B,) 0 or 1: not more than 19 states in a row beside the route.
+
+    ``off_lane``, (B, 31), is a centre more than 0.5 m from the route. States in an intersection are skipped, not
+    forgiven.
+    """
+    beside = np.zeros(len(off_lane), np.int64)
+    longest = beside.copy()
+    for state in range(off_lane.shape[1]):
+        counted = np.where(off_lane[:, state], beside + 1, 0)
+        beside = np.where(in_intersection[:, state], beside, counted)
+        longest = np.maximum(longest, beside)
+    return (longest < OFF_LANE_STATES).astype(np.float64)
+
+
+def ego_progress(progress_m: Floats, reference_m: Floats, multiplier: Floats, reference_multiplier: Floats) -> Floats:
+    """EP, 0 to 1: progress beside that of a reference; what fails a multiplier cannot be the measure of others.
+
+    Multipliers are NC DAC DDC. EP is 1 where the better of the two goes no farther than 5 m.
+    """
+    best = np.maximum(progress_m * multiplier, reference_m * reference_multiplier)
+    far = best > SHORTEST_PROGRESS_M
+    return np.where(far, np.clip(progress_m / np.where(far, best, 1.0), 0.0, 1.0), 1.0)
+
+
+WEIGHTS: Final = {"ep": 5.0, "ttc": 5.0, "lk": 2.0, "hc": 2.0}
+EC_WEIGHT: Final = 2.0
+FILTERED: Final = ("nc", "dac", "ddc", "ep", "ttc", "lk", "hc")
+"""Sub-scores that the filter touches; EC stays as it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class DrivenPlan:
+    """Verdict on one plan under ``nuscenes-pdm``.
+
+    Attributes:
+        nc: No collision at fault: 0, 1/2 or 1.
+        dac: Drivable area compliance: 0 or 1.
+        ddc: Driving direction compliance: 0, 1/2 or 1.
+        ep: Ego progress beside the recorded future, 0 to 1.
+        ttc: Time to collision: 0 or 1.
+        lk: Lane keeping: 0 or 1.
+        hc: History comfort: 0 or 1; ``None`` where the recording began less than 1.5 s before (totals count it as 1).
+        ec: Extended comfort: 0 or 1; ``None`` where no plan was made up to 0.55 s before.
+        forgiven: Sub-scores in which the recorded driver has 0: 1 in the filtered scores.
+        progress_m: Along the route in 3 s.
+        recorded_progress_m: The same of the recorded future, tracked in the same way.
+        collision_s: When the first contact at fault begins, if there is one.
+        ttc_s: The first time that is followed by contact within 0.9 s, if there is one.
+        hit: Instance that the driven plan touches first, at fault or not, if it touches any; of several the first by
+            name.
+        first_contact_s: When.
+        hit_adversary: Whether that is an adversary; false without contact, ``None`` in older records, which do not
+            say whom a plan touches.
+        adversary_contact_s: When an adversary is first touched, also after other objects.
+    """
+
+    nc: float
+    dac: float
+    ddc: float
+    ep: float
+    ttc: float
+    lk: float
+    hc: float | None
+    ec: float | None
+    forgiven: list[str]
+    progress_m: float
+    recorded_progress_m: float
+    collision_s: float | None
+    ttc_s: float | None
+    hit: Annotated[str, Field(max_length=500)] | None = None
+    first_contact_s: float | None = None
+    hit_adversary: bool | None = None
+    adversary_contact_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SubScores:
+    """Sub-scores of motions, each of one shape, 0 to 1.
+
+    Attributes:
+        nc: No collision at fault.
+        dac: Drivable area compliance.
+        ddc: Driving direction compliance.
+        ep: Ego progress.
+        ttc: Time to collision.
+        lk: Lane keeping.
+        hc: History comfort.
+    """
+
+    nc: Floats
+    dac: Floats
+    ddc: Floats
+    ep: Floats
+    ttc: Floats
+    lk: Floats
+    hc: Floats
+
+    @property
+    def multiplier(self) -> Floats:
+        """NC DAC DDC; there are no traffic lights to obey."""
+        return self.nc * self.dac * self.ddc
+
+    @property
+    def score_without_ec(self) -> Floats:
+        """The score of a plan without a predecessor."""
+        return self.multiplier * self._weighted() / sum(WEIGHTS.values())
+
+    def score(self, ec: Floats) -> Floats:
+        """The score of a plan, 0 to 1, with its extended comfort, 0 to 1."""
+        return self.multiplier * (self._weighted() + EC_WEIGHT * ec) / (sum(WEIGHTS.values()) + EC_WEIGHT)
+
+    def zeros(self) -> dict[str, Bools]:
+        """Where each sub-score is zero: what the filter forgives if these are the recorded driver's."""
+        return {name: np.asarray(getattr(self, name) == 0.0) for name in FILTERED}
+
+    def forgiving(self, forgiven: Mapping[str, Bools]) -> Self:
+        """The same with some sub-scores set to 1.
+
+        They are forgiven, by sub-score, where the recorded driver, scored alone and without a history, has 0
+        (`zeros`).
+        """
+        return replace(self, **{name: np.where(zero, 1.0, getattr(self, name)) for name, zero in forgiven.items()})
+
+    def _weighted(self) -> Floats:
+        # In this order always: the sum of other orders differs in the last bit.
+        return np.asarray(sum(weight * getattr(self, name) for name, weight in WEIGHTS.items()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +228,7 @@ class Surroundings:
 
     Attributes:
         now: (S, 11) states of the car.
-        history: (S, 14, 11) states before (`benchmark.pdm.comfort.history_rows`).
+        history: (S, 14, 11) states before (`benchmark.pdm.motion.history_rows`).
         has_history: (S,) False where the recording had not begun; HC is 1 there, as officially.
         traffic: Objects, without those that touch the car now.
         route: (M, 2) polyline.

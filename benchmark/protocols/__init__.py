@@ -13,12 +13,11 @@ from benchmark.protocols.contract import (
     published_values,
     says_all,
 )
-from benchmark.protocols.diffusiondrive import DiffusionDrive
 from benchmark.protocols.exact import Exact
 from benchmark.protocols.omnidrive import OmniDrive
 from benchmark.protocols.opendrivevla import OpenDriveVLA, OpenDriveVLAWithRasterOfVAD
 from benchmark.protocols.safemvdrive import SafeMVDrive, SafeMVDriveBox
-from benchmark.protocols.sparsedrive import SparseDrive
+from benchmark.protocols.sparsedrive import DiffusionDrive, SparseDrive
 from benchmark.protocols.stp3 import STP3
 from benchmark.protocols.uniad import UniAD
 from benchmark.protocols.vad import COUNTED_23, COUNTED_32, VAD

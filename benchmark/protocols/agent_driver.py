@@ -21,8 +21,7 @@ other times (scenes at another rate are not counted, `benchmark.datasets.steps`)
 import numpy as np
 
 from benchmark.geometry import Floats
-from benchmark.protocols.averages import masked_columns, means_up_to
-from benchmark.protocols.contract import Outcomes
+from benchmark.protocols.contract import Outcomes, masked_columns, means_up_to
 from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, Cells, ego_cells, truncated
 from benchmark.protocols.uniad import UniAD
 from benchmark.protocols.vad import COUNTED_32, VAD

@@ -35,8 +35,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats
-from benchmark.protocols.averages import any_up_to, means_up_to
-from benchmark.protocols.contract import Outcomes
+from benchmark.protocols.contract import Outcomes, any_up_to, means_up_to
 from benchmark.protocols.fine_grid import (
     CELL_M,
     CELLS,

@@ -29,10 +29,9 @@ import numpy as np
 
 from benchmark.constants import EGO_LENGTH_M, EGO_WIDTH_M, HORIZON_STEPS, PLAN_STEP_S, PLAN_STEPS
 from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints, poses_between, wrap_angle
-from benchmark.protocols.averages import any_up_to, at_steps, means_up_to
-from benchmark.protocols.contract import Outcomes
+from benchmark.protocols.contract import Outcomes, any_up_to, at_steps, means_up_to
+from benchmark.protocols.raster import ADVERSARY_S, HIT_ADVERSARY
 from benchmark.protocols.stacked import StackedTruths, displacement, stack
-from benchmark.protocols.touched import ADVERSARY_S, HIT_ADVERSARY
 from benchmark.truth import SampleTruth
 from benchmark.waypoints import chord_headings
 

@@ -36,8 +36,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import EGO_WIDTH_M, PLAN_STEPS, VEHICLE_CATEGORIES
 from benchmark.geometry import Bools, Floats, box_corners
-from benchmark.protocols.averages import any_up_to, means_up_to
-from benchmark.protocols.contract import Outcomes
+from benchmark.protocols.contract import Outcomes, any_up_to, means_up_to
 from benchmark.protocols.fine_grid import (
     CELL_M,
     CELLS,

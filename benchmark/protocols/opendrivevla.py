@@ -20,8 +20,7 @@ other times (scenes at another rate are not counted, `benchmark.datasets.steps`)
 
 from benchmark.geometry import Floats
 from benchmark.protocols.agent_driver import RasterOfVAD, mirrored_block, mirrored_point
-from benchmark.protocols.averages import means_up_to
-from benchmark.protocols.contract import Outcomes
+from benchmark.protocols.contract import Outcomes, means_up_to
 from benchmark.protocols.raster import CELLS, Cells
 from benchmark.protocols.uniad import UniAD
 

@@ -32,8 +32,7 @@ import numpy as np
 
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints
-from benchmark.protocols.averages import at_steps
-from benchmark.protocols.contract import Outcomes
+from benchmark.protocols.contract import Outcomes, at_steps
 from benchmark.protocols.sparsedrive import SparseDrive, waypoint_contacts
 from benchmark.protocols.stacked import StackedTruths, displacement, stack
 from benchmark.protocols.uniad import UniAD

@@ -19,6 +19,8 @@ written with a count of 0 cannot be hit. Nothing is checked between the waypoint
 
 Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
 other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
+
+The ``diffusiondrive`` protocol: the evaluation of DiffusionDrive's nuScenes branch.
 """
 
 from collections.abc import Sequence
@@ -28,10 +30,9 @@ from numpy.typing import NDArray
 
 from benchmark.constants import EGO_LENGTH_M, EGO_WIDTH_M, PLAN_STEPS
 from benchmark.geometry import Bools, Floats, boxes_overlap, directions_of, ego_footprints
-from benchmark.protocols.averages import means_up_to
-from benchmark.protocols.contract import Outcomes
+from benchmark.protocols.contract import Outcomes, means_up_to
+from benchmark.protocols.raster import touched_facts
 from benchmark.protocols.stacked import StackedTruths, displacement, stack
-from benchmark.protocols.touched import touched_facts
 from benchmark.truth import SampleTruth
 
 STANDING_M = 0.5
@@ -136,3 +137,10 @@ def _at_steps(truths: StackedTruths, pairs: tuple[NDArray[np.int64], NDArray[np.
     contact = np.zeros(truths.ego_future_valid.shape, dtype=np.bool_)
     contact[truths.sample_of[pairs[0]], pairs[1]] = True
     return contact
+
+
+class DiffusionDrive(SparseDrive):
+    """See the module's docstring."""
+
+    def __init__(self) -> None:
+        super().__init__("diffusiondrive")

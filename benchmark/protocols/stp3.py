@@ -33,11 +33,19 @@ from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats, box_corners, to_global, to_local
-from benchmark.protocols.averages import masked_columns, means_up_to
-from benchmark.protocols.contract import Outcomes
-from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, Cells, covering, ego_cells, occupied, truncated
+from benchmark.protocols.contract import Outcomes, masked_columns, means_up_to
+from benchmark.protocols.raster import (
+    CELL_M,
+    CELLS,
+    EXTENT_M,
+    Cells,
+    covering,
+    ego_cells,
+    occupied,
+    touched_facts,
+    truncated,
+)
 from benchmark.protocols.stacked import StackedTruths, displacement, stack
-from benchmark.protocols.touched import touched_facts
 from benchmark.truth import SampleTruth
 
 KEYFRAMES_BEFORE: Final = 2

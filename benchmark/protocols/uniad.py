@@ -25,8 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats
-from benchmark.protocols.averages import at_steps, masked_columns
-from benchmark.protocols.contract import Outcomes
+from benchmark.protocols.contract import Outcomes, at_steps, masked_columns
 from benchmark.protocols.raster import CELL_M, EXTENT_M, RasterProtocol
 from benchmark.protocols.stacked import StackedTruths
 

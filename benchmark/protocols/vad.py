@@ -34,8 +34,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import CATEGORIES, HORIZON_STEPS
 from benchmark.geometry import Bools, Floats, box_corners
-from benchmark.protocols.averages import means_up_to
-from benchmark.protocols.contract import Outcomes
+from benchmark.protocols.contract import Outcomes, means_up_to
 from benchmark.protocols.raster import CELL_M, EXTENT_M, RasterProtocol
 from benchmark.protocols.stacked import StackedTruths
 from benchmark.protocols.uniad import VEHICLES

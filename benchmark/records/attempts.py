@@ -1,5 +1,10 @@
-"""What the search for adversaries tried, as it is stored: ``attempts.jsonl`` and reports in ``challenger.json``."""
+"""What the search for adversaries tried, as it is stored: ``attempts.jsonl`` and reports in ``challenger.json``.
 
+Splits that differ in the seed of the search alone: their names, and what made them.
+"""
+
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -7,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from benchmark.machine.storage import read_json_lines
 from benchmark.records.judgement import SceneJudgement
+from benchmark.records.run_schema import GeneratedFacts
 from benchmark.records.store import validated
 
 ATTEMPTS_FILE: Final = "attempts.jsonl"
@@ -190,3 +196,41 @@ def stored_labels(report: Any) -> list[Any]:
     """
     labels = (each.get("labels") for each in reports_of(report))
     return [found for found in labels if found is not None]
+
+
+_NAMED: Final = re.compile(r"adv-seed-(0|[1-9]\d{0,17})")
+SEARCH: Final = "search"
+"""In ``challenger.json`` of such a split: hash of everything but the seed that decided its search."""
+
+
+def seed_split(seed: int) -> str:
+    """Name of the split that is searched with a seed."""
+    return f"adv-seed-{seed}"
+
+
+def seed_of(split: str) -> int | None:
+    """Seed of a split that is called after one, else ``None``."""
+    named = _NAMED.fullmatch(split)
+    return int(named[1]) if named else None
+
+
+def is_adversarial(split: str) -> bool:
+    """Whether a split is ``adv``, or one of those of several seeds."""
+    return split == "adv" or seed_of(split) is not None
+
+
+def generated_facts(made: Mapping[str, Any] | None) -> GeneratedFacts | None:
+    """Which search a data set's scenes come from; ``None`` where they say no seed, or several.
+
+    Args:
+        made: What ``challenger.json`` says of the data set, if there is one.
+    """
+    scenes = made.get("scenes") if isinstance(made, Mapping) else None
+    seeds = set()
+    for entry in scenes.values() if isinstance(scenes, dict) else ():
+        for report in reports_of(entry.get("report")):
+            seeds.add(report.get("seed"))
+    if len(seeds) != 1 or type(seed := next(iter(seeds))) is not int or not 0 <= seed < 1 << 63:
+        return None
+    search = made.get(SEARCH) if isinstance(made, Mapping) else None
+    return GeneratedFacts(seed=seed, search=search if isinstance(search, str) and len(search) <= 64 else None)

@@ -23,8 +23,8 @@ from benchmark.geometry import Bools, Floats
 from benchmark.machine.kept_arrays import arrow_of, numpy_of
 from benchmark.protocols import PROTOCOLS, Outcomes, says_all
 from benchmark.records.row_schema import BriefRow, DiagnosisRow, LongerRow, PlanSeverityRow, SampleRow, Waypoints
-from benchmark.untrusted.json_text import parse_json
-from benchmark.untrusted.limits import RECORD
+from benchmark.untrusted.files import RECORD
+from benchmark.untrusted.text_files import parse_json
 from benchmark.waypoints import waypoints_in_lidar
 
 LINES: Final = "lines"

@@ -97,7 +97,7 @@ class FailureRow(Stored):
 
 @dataclass(frozen=True, slots=True)
 class ScoredContact:
-    """Contact in numbers; kinds, blame and masses are in `benchmark.fairness.impact` and docs/severity.md.
+    """Contact in numbers; kinds, blame and masses are in `benchmark.fairness.scenes` and docs/severity.md.
 
     Attributes:
         seconds: Since the drive's first driven instant.

@@ -3,6 +3,8 @@
 A planner that learned from good drivers alone never saw the places that its own driving leads it to. In scenes of
 ``data build --driven`` the ego goes where a record of drives says that it went. Its own future is nothing to learn
 from; the way back to what the town's driver would have done is (Ross et al. 2011, DAgger).
+
+What a data set says of how a scene was made.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +17,18 @@ from benchmark.constants import PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.planning import Command
-from benchmark.records.scene_reports import reported
+
+
+def reported(provenance: Mapping[str, Any] | None, scene: str, name: str, otherwise: object = None) -> object:
+    """One part of the report of a scene in ``challenger.json``, unchecked.
+
+    Args:
+        otherwise: Value where nothing is said.
+    """
+    made = (provenance or {}).get("scenes", {}).get(scene, {})
+    report = made.get("report") if isinstance(made, Mapping) else None
+    return report.get(name, otherwise) if isinstance(report, Mapping) else otherwise
+
 
 DRIVEN: Final = "driven"
 """Where the report of a scene (``challenger.json``) says it."""

@@ -2,6 +2,8 @@
 
 ``drive.json`` says what ran, ``drives.jsonl`` holds one row a drive, ``summary.json`` what the rows say together. They
 are replaced together (`benchmark.records.store`); everything is the same bytes on every run.
+
+NeuroNCAP's table as its published code makes it, of drives in its engine with scenarios.
 """
 
 from collections import Counter
@@ -16,15 +18,53 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key, read_json
 from benchmark.metrics.rates import Rate, ratios_over_scenes
-from benchmark.records.drive_schema import SCHEMA, DriveFacts, DriveRow, DriveSummary, Measured
-from benchmark.records.neuroncap_table import published_table
+from benchmark.records.drive_schema import SCHEMA, DriveFacts, DriveRow, DriveSummary, Measured, PublishedTable
+from benchmark.records.neuroncap_aggregate import Metrics, Switches, aggregated
 from benchmark.records.planner_cost import PlannerCost
 from benchmark.records.run_schema import SceneFacts
 from benchmark.records.store import FileNames, read_each, read_own, replace_files, validated
 from benchmark.records.stored import Stored
-from benchmark.report.notebook import html_table
+from benchmark.report.terminal import html_table
 from benchmark.report.words import counted
-from benchmark.untrusted.limits import RECORD
+from benchmark.untrusted.files import RECORD
+
+ENGINE: Final = "neuroncap@code"
+"""The published code rounds; `neuroncap@paper` does not, and has no such table."""
+_SCORE, _COLLISION = "ncap_score", "any_collide@0.0s"
+"""Names of the published files."""
+
+
+def published_table(engine: str, rows: Sequence[DriveRow]) -> PublishedTable | None:
+    """NeuroNCAP's published table of a record, from its drives.
+
+    ``None`` of another engine, and of scenes that were driven as they are: the published table is of scenarios.
+    """
+    if engine != ENGINE or not rows or not all(row.family for row in rows):
+        return None
+    runs: dict[str, dict[str, dict[str, Metrics | None]]] = {}
+    for row in rows:
+        runs.setdefault(row.family, {}).setdefault(row.scene, {})[f"run_{row.run}"] = _metrics(row)
+    found = aggregated(runs, Switches.named(engine))
+    return PublishedTable(
+        nns=_known(found.overall, _SCORE),
+        collision=_known(found.overall, _COLLISION),
+        nns_by_family={family: _known(each, _SCORE) for family, each in found.per_type.items()},
+        collision_by_family={family: _known(each, _COLLISION) for family, each in found.per_type.items()},
+    )
+
+
+def _metrics(row: DriveRow) -> Metrics | None:
+    """Metrics of a run in the published code; a failed run left none, and without labels there are none."""
+    if row.scores is None or row.scores.neuroncap is None or row.unlabelled:
+        return None
+    score = row.scores.neuroncap.score
+    return {_SCORE: float("nan") if score is None else score, _COLLISION: row.contact is not None}
+
+
+def _known(level: dict[str, float], name: str) -> float | None:
+    value = level.get(name, float("nan"))
+    return None if np.isnan(value) else value
+
 
 DRIVE_FILE, ROWS_FILE, SUMMARY_FILE = "drive.json", "drives.jsonl", "summary.json"
 DRIVE_FILES: Final = FileNames(DRIVE_FILE, ROWS_FILE, SUMMARY_FILE)

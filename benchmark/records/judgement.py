@@ -76,7 +76,7 @@ class DriverRun(Stored):
 
 
 class Impact(Stored):
-    """A contact in numbers (`benchmark.fairness.impact`).
+    """A contact in numbers (`benchmark.fairness.scenes`).
 
     Attributes:
         at_fault: Whether the ego is to blame; null where only a map could tell and there is none.

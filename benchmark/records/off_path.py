@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
-from benchmark.records.scene_reports import reported
+from benchmark.records.driven import reported
 
 OFF_PATH: Final = "off_path"
 """Where the report of a scene (``challenger.json``) names its excursions."""

@@ -18,7 +18,7 @@ from benchmark.machine.storage import content_key, read_json, write_json, writin
 from benchmark.records.run_schema import LABELS, PlannerFacts
 from benchmark.records.store import validated
 from benchmark.records.stored import Stored
-from benchmark.untrusted.limits import RECORD
+from benchmark.untrusted.files import RECORD
 
 COLD_SAMPLES: Final = 2
 """The first samples of a scene are not counted: weights are fetched, memory of the past is filled."""

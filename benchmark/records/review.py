@@ -18,8 +18,8 @@ from benchmark.records.run_schema import ReviewFacts
 from benchmark.records.store import validated
 from benchmark.records.stored import Stored
 from benchmark.report.words import counted
-from benchmark.untrusted.json_text import read_json
-from benchmark.untrusted.limits import VERDICTS
+from benchmark.untrusted.files import VERDICTS
+from benchmark.untrusted.text_files import read_json
 
 REVIEW_FILE: Final = "review.json"
 FORMAT: Final = "challenger-bench review"

@@ -6,8 +6,8 @@ from typing import Any, Final, Literal, get_args
 
 from pydantic import Field, model_validator
 
-from benchmark.pdm.totals import DrivenPlan
-from benchmark.protocols.touched import touches_adversary
+from benchmark.pdm.scoring import DrivenPlan
+from benchmark.protocols.raster import touches_adversary
 from benchmark.records.judgement import Impact, NotNegative, Text
 from benchmark.records.stored import Stored
 
@@ -56,7 +56,7 @@ class OutcomeRow(Stored):
 
     @property
     def touches_adversary(self) -> bool | None:
-        """Whether the first contact is with an adversary (`benchmark.protocols.touched.touches_adversary`)."""
+        """Whether the first contact is with an adversary (`benchmark.protocols.raster.touches_adversary`)."""
         return touches_adversary(self.collision or (), self.facts)
 
 

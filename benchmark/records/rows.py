@@ -4,6 +4,8 @@ A parsed row takes 20 to 30 kB, its line 3 to 4 kB, and compressed, scene by sce
 somebody goes through them, a scene at a time. Lines and columns of large records are kept in the user's cache, so that
 a record is parsed and checked once. They count for rows with one SHA-256, that of ``samples.jsonl``, and for the code
 that made them; whatever does not fit is as good as none.
+
+Scenes that a planner fails, from the columns of a record.
 """
 
 import contextlib
@@ -20,14 +22,15 @@ from typing import TYPE_CHECKING, Any, Final, overload
 import numpy as np
 
 from benchmark.errors import InputError
+from benchmark.geometry import Bools
 from benchmark.machine.kept_arrays import is_made_of, kept_place, read_batch, write_batch
 from benchmark.machine.progress import Count
 from benchmark.machine.storage import canonical_json, content_key, file_sha256
 from benchmark.machine.workers import default_workers, map_ordered
+from benchmark.protocols import protocol as definition_of
 from benchmark.records.row_schema import SampleRow
-from benchmark.untrusted.files import open_file
-from benchmark.untrusted.json_text import read_lines
-from benchmark.untrusted.limits import RECORD
+from benchmark.untrusted.files import RECORD, open_file
+from benchmark.untrusted.text_files import read_lines
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -41,7 +44,7 @@ WORTH_WORKERS_BYTES: Final = 1 << 27
 _FOLDER: Final = "records"
 _CODE: Final = (
     *(f"records/{name}" for name in ("columns", "driving", "judgement", "row_schema", "rows", "run", "stored")),
-    *("constants", "geometry", "waypoints", "untrusted/json_text", "untrusted/limits", "pdm/totals"),
+    *("constants", "geometry", "waypoints", "untrusted/text_files", "untrusted/files", "pdm/scoring"),
     "protocols/contract",
 )
 _LINES_AT_ONCE: Final = 64
@@ -268,3 +271,55 @@ def _checks() -> str:
 
 def _parsed(packed: bytes | memoryview) -> list[SampleRow]:
     return [SampleRow.model_validate_json(line) for line in zlib.decompress(packed).split(b"\n")]
+
+
+_FAILURES: Final = "failures of scenes"
+
+
+def scene_failures(rows: "Sequence[SampleRow] | RowColumns", protocol: str) -> dict[str, bool | None]:
+    """Which scenes a planner fails: those with a counted sample that collides at any step.
+
+    Returns:
+        Scene name to verdict, by name; ``None`` where no verdict is possible: no counted sample whose collisions are
+        known, or no contact but the planner raised on a sample that could have shown one.
+    """
+    definition_of(protocol)
+    columns = columns_of(rows)
+    if (_FAILURES, protocol) not in columns.kept:
+        judged = columns.values("judged")
+        unjudged = next((place for place in columns.planned.tolist() if protocol not in judged[place]), None)
+        if unjudged is not None:
+            raise InputError(
+                f"scene {columns.values('scene')[unjudged]} was not judged by protocol {protocol!r}; run "
+                "challenger-bench rescore"
+            )
+        columns.kept[_FAILURES, protocol] = scenes_with(columns, protocol, columns.collides(protocol))
+    return dict(columns.kept[_FAILURES, protocol])
+
+
+def scenes_with(columns: "RowColumns", protocol: str, hits: Bools) -> dict[str, bool | None]:
+    """Which scenes have one of some colliding samples; verdicts as of `scene_failures`.
+
+    Args:
+        columns: Of R rows, all of them judged by the protocol.
+        hits: (R,) the samples, of those that count and collide.
+    """
+    counted, unknown = columns.counted(protocol), _unknown(columns, protocol)
+    return {
+        scene: _fails(hits[places], counted[places], unknown[places])
+        for scene, places in sorted(columns.places_of_scenes.items())
+    }
+
+
+def _fails(hits: Bools, counted: Bools, unknown: Bools) -> bool | None:
+    if hits.any():
+        return True
+    return None if unknown.any() or not counted.any() else False
+
+
+def _unknown(columns: "RowColumns", protocol: str) -> Bools:
+    """(R,) whether the planner raised on a sample that could have shown a contact."""
+    could = columns.flags("complete")
+    if definition_of(protocol).counts_incomplete:
+        could = could | columns.flags("recorded")
+    return columns.failed & could

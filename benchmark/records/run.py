@@ -24,9 +24,8 @@ from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes, says_all
 from benchmark.records.driving import driving_summary
 from benchmark.records.planner_cost import PlannerCost
 from benchmark.records.row_schema import SampleRow
-from benchmark.records.rows import Rows, columns_of, keep_rows, keep_together, kept_rows
+from benchmark.records.rows import Rows, columns_of, keep_rows, keep_together, kept_rows, scene_failures
 from benchmark.records.run_schema import SCHEMA, ProtocolSummary, RunFacts, SceneFacts, Summary
-from benchmark.records.scene_failures import scene_failures
 from benchmark.records.store import (
     ROWS_FILE,
     RUN_FILE,
@@ -39,10 +38,10 @@ from benchmark.records.store import (
     validated,
 )
 from benchmark.records.stored import Stored
-from benchmark.report.notebook import html_table, percent
+from benchmark.report.terminal import html_table, percent
 from benchmark.report.words import counted
-from benchmark.untrusted.json_text import is_plain, parse_line
-from benchmark.untrusted.limits import RECORD
+from benchmark.untrusted.files import RECORD
+from benchmark.untrusted.text_files import is_plain, parse_line
 
 if TYPE_CHECKING:
     from benchmark.records.columns import RowColumns

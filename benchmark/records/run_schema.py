@@ -91,7 +91,7 @@ class TruthFacts(Stored):
     Attributes:
         annotations: Boxes at its samples; without any there is no truth, and nothing can be said of contacts.
         unlabelled: Samples of which nothing can be said of contacts because labels are missing now or within 3 s
-            (`benchmark.datasets.labelled`).
+            (`benchmark.datasets.annotated`).
         without_size: Boxes without length, width or height; they are ignored.
         unknown: Boxes of categories that nuScenes does not have, by name.
         motionless: Whether the ego pose is the same number at every sample of a scene of 5 s and more.
@@ -160,7 +160,7 @@ class GeneratedFacts(Stored):
     """Which search the scenes of a generated split come from.
 
     Attributes:
-        search: Hash of what else decided it; null where the data set does not say (`benchmark.records.seed_splits`).
+        search: Hash of what else decided it; null where the data set does not say (`benchmark.records.attempts`).
     """
 
     seed: Seed

@@ -1,10 +1,15 @@
-"""Splits in numbers, as ``split.json`` stores them: rows of tables, what adversaries do, seconds of generation."""
+"""Splits in numbers, as ``split.json`` stores them: rows of tables, what adversaries do, seconds of generation.
 
-from typing import Any, Final
+What is said of the scenes of a split together, as ``data stats`` gives it.
+"""
+
+from typing import Annotated, Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field, field_serializer, field_validator
 
 from benchmark.published import ADV_NUSC
+from benchmark.records.judgement import DriverName, SceneJudgement, SplitRealism, Text
+from benchmark.records.stored import Stored
 
 RENDERING: Final = "rendering"
 """The one stage of generation that is timed by scene; the others are by attempt."""
@@ -103,3 +108,56 @@ class Runtime(_Stored):
         """Seconds of one attempt, or of one rendered scene; ``None`` where nothing was timed."""
         count = self.scenes if stage == RENDERING else self.attempts
         return self.total_s.get(stage, 0.0) / count if count else None
+
+
+Count = Annotated[int, Field(ge=0)]
+
+
+class LadderRow(Stored):
+    """One rung of the ladder: how many of the scenes one reference driver survives.
+
+    Attributes:
+        hit_adversary: Scenes in which it touches an adversary first.
+        hit_from_behind: Scenes in which another runs into it: agents replay their tracks and do not brake for it.
+        beyond_end: Scenes in which it leaves the recorded path.
+    """
+
+    driver: DriverName
+    survives: Count
+    of: Count
+    hit_adversary: Count
+    hit_from_behind: Count
+    beyond_end: Count
+
+    @property
+    def share(self) -> float | None:
+        """Share of scenes that it survives."""
+        return self.survives / self.of if self.of else None
+
+
+class SeverityRow(Stored):
+    """Distribution of one number, named with its unit, over the encounters with an adversary that have it."""
+
+    name: Text
+    of: Count
+    quantiles: Quantiles | None
+
+
+class SplitJudgement(Stored):
+    """Judgements of a split's scenes, by name, and their summary.
+
+    Attributes:
+        ladder_of_recordings: The same of the recordings that the scenes were made from; empty where they are not at
+            hand. Agents replay their tracks there, too: what a driver does not survive there no adversary did.
+        unsolvable: Scenes that could not have been avoided by any driver.
+        severity: Of the recorded ego's encounters with adversaries; times to contact only of those without contact.
+        contacts: Encounters in which the recorded ego touches an adversary.
+    """
+
+    scenes: dict[str, tuple[SceneJudgement, ...]]
+    ladder: tuple[LadderRow, ...]
+    ladder_of_recordings: tuple[LadderRow, ...] = ()
+    unsolvable: tuple[Text, ...]
+    severity: tuple[SeverityRow, ...]
+    contacts: Count
+    realism: SplitRealism

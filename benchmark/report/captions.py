@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 
 from benchmark.records.scenes import Sheet
-from benchmark.report.canvas import SHIFT, GroundView, dashes, mark_at
-from benchmark.report.lettering import Picture, drawable, text_width, write_text
+from benchmark.report.canvas import SHIFT, GroundView, Picture, dashes, drawable, mark_at, text_width, write_text
 from benchmark.report.overlays import CandidatesOverlay, Overlay, PlanOverlay
 from benchmark.report.palette import (
     ADVERSARY,

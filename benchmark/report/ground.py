@@ -9,8 +9,7 @@ import numpy as np
 
 from benchmark.geometry import Floats
 from benchmark.records.scenes import Point, Polygon, Sheet, SheetLine
-from benchmark.report.canvas import GroundView, dashes, fill_rings, stroke, stroke_all
-from benchmark.report.lettering import Picture
+from benchmark.report.canvas import GroundView, Picture, dashes, fill_rings, stroke, stroke_all
 from benchmark.report.palette import ON_LIGHT, GroundColours, Rgb
 
 _STRIPE_M: Final = 0.55

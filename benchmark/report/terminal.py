@@ -1,10 +1,30 @@
-"""How tables and sentences look in a terminal: as wide as it is and no wider, 80 columns where there is none."""
+"""How tables and sentences look in a terminal: as wide as it is and no wider, 80 columns where there is none.
+
+What a notebook shows of a record or a scene: a table, in place of all its fields.
+"""
 
 import re
 import shutil
 import textwrap
 from collections.abc import Sequence
+from html import escape
 from typing import Final
+
+
+def html_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table for ``_repr_html_``; what strangers wrote in its cells is escaped here."""
+
+    def line(cells: Sequence[str], tag: str) -> str:
+        return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in cells)}</tr>"
+
+    body = "".join(line(row, "td") for row in rows)
+    return f"<table><caption>{escape(title)}</caption><thead>{line(columns, 'th')}</thead><tbody>{body}</tbody></table>"
+
+
+def percent(value: float | None) -> str:
+    """A share as tables have it."""
+    return "–" if value is None else f"{100 * value:.2f} %"
+
 
 WIDTH: Final = 80
 """Columns where there is no terminal."""

@@ -1,18 +1,257 @@
-"""The caveats of a run record, put together in one place; each kind is decided in the room that knows of it."""
+"""The caveats of a run record, put together in one place; each kind is decided in the room that knows of it.
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+What key frames that are not half a second apart do to the numbers of a run, as caveats.
+
+What records say of truth that their data set does not have: labels, sizes, categories, complete samples, poses.
+
+What planners, engines and driving scores want of a data set and do not get, and what of it cannot be, as caveats.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Final
 
+from benchmark.datasets.annotated import AnnotationCount
+from benchmark.datasets.truth_facts import MISFIT_SHARE, lie_across
 from benchmark.records.caveats import OF_THE_DOOR, Caveat, in_order
 from benchmark.records.drive_schema import DriveRow, Measured
 from benchmark.records.rows import Rows
-from benchmark.records.run_schema import PlannerFacts, SceneFacts
-from benchmark.runs.input_caveats import data_caveats, drive_input_caveats, planner_caveats
-from benchmark.runs.time_caveat import time_caveats
-from benchmark.runs.truth_caveats import drive_truth, run_truth
+from benchmark.records.run_schema import InputFacts, PlannerFacts, SceneFacts, TruthFacts
+from benchmark.report.words import counted
+from benchmark.untrusted.plan_plausibility import ComparedPlans
 from benchmark.untrusted.plan_verdicts import plan_caveats
-from benchmark.untrusted.plans_beside_recording import ComparedPlans
+
+_DERIVED, _OFFERED, _WITHOUT = '"ego_motion":"derived"', '"forecasts":{', '"forecasts":null'
+"""In the JSON of a row, where text that a planner wrote cannot have them: its quotation marks are escaped."""
+
+
+def data_caveats(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
+    """Caveats about impossible values of a data set; of older records they are not known."""
+    facts = inputs_of(scenes)
+    on_maps = [each for each in facts.values() if each.off_road is not None]
+    share = sum(each.off_road or 0 for each in on_maps) / max(sum(each.samples for each in on_maps), 1)
+    if share > MISFIT_SHARE:
+        yield Caveat(
+            kind="map",
+            sentence=f"the recorded ego is off the drivable area of the map in {100 * share:.0f} % of the samples: the "
+            "map does not fit, and neither do lanes and driving scores",
+        )
+    if jumps := sum(each.jumps for each in facts.values()):
+        yield Caveat(
+            kind="boxes",
+            sentence=f"{counted(jumps, 'annotation')} of objects that jump (over 60 m/s since the one before): "
+            "contacts with them are of no real motion",
+        )
+    moving, across = (sum(getattr(each, name) for each in facts.values()) for name in ("moving", "across"))
+    if lie_across(moving, across):
+        yield Caveat(
+            kind="boxes",
+            sentence=f"the boxes of {across} of {counted(moving, 'moving object')} lie across their motion (width and "
+            "length exchanged, or headings turned by 90 degrees): contacts are not where they would be",
+        )
+    if turned := [name for name, each in facts.items() if each.turned_quaternions]:
+        yield Caveat(
+            kind="pose",
+            sentence=f"rotations in {_of(turned, facts)} make sense only if read as x, y, z, w, and nuScenes has w "
+            "first: headings and all that follows from them are wrong",
+        )
+    if without := [name for name, each in facts.items() if not each.lidar]:
+        yield Caveat(
+            kind="lidar",
+            sentence=f"{_of(without, facts)} {_have(without)} no LIDAR_TOP: the lidar, whose place plans and protocols "
+            "count from, is taken to sit as on nuScenes' cars",
+        )
+
+
+def map_caveats(scenes: Mapping[str, SceneFacts], goes_without: Sequence[str]) -> Iterator[Caveat]:
+    """Caveat about scenes that have no map with lanes, one at most.
+
+    Args:
+        goes_without: What happens without lanes, in words; nothing is said if nothing does.
+    """
+    facts = inputs_of(scenes)
+    without = [name for name, each in facts.items() if not each.lanes]
+    if without and goes_without:
+        yield Caveat(
+            kind="map",
+            sentence=f"{_of(without, facts)} {_have(without)} no map with lanes: {', and '.join(goes_without)}",
+        )
+
+
+def planner_caveats(planner: PlannerFacts, scenes: Mapping[str, SceneFacts], rows: Rows) -> Iterator[Caveat]:
+    """Caveats about inputs that a planner wanted and did not get, and about plans that lack what the others have."""
+    lanes = ["it drives straight on where it would follow a lane"] if "map" in planner.wants else []
+    yield from map_caveats(scenes, [*lanes, "there are no driving scores (pdm)"])
+    facts = inputs_of(scenes)
+    blind = [name for name, each in facts.items() if not each.cameras]
+    if blind and "images" in planner.wants:
+        yield Caveat(kind="images", sentence=f"{_of(blind, facts)} {_have(blind)} no camera, and it plans from images")
+    derived: list[str] = []
+    offered, without = 0, 0
+    for scene, lines in rows.texts():
+        if all(_DERIVED in line for line in lines):
+            derived.append(scene)
+        offered += sum(_OFFERED in line for line in lines)
+        without += sum(_WITHOUT in line for line in lines)
+    if derived and "motion" in planner.wants:
+        yield Caveat(
+            kind="motion",
+            sentence=f"{_of(derived, scenes)} {_have(derived)} no CAN bus: the ego motion that it plans from "
+            "is derived from poses",
+        )
+    if offered and without:
+        yield Caveat(
+            kind="forecasts",
+            sentence=f"{without} of {counted(offered + without, 'plan')} have no forecasts, and the others do: no "
+            "cause is said of their collisions",
+        )
+
+
+def drive_input_caveats(
+    planner: PlannerFacts, scenes: Mapping[str, SceneFacts], measured: Measured
+) -> Iterator[Caveat]:
+    """Caveats about map inputs that a planner, the engine, its agents and the sensor wanted and did not get."""
+    goes_without = ["it drives straight on where it would follow a lane"] if "map" in planner.wants else []
+    if measured.agents == "idm":
+        goes_without.append("agents drive straight on where their recorded way ends")
+    if measured.sensor == "schematic":
+        goes_without.append("pictures have no road")
+    if measured.engine == "default":
+        goes_without.append("there are no terms of nuPlan and no HD-Score")
+    yield from map_caveats(scenes, goes_without)
+
+
+def inputs_of(scenes: Mapping[str, SceneFacts]) -> dict[str, InputFacts]:
+    """Inputs that the data set holds of scenes, of those for which it is known."""
+    return {name: each.truth.inputs for name, each in scenes.items() if each.truth is not None and each.truth.inputs}
+
+
+def _of(some: Sequence[str], scenes: Mapping[str, object]) -> str:
+    """Scenes in words; one is named, several are counted."""
+    return some[0] if len(some) == 1 else f"{len(some)} of {counted(len(scenes), 'scene')}"
+
+
+def _have(some: Sequence[str]) -> str:
+    return "has" if len(some) == 1 else "have"
+
+
+_NAMED: Final = 3
+_DRIVES: Final = "drives there are in no rate of contacts and in no score that counts them"
+
+
+def run_truth(scenes: Mapping[str, SceneFacts], rows: Rows) -> Iterator[Caveat]:
+    """Caveats of a run record about the truth of its scenes."""
+    known = _known(scenes)
+    yield from _labels(known, "collision rates and counts of failed scenes leave them out")
+    partly = [name for name, truth in known.items() if truth.annotations and truth.unlabelled]
+    if partly:
+        of = counted(sum(len(rows.columns.places_of_scenes[name]) for name in partly), "sample")
+        unlabelled = sum(known[name].unlabelled for name in partly)
+        yield Caveat(
+            kind="truth",
+            sentence=f"{_scenes(partly, len(scenes))} annotations in a part only: {unlabelled} of {of} there are in no "
+            "collision rate",
+        )
+    complete = rows.columns.flags("complete")
+    short = [name for name, places in rows.columns.places_of_scenes.items() if not complete[places].any()]
+    if short:
+        yield Caveat(
+            kind="truth",
+            sentence=f"{_scenes(short, len(scenes))} no sample with a recording of 3 s ahead: only protocols that "
+            "count incomplete samples have a rate there",
+        )
+    yield from _boxes(known)
+    yield from _categories(known, "protocols that go by categories say nothing of contacts")
+    yield from _poses(known, len(scenes))
+
+
+def drive_truth(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
+    """Caveats of a record of drives; arguments as of `run_truth`."""
+    known = _known(scenes)
+    yield from _labels(known, _DRIVES)
+    partly = [name for name, truth in known.items() if truth.annotations and truth.unlabelled]
+    if partly:
+        yield Caveat(
+            kind="truth",
+            sentence=f"{_scenes(partly, len(known))} annotations in a part only: {_DRIVES}",
+        )
+    yield from _boxes(known)
+    yield from _categories(known, "who is at fault, and scores that ask who moves by itself, may be wrong")
+    yield from _poses(known, len(scenes))
+
+
+def _known(scenes: Mapping[str, SceneFacts]) -> dict[str, TruthFacts]:
+    return {name: facts.truth for name, facts in scenes.items() if facts.truth is not None}
+
+
+def _labels(known: Mapping[str, TruthFacts], so: str) -> Iterator[Caveat]:
+    none = [name for name, truth in known.items() if not truth.annotations]
+    if none:
+        yield Caveat(kind="truth", sentence=f"{_scenes(none, len(known))} no annotations: {so}")
+
+
+def _boxes(known: Mapping[str, TruthFacts]) -> Iterator[Caveat]:
+    without = {name: truth.without_size for name, truth in known.items() if truth.without_size}
+    if without:
+        yield Caveat(
+            kind="boxes",
+            sentence=f"{counted(sum(without.values()), 'annotation')} of {_names([*without])} without length, width or "
+            "height: nothing can touch them",
+        )
+
+
+def _categories(known: Mapping[str, TruthFacts], so: str) -> Iterator[Caveat]:
+    found = AnnotationCount.together([AnnotationCount(truth.annotations, truth.unknown) for truth in known.values()])
+    if found.unknown:
+        few = "protocols that go by categories do not see them"
+        then = f"{so}; say what they mean with --categories" if found.foreign else few
+        yield Caveat(kind="categories", sentence=f"{found.sentence}: {then}")
+
+
+def _poses(known: Mapping[str, TruthFacts], scenes: int) -> Iterator[Caveat]:
+    still = [name for name, truth in known.items() if truth.motionless]
+    if still:
+        yield Caveat(
+            kind="pose",
+            sentence=f"{_scenes(still, scenes)} the same ego pose at every sample, as if there were none: L2 and "
+            "verdicts there are those of a car that stands",
+        )
+
+
+def _scenes(names: Sequence[str], among: int) -> str:
+    return f"{len(names)} of {counted(among, 'scene')} ({_names(names)}) {'has' if len(names) == 1 else 'have'}"
+
+
+def _names(names: Sequence[str]) -> str:
+    return ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
+
+
+def time_caveats(scenes: Mapping[str, SceneFacts]) -> list[Caveat]:
+    """Caveats about times: one of scenes at another rate, one of gaps in scenes at 2 Hz.
+
+    None where key frames are steps.
+    """
+    truths = [facts.truth for facts in scenes.values() if facts.truth is not None]
+    found = []
+    rates_s = sorted({truth.interval_s for truth in truths if truth.interval_s is not None})
+    if rates_s:
+        there = sum(truth.interval_s is not None for truth in truths)
+        apart = f"{rates_s[0]:.3g} s" if len(rates_s) == 1 else f"{rates_s[0]:.3g} to {rates_s[-1]:.3g} s"
+        found.append(
+            f"the key frames of {counted(there, 'scene')} are {apart} apart, not 0.5 s: exact and driving scores "
+            "interpolate steps, and official protocols, whose steps are key frames, do not count these samples"
+        )
+    irregular = [truth for truth in truths if truth.interval_s is None and truth.irregular]
+    if irregular:
+        samples, cut = (sum(getattr(truth, name) for truth in irregular) for name in ("irregular", "cut_short"))
+        found.append(
+            f"{counted(samples, 'sample')} of {counted(len(irregular), 'scene')} have key frames ahead that are not "
+            "half a second apart: exact and driving scores interpolate steps there"
+            + (f" and say nothing beyond a gap over 0.75 s ({counted(cut, 'sample')})" if cut else "")
+            + ", and official protocols take the k-th key frame for step k"
+        )
+    return [Caveat(kind="time", sentence=sentence) for sentence in found]
+
 
 _Scenes = Mapping[str, SceneFacts]
 _OF_RUNS: Final[tuple[Callable[[PlannerFacts, _Scenes, Rows], Iterable[Caveat]], ...]] = (

@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from benchmark.closed_loop.driven_scene import driven_scene
 from benchmark.closed_loop.driving import Drive
+from benchmark.closed_loop.observing import NoSensor, Sensor
 from benchmark.closed_loop.riding import SPEED, RideMaker
-from benchmark.closed_loop.route import Route
-from benchmark.closed_loop.sensors import NoSensor, Sensor
+from benchmark.closed_loop.route import Route, driven_scene
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M
 from benchmark.errors import InputError
 from benchmark.geometry import Floats

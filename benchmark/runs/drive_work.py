@@ -2,6 +2,8 @@
 
 What came of it is kept under a content key, in a file of its own that is written last: finished units are read. A kept
 drive that was scored by earlier definitions is driven again by its stored plans, without its planner.
+
+Reference drivers in the encounters of a record of drives: driven once for all planners, and kept beside them.
 """
 
 import time
@@ -13,30 +15,53 @@ from typing import TYPE_CHECKING, Final
 
 from benchmark.closed_loop.adversary import AdversaryTrack
 from benchmark.closed_loop.asking import Reason
+from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.closed_loop.driving import Drive, Stage, drive, drive_together
+from benchmark.closed_loop.ladder import climbed
 from benchmark.closed_loop.riding import RecordedCan
 from benchmark.closed_loop.scoring import VERSION, score_drive
 from benchmark.datasets.steps import require_two_hz
 from benchmark.errors import InputError
-from benchmark.machine.metering import Meter
-from benchmark.machine.pages import keep_pages_of
+from benchmark.interactions.reaction import Driver
+from benchmark.machine.metering import Meter, keep_pages_of
 from benchmark.machine.storage import content_key, content_seed
 from benchmark.planning import Planner, SupervisedPlanner
 from benchmark.records.considered import read_considered, write_considered
-from benchmark.records.drive_schema import DriveRow
+from benchmark.records.drive_schema import DriveRow, LadderOutcome
 from benchmark.records.planner_cost import SceneCost
-from benchmark.runs.beginning_again import begun_again
-from benchmark.runs.compared_drives import compared_drive
-from benchmark.runs.drive_jobs import Job, KeptDrive, Task, Unit
-from benchmark.runs.drive_rows import considered_of, row_of
-from benchmark.runs.ladders import ladder_rows
-from benchmark.runs.plan_rows import code_behind, cost_so_far, seed_everything
+from benchmark.runs.code_identity import code_sha256
+from benchmark.runs.drive_rows import compared_drive, considered_of, row_of
+from benchmark.runs.drive_settings import Job, KeptDrive, Task, Unit
+from benchmark.runs.plan_rows import begun_again, code_behind, cost_so_far, seed_everything
 from benchmark.runs.redriving import can_of, considered_again, driven_again
+from benchmark.runs.units import ResultStore
 from benchmark.scene import Scene
-from benchmark.untrusted.plans_beside_recording import ComparedPlans
+from benchmark.untrusted.plan_plausibility import ComparedPlans
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
+
+FOLDER: Final = "ladder"
+"""Beside the records of one world."""
+_LOOP: Final = "benchmark.closed_loop.ladder:climbed"
+
+
+def ladder_rows(data: "DataSet", job: Job, unit: Unit) -> dict[str, LadderOutcome]:
+    """Rows of reference drivers in an encounter, by name."""
+    store: ResultStore[dict[str, LadderOutcome]] = ResultStore(job.directory.parent / FOLDER, dict[str, LadderOutcome])
+    measured = job.measured.model_dump(mode="json", exclude={"sensor", "sensor_facts"})
+    code = code_sha256(type(job.maker), made_by=_LOOP)
+    key = content_key("ladder", job.fingerprint, unit.scene, unit.run, measured, list(job.ladder), code)
+    kept = None if job.fresh else store.get(key, unit.name)
+    if kept is None:
+        if not isinstance(job.maker, DefaultRides):
+            raise InputError(f"reference drivers drive in the default engine alone, not in {job.measured.engine}")
+        scene = data.scene(unit.scene)
+        found = climbed(scene, job.maker.course(scene, unit.run), [Driver(name) for name in job.ladder])
+        kept = {driver.value: outcome for driver, outcome in found.items()}
+        store.put(key, kept, unit.name)
+    return kept
+
 
 _TRIED_AGAIN: Final = (Reason.TIMEOUT.value, Reason.DIED.value)
 """How long a plan takes, and how much memory there is for it, is the machine's matter: the same command tries again."""

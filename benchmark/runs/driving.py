@@ -3,43 +3,138 @@
 Read from the top: `drive_planners` chooses scenes and runs, hands units to `benchmark.runs.drive_work`, and writes
 what comes back. What came of a unit is kept, so the same command goes on where it stopped; the record is the same bytes
 whatever the number of workers.
+
+The record of all drives of a planner: its fields, what its planner took, and what is kept no longer.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from benchmark.closed_loop.adversary import ADVERSARY
 from benchmark.closed_loop.asking import LONGEST_TIMEOUT_S
-from benchmark.closed_loop.sensors import RemoteSensor
-from benchmark.datasets.annotation_counts import require_annotated
+from benchmark.closed_loop.observing import RemoteSensor
+from benchmark.closed_loop.scoring import VERSION
+from benchmark.datasets.annotated import require_annotated
+from benchmark.datasets.scene_facts import with_truth
 from benchmark.errors import InputError
-from benchmark.machine.pages import keep_pages_of
-from benchmark.machine.storage import content_key, file_name, only_writer
+from benchmark.machine.metering import keep_pages_of
+from benchmark.machine.storage import content_key, file_name, only_writer, writing_to
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Planner, RemotePlanner, remembers_across_scenes
-from benchmark.records.drive_schema import Measured
-from benchmark.records.drives import DriveRecord
-from benchmark.records.planner_cost import cost_path, note_cost, shard_cost_path
+from benchmark.records.considered import FOLDER as CONSIDERED
+from benchmark.records.drive_schema import DriveRow, Measured
+from benchmark.records.drives import DriveRecord, write_drives
+from benchmark.records.planner_cost import cost_path, gather_costs, note_cost, shard_cost_path
 from benchmark.records.planner_versions import PLANS_SHA256
-from benchmark.records.run_schema import PlannerFacts
+from benchmark.records.run_schema import PlannerFacts, TruthFacts
 from benchmark.report.words import counted
-from benchmark.runs.drive_jobs import Job, Task, Unit
-from benchmark.runs.drive_records import JobResults, write_record
+from benchmark.runs.caveats import drive_caveats
+from benchmark.runs.drive_rows import with_labels
+from benchmark.runs.drive_settings import KEPT, Job, Task, Unit
 from benchmark.runs.drive_settings import DriveSettings as DriveSettings
 from benchmark.runs.drive_work import Planners, UnitResult, costs_of, work_here, work_in_worker
-from benchmark.runs.plan_rows import PlannerFactory
+from benchmark.runs.judging import JudgedScenes, described
+from benchmark.runs.plan_rows import PlannerFactory, supervision_said
 from benchmark.runs.planner_facts import facts_of
-from benchmark.runs.reading import truths_of
 from benchmark.runs.run_directory import run_directory
-from benchmark.runs.scene_work import reopening
+from benchmark.runs.scene_work import reopening, truths_of
 from benchmark.runs.units import FinishedShard, Shard, run_units
+from benchmark.untrusted.plan_plausibility import ComparedPlans
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
+
+
+@dataclass(frozen=True)
+class JobResults:
+    """All drives of a job.
+
+    Attributes:
+        data: The data set.
+        split: Which of its splits.
+        scenes: The scenes that were driven.
+        job: What was driven.
+        units: Its units.
+        results: Of the units, in their order.
+        settings: How they were driven.
+        truths: What the data set holds of each scene's truth.
+    """
+
+    data: "DataSet"
+    split: str
+    scenes: tuple[str, ...]
+    job: Job
+    units: Sequence[Unit]
+    results: Sequence[UnitResult]
+    settings: DriveSettings
+    truths: Mapping[str, TruthFacts]
+
+    @cached_property
+    def rows(self) -> list[DriveRow]:
+        """Of the record."""
+        return with_labels([result.row for result in self.results], self.truths)
+
+    @cached_property
+    def of_data(self) -> dict[str, Any]:
+        """What the record says of its data."""
+        scenes = JudgedScenes(self.data, self.split, self.scenes)
+        said = described(scenes, "scene_facts", "frozen_split", "review", "generated")
+        return {**said, "scene_facts": with_truth(said["scene_facts"], self.truths)}
+
+
+def _config(of: JobResults) -> dict[str, Any]:
+    return {
+        "seed": of.settings.seed,
+        "timeout_s": of.settings.timeout_s,
+        **supervision_said(of.job.factory),
+        **({"categories": dict(of.data.categories)} if of.data.categories else {}),
+    }
+
+
+def _caveats(of: JobResults) -> Any:
+    compared = ComparedPlans.joined(result.compared for result in of.results)
+    door = getattr(of.job.factory, "caveats", ())
+    return drive_caveats(of.job.planner, of.of_data["scene_facts"], of.rows, of.job.measured, compared, door)
+
+
+FIELDS: Final[Mapping[str, Callable[[JobResults], Any]]] = {
+    "planner": lambda of: of.job.planner,
+    "measured": lambda of: of.settings.measured,
+    "runs": lambda of: of.settings.runs_made,
+    "scoring": lambda of: VERSION,
+    "config": _config,
+    "caveats": _caveats,
+}
+"""What the record says of its drives, by field."""
+
+
+def write_record(of: JobResults) -> DriveRecord:
+    """Write the record of a job, note what its planner took, and remove what is kept of other scenes."""
+    said = of.of_data | {name: make(of) for name, make in FIELDS.items()}
+    record = write_drives(of.job.directory, said, of.rows, seed=of.settings.seed)
+    if of.job.costs is not None:
+        gather_costs(of.job.costs, of.job.planner)
+        note_cost(of.job.costs, of.job.planner, costs_of(of.job, of.results, of.settings.processes))
+    _tidy(of.job, of.units)
+    return record
+
+
+def _tidy(job: Job, units: Sequence[Unit]) -> None:
+    """Remove what is kept of scenes that are none of this record's any more; further runs of its own stay."""
+    wanted = {_without_run(job.store.path(unit.name)) for unit in units}
+    for folder in (job.directory / KEPT, job.directory / CONSIDERED):
+        with writing_to(folder):
+            for path in folder.iterdir() if folder.is_dir() else ():
+                if _without_run(path) not in wanted:
+                    path.unlink()
+
+
+def _without_run(path: Path) -> str:
+    return path.stem.rpartition("-")[0]
 
 
 def drive_split(

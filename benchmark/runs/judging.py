@@ -2,32 +2,89 @@
 
 `judge_plans` asks each judge of `ROW_JUDGES` about all plans of a scene; each fills one field of the rows. The verdict
 on a sample depends on that sample alone, so a scene judged today gives the bytes that it gave in the run.
+
+What a record says of the data that it is about: which judge fills which field, in one table.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from benchmark.constants import LONGER_HORIZON_STEPS, PLAN_STEPS
+from benchmark.datasets.judged import stored_realism
+from benchmark.datasets.scene_facts import frozen_split_of
 from benchmark.errors import InputError
+from benchmark.fairness.data_sets import judged_facts
 from benchmark.fairness.plan_severity import plan_severities
 from benchmark.geometry import Floats
-from benchmark.metrics.circumstances import Circumstances
+from benchmark.machine.environment import facts as environment_facts
+from benchmark.machine.workers import Executor, LocalProcesses
 from benchmark.metrics.diagnosis import diagnose
 from benchmark.metrics.disagreement import EXACT, disagreements
+from benchmark.metrics.places import Circumstances
 from benchmark.pdm.definition import PDM
 from benchmark.pdm.judging import judge_planners as judge_driving
 from benchmark.planning import Forecasts, Plan, PlanFrame
 from benchmark.protocols import CollisionProtocol, Outcomes, protocol
 from benchmark.protocols.exact import judged_longer
+from benchmark.records.attempts import generated_facts
 from benchmark.records.row_schema import SampleRow
 from benchmark.truth import SampleTruth
 from benchmark.waypoints import waypoints_in_lidar
 
 if TYPE_CHECKING:
-    from benchmark.runs.reading import SceneReading
+    from benchmark.datasets.roots import DataSet
+    from benchmark.runs.scene_work import SceneReading
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedScenes:
+    """Scenes of a data set that are judged.
+
+    Attributes:
+        kept: Folder of runs, where judgements of encounters are kept and found again; ``None`` asks for none.
+        executor: Where those are judged that are not kept; nothing depends on it.
+    """
+
+    data: "DataSet"
+    split: str
+    scenes: tuple[str, ...]
+    kept: Path | None = None
+    executor: Executor = field(default_factory=LocalProcesses)
+
+
+def _scene_facts(of: JudgedScenes) -> Any:
+    """Facts of the scenes, with whether an encounter could have been survived where judgements are kept."""
+    if of.kept is None:
+        return of.data.scene_facts(of.scenes)
+    return judged_facts(of.data, of.scenes, of.kept, of.executor)
+
+
+JUDGES: Final[Mapping[str, Callable[[JudgedScenes], Any]]] = {
+    "scene_facts": _scene_facts,
+    "realism": lambda of: stored_realism(of.data.root, of.data.version),
+    "frozen_split": lambda of: frozen_split_of(of.data.provenance()),
+    "review": lambda of: of.data.review(of.split).facts,
+    "generated": lambda of: generated_facts(of.data.provenance()),
+}
+"""By field of a record: fairness, realism, provenance and review."""
+
+
+def described(of: JudgedScenes, *fields: str) -> dict[str, Any]:
+    """Fields of a record about its data and the machine, those named of `JUDGES` or all."""
+    data = of.data
+    return {
+        "data": {"name": data.name, "version": data.version, "fingerprint": data.fingerprint()},
+        "split": of.split,
+        "scenes": list(of.scenes),
+        "scenes_in_split": len(data.scene_names(of.split)),
+        **{field: JUDGES[field](of) for field in fields or JUDGES},
+        "environment": environment_facts(),
+    }
+
 
 LONGEST_JUDGED: Final = max(LONGER_HORIZON_STEPS.values())
 """Steps of a plan that anything is said about."""
@@ -46,7 +103,7 @@ class PlannedSamples:
         in_lidar: (P, 6, 2) waypoints of the lidar origin.
         outcomes: Verdicts of each protocol on all P.
         unjudged: Protocols, and perhaps ``pdm``, that cannot tell whom a plan could touch because the data have other
-            categories than they know (`benchmark.runs.vocabulary`).
+            categories than they know (`benchmark.runs.rescoring`).
     """
 
     scene: "SceneReading"

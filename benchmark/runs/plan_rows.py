@@ -1,4 +1,7 @@
-"""Plans of one scene as rows of JSON: the part of a run that needs the planner, done once and kept."""
+"""Plans of one scene as rows of JSON: the part of a run that needs the planner, done once and kept.
+
+A scene that is begun again because its planner, which runs elsewhere, went away half-way and came back.
+"""
 
 import contextlib
 import random
@@ -11,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +31,7 @@ from benchmark.planning import (
     Observation,
     Plan,
     Planner,
+    PlannerAwayError,
     PlannerFailedError,
     PlannerGoneError,
     PlannerLateError,
@@ -40,10 +44,33 @@ from benchmark.planning import (
 )
 from benchmark.records.planner_cost import SceneCost
 from benchmark.records.run_schema import LABELS, PlannerFacts
-from benchmark.runs.beginning_again import begun_again
 from benchmark.runs.code_identity import is_current
 from benchmark.runs.units import ResultStore
 from benchmark.scene import Scene
+
+TIMES: Final = 5
+"""So often is one scene begun again; whoever goes away more often than that dies of the scene."""
+Outcome = TypeVar("Outcome")
+
+
+def begun_again(work: Callable[[], Outcome], planner: Planner) -> Outcome:
+    """Outcome of work that begins with `Planner.reset`, begun again each time the planner goes away half-way.
+
+    Nothing is asked twice in between: what came before is forgotten on both sides. The work of a scene leaves nothing
+    behind where it raises.
+
+    Raises:
+        PlannerGoneError: If the planner does not come back, or goes away again and again.
+    """
+    for _ in range(TIMES):
+        try:
+            return work()
+        except PlannerAwayError:
+            if not isinstance(planner, RemotePlanner):
+                raise
+            planner.come_back()
+    return work()
+
 
 ROW_FORMAT = 2
 """Raised whenever the rows of an unchanged planner would change."""

@@ -8,9 +8,9 @@ import numpy as np
 from benchmark.closed_loop.adversary import AdversaryTrack, GivenTracks
 from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.closed_loop.driving import Drive, Stage, drive
+from benchmark.closed_loop.observing import NoSensor, Sensor
 from benchmark.closed_loop.riding import RecordedCan, RideMaker
 from benchmark.closed_loop.scoring import score_drive
-from benchmark.closed_loop.sensors import NoSensor, Sensor
 from benchmark.errors import InputError
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.records.drive_schema import AdversaryRow, DriveRow

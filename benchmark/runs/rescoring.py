@@ -1,18 +1,22 @@
-"""Judge the stored plans of run records anew: after a change of protocols, no planner has to run again."""
+"""Judge the stored plans of run records anew: after a change of protocols, no planner has to run again.
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+Which judges go by categories that a data set does not have: what they would say of it means nothing.
+"""
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from benchmark.datasets.annotation_counts import AnnotationCount
+from benchmark.datasets.annotated import AnnotationCount
 from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.scene_facts import with_truth
 from benchmark.errors import InputError
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.storage import only_writer
-from benchmark.protocols import PROTOCOLS, protocol
+from benchmark.pdm.definition import PDM
+from benchmark.protocols import PROTOCOLS, protocol, using_categories
 from benchmark.records.review import review_words
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.rows import Rows
@@ -21,11 +25,30 @@ from benchmark.records.run_schema import SCHEMA, RecordFacts, SceneFacts, TruthF
 from benchmark.records.store import RUN_FILE, pending, settle, stored_schema
 from benchmark.runs.caveats import run_caveats
 from benchmark.runs.judging import judge_plans
-from benchmark.runs.reading import SceneReading
-from benchmark.runs.vocabulary import unjudged
+from benchmark.runs.scene_work import SceneReading
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
+
+
+def unjudged(counts: AnnotationCount, protocols: Sequence[str]) -> tuple[str, ...]:
+    """Judges that cannot judge contacts here, since too many categories are unknown.
+
+    These are ``pdm`` and those of the protocols that go by categories; without unknown ones there are none.
+    """
+    return (*using_categories(protocols), PDM) if counts.foreign else ()
+
+
+def require_vocabulary(counts: AnnotationCount, asked: Iterable[str], protocols: Sequence[str], where: str) -> None:
+    """Refuse judges that were asked for by name, or are the planner's own, and say nothing of contacts."""
+    silent = unjudged(counts, protocols)
+    wrong = next((name for name in asked if name in silent), None)
+    if wrong is not None:
+        raise InputError(
+            f"{counts.sentence} in {where}, so that {wrong}, which goes by categories, sees almost nobody; say what "
+            "they mean with --categories (short, lyft, t4, argoverse2 or a JSON file)"
+        )
+
 
 _OF_THE_PLAN = {"scene", "sample_token", "index", "timestamp_us", "status", "ego_motion", "plan", "error"}
 """What a row says of the planner: stays as it is."""
@@ -149,7 +172,7 @@ class _Opened:
     """A record that is being judged anew.
 
     Attributes:
-        silent: Those of them that say nothing of contacts here (`benchmark.runs.vocabulary`).
+        silent: Those of them that say nothing of contacts here (`benchmark.runs.rescoring`).
     """
 
     old: RunRecord
@@ -297,7 +320,7 @@ def rows_judged_anew(
     """Rows of one scene, a row for each sample, computed from the stored plans and the data set.
 
     Args:
-        silent: Those of them that say nothing of contacts here (`benchmark.runs.vocabulary`).
+        silent: Those of them that say nothing of contacts here (`benchmark.runs.rescoring`).
     """
     return judge_plans([stored_plans(record, reading)], reading, protocols, silent)[0]
 

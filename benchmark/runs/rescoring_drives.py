@@ -14,12 +14,11 @@ from benchmark.machine.storage import only_writer
 from benchmark.records.drives import DRIVE_FILE, DRIVE_FILES, DriveRecord, load_drives, summarise, write_drives
 from benchmark.records.store import pending, settle
 from benchmark.runs.caveats import drive_caveats
-from benchmark.runs.compared_drives import compared_drive
-from benchmark.runs.drive_rows import with_labels
-from benchmark.runs.reading import truths_of
+from benchmark.runs.drive_rows import compared_drive, with_labels
 from benchmark.runs.redriving import driven_again
 from benchmark.runs.rescoring import Opened, Rescored, opened_as, require_same_data, scene_facts_now
-from benchmark.untrusted.plans_beside_recording import ComparedPlans
+from benchmark.runs.scene_work import truths_of
+from benchmark.untrusted.plan_plausibility import ComparedPlans
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet

@@ -1,24 +1,91 @@
-"""One unit of an evaluation: one scene, planned and judged, here or in another process."""
+"""One unit of an evaluation: one scene, planned and judged, here or in another process.
 
-from collections.abc import Callable, Sequence
+A split as one unit of work, for planners whose memory outlives a change of scene (docs/models.md).
+
+A scene as runs need it, each part of it read once, however many planners or records are judged on it.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benchmark.machine.pages import keep_pages_of
+from benchmark.datasets.sample_truth import truth_of_scene
+from benchmark.datasets.truth_facts import truth_facts
+from benchmark.machine.metering import keep_pages_of
 from benchmark.machine.storage import content_key
-from benchmark.planning import Planner
+from benchmark.metrics.places import Circumstances, circumstances_of
+from benchmark.pdm.recording import RecordedScene
+from benchmark.planning import ContinuousPlanner, Observation, Planner
 from benchmark.records.planner_cost import SceneCost
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run_schema import PlannerFacts, TruthFacts
 from benchmark.runs.judging import judge_plans
-from benchmark.runs.plan_rows import PlannedScene, PlannerFactory, plan_scene, scene_key
-from benchmark.runs.reading import SceneReading
+from benchmark.runs.plan_rows import PlannedScene, PlannerFactory, kept_rows, plan_scene, scene_key
+from benchmark.scene import Scene
+from benchmark.truth import SampleTruth
 
 if TYPE_CHECKING:
     from benchmark.datasets.categories import CategoryNames
     from benchmark.datasets.roots import DataSet
+
+
+class SceneReading:
+    """One scene of a data set."""
+
+    def __init__(self, data: "DataSet", name: str) -> None:
+        self._data, self.name = data, name
+        self._observations: tuple[Observation, ...] | None = None
+        self._longer: dict[int, tuple[SampleTruth, ...]] = {}
+
+    def scene(self, name: str) -> Scene:
+        """The scene, as planners' sources give it."""
+        return self._data.scene(name)
+
+    def observations(self, name: str) -> Iterator[Observation]:
+        """Observations of a planner, one a sample, in time order."""
+        if self._observations is None:
+            self._observations = tuple(self._data.observations(name))
+        return iter(self._observations)
+
+    @cached_property
+    def truth(self) -> tuple[SampleTruth, ...]:
+        """Truths, one a sample."""
+        return self._data.truth(self.name)
+
+    @cached_property
+    def truth_facts(self) -> TruthFacts:
+        """Facts of the data set about the scene's truth."""
+        return truth_facts(self._data, self.name, self.truth)
+
+    def longer(self, steps: int) -> tuple[SampleTruth, ...]:
+        """The same for more steps than protocols need."""
+        if steps not in self._longer:
+            tokens = [truth.sample_token for truth in self.truth]
+            self._longer[steps] = truth_of_scene(self._data.scene(self.name), tokens, steps)
+        return self._longer[steps]
+
+    @cached_property
+    def around(self) -> tuple[Circumstances, ...]:
+        """Place and speed of the recorded car at each sample."""
+        return circumstances_of(self._data.scene(self.name))
+
+    @cached_property
+    def mapped(self) -> Scene | None:
+        """The scene for driving scores; ``None`` where the data set has no map of its place."""
+        return self._data.scene(self.name) if self._data.has_map(self.name) else None
+
+    @cached_property
+    def recorded(self) -> RecordedScene | None:
+        """Recording of the scene to judge driving by, if it has a map."""
+        return None if self.mapped is None else RecordedScene(self.mapped)
+
+
+def truths_of(data: "DataSet", scenes: Iterable[str]) -> dict[str, TruthFacts]:
+    """Facts of a data set about the truth of scenes, by name, for records whose units do not bring them along."""
+    return {name: SceneReading(data, name).truth_facts for name in scenes}
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +95,7 @@ class Run:
     Attributes:
         fresh: Plan again even where rows are kept.
         unjudged: Those of them, and ``pdm``, that say nothing of contacts here because the categories are not
-            nuScenes' (`benchmark.runs.vocabulary`).
+            nuScenes' (`benchmark.runs.rescoring`).
     """
 
     directory: Path
@@ -108,3 +175,42 @@ def _reopened(root: Path, version: str, name: str, categories: "CategoryNames") 
     from benchmark.datasets.roots import open_data
 
     return open_data(root, version=version, name=name, categories=dict(categories))
+
+
+def published_order(data: "DataSet", scenes: Sequence[str]) -> tuple[str, ...]:
+    """The order in which official code evaluates scenes: that of their samples' times.
+
+    Scenes that were made from one recording share its times; official code would mix their samples, and the authors of
+    Adv-nuSc have it sort by the scene's token first.
+    """
+    spans = {}
+    for name in scenes:
+        scene = data.scene(name)
+        spans[name] = int(scene.timestamps_us[0]), int(scene.timestamps_us[-1]), scene.token
+    by_time = sorted(scenes, key=lambda name: (spans[name], name))
+    apart = all(spans[one][1] <= spans[following][0] for one, following in pairwise(by_time))
+    return tuple(by_time) if apart else tuple(sorted(scenes, key=lambda name: (spans[name][2], name)))
+
+
+def work_through(run: Run, data: "DataSet", planner: ContinuousPlanner, scenes: Sequence[str]) -> Iterator[SceneResult]:
+    """Plan and judge all scenes of a split in the published order, with the memory that the one before left.
+
+    Plans are taken from before where those of all scenes are kept; where any is not, all are made again, because it is
+    not known what was remembered.
+    """
+    order = published_order(data, scenes)
+    keys = {
+        name: content_key(scene_key(run.fingerprint, run.split, name, run.planner), "after", list(order[:place]))
+        for place, name in enumerate(order)
+    }
+    kept = {name: None if run.fresh else kept_rows(run.directory, name, keys[name]) for name in order}
+    whole = all(rows is not None for rows in kept.values())
+    if not whole:
+        planner.begin_run()
+    for name in order:
+        rows = kept[name]
+        if whole and rows is not None:
+            planned = PlannedScene(rows, None)
+        else:
+            planned = plan_scene(planner, data, name, run.directory, keys[name], fresh=True)
+        yield judged_scene(run, SceneReading(data, name), planned)

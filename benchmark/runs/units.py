@@ -4,6 +4,8 @@ A command's work consists of units (a scene planned, a drive, an attempt of the 
 nothing but what its content key is made of, and is kept in a file of its own, written whole: so the same command goes
 on where it stopped, one process, many and a cluster give the same bytes, and ``--shard 3/40`` does every 40th unit and
 leaves the rest, and the record, to the same command without it.
+
+What a planner raised, as text to read: beside a record, not part of it.
 """
 
 import functools
@@ -12,17 +14,53 @@ import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Final, Generic, Self, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
 from benchmark.errors import InputError
 from benchmark.machine.progress import Count
-from benchmark.machine.storage import canonical_json, file_name, write_parts, writing_to
+from benchmark.machine.storage import canonical_json, file_name, write_bytes, write_parts, writing_to
 from benchmark.machine.workers import Executor
-from benchmark.untrusted.files import read_file
-from benchmark.untrusted.json_text import parse_json
-from benchmark.untrusted.limits import JSON
+from benchmark.records.row_schema import SampleRow
+from benchmark.records.rows import Rows
+from benchmark.untrusted.files import JSON, read_file
+from benchmark.untrusted.text_files import parse_json
+
+FAILURES_FILE: Final = "failures.txt"
+
+
+def write_failures(directory: Path, rows: Sequence[SampleRow]) -> None:
+    """Write every traceback below the scene and the sample that it is of; remove the file where there is none."""
+    path = directory / FAILURES_FILE
+    # Of a compressed record the scenes without a failure are not unpacked.
+    some = rows.of_failed_scenes() if isinstance(rows, Rows) else rows
+    failed = [row for row in some if row.error is not None]
+    if not failed:
+        with writing_to(path):
+            path.unlink(missing_ok=True)
+        return
+    parts = [
+        f"{row.scene}, sample {row.index} ({row.sample_token})\n\n{(row.error or '').rstrip()}\n" for row in failed
+    ]
+    head = f"{len(failed)} of {len(rows)} samples failed\n\n"
+    write_bytes(path, (head + "\n".join(parts)).encode(errors="backslashreplace"))
+
+
+def first_failure(rows: Sequence[SampleRow]) -> str | None:
+    """The last line of the first traceback, which says what was raised; ``None`` if nothing was."""
+    error = next((row.error for row in rows if row.error is not None), None)
+    if error is None:
+        return None
+    # A message may have many lines; the one that names the exception is the last that is not indented.
+    lines = [line for line in error.rstrip().splitlines() if line.strip()]
+    raised = [line for line in lines[_last_frame(lines) + 1 :] if not line.startswith(" ")]
+    return (raised or lines or ["nothing was said"])[0].strip()
+
+
+def _last_frame(lines: Sequence[str]) -> int:
+    return max((number for number, line in enumerate(lines) if line.startswith('  File "')), default=-1)
+
 
 Value = TypeVar("Value")
 Item = TypeVar("Item")

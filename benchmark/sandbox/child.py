@@ -35,8 +35,7 @@ from benchmark.planning import (
 from benchmark.runs.code_identity import loaded_code
 from benchmark.runs.plan_rows import seed_everything, traceback_text
 from benchmark.sandbox.frames import ClosedError, answer, next_question
-from benchmark.sandbox.libraries import on_import_of_torch, one_thread
-from benchmark.sandbox.limits import BEAT_S
+from benchmark.sandbox.limits import BEAT_S, on_import_of_torch, one_thread
 from benchmark.sandbox.observed import Unpacking
 from benchmark.sandbox.pictures import Viewer
 from benchmark.untrusted.answers import Unanswerable

@@ -13,7 +13,7 @@ import time
 from typing import Any, Final
 
 from benchmark.untrusted.answers import read_answer, write_answer
-from benchmark.untrusted.limits import PLANNER_ANSWER
+from benchmark.untrusted.files import PLANNER_ANSWER
 
 _HEAD: Final = struct.Struct("<QQ")
 _PIECE: Final = 1 << 20

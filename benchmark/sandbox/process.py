@@ -25,11 +25,9 @@ from benchmark.errors import InputError
 from benchmark.planning import PlannerLostError
 from benchmark.sandbox.frames import Asker, ClosedError, LateError, MalformedError, question
 from benchmark.sandbox.guardian import STATUS
-from benchmark.sandbox.libraries import ONE_THREAD
-from benchmark.sandbox.limits import GRACE_S, MOST_PICTURE_BYTES, REAPING_S, Supervision
+from benchmark.sandbox.limits import GRACE_S, MOST_PICTURE_BYTES, ONE_THREAD, REAPING_S, Supervision
 from benchmark.sandbox.pictures import Shelf, TooManyPicturesError
-from benchmark.untrusted.files import one_line
-from benchmark.untrusted.limits import in_words
+from benchmark.untrusted.files import in_words, one_line
 
 _PROGRAM: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); numbers = [*map(int, sys.argv[2:])]; del sys.argv[1:]; "

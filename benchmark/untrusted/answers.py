@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.untrusted.limits import Limits
+from benchmark.untrusted.files import Limits
 
 _ALIGNED_BYTES: Final = 64
 _PLAIN: Final = frozenset({bool, int, float, str, type(None)})

@@ -9,10 +9,9 @@ import zipfile
 from collections import Counter, OrderedDict
 from typing import Any, BinaryIO, ClassVar, Final
 
-from benchmark.untrusted.allowed import ALLOWED, AllowListUnpickler, NumberType
 from benchmark.untrusted.answers import Unanswerable
-from benchmark.untrusted.files import one_line
-from benchmark.untrusted.limits import Limits
+from benchmark.untrusted.files import Limits, one_line
+from benchmark.untrusted.legacy_storages import ALLOWED, AllowListUnpickler, NumberType
 
 ITEM_BYTES: Final = {
     "float64": 8, "float32": 4, "float16": 2, "bfloat16": 2, "int64": 8, "int32": 4, "int16": 2, "int8": 1, "uint8": 1,

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from benchmark.errors import InputError
 from benchmark.untrusted.checkpoint_structure import ITEM_BYTES
 from benchmark.untrusted.children import Answer, taken_apart
-from benchmark.untrusted.files import open_file
-from benchmark.untrusted.limits import CHECKPOINT, EXPANSION, MIB, Limits
+from benchmark.untrusted.files import CHECKPOINT, EXPANSION, MIB, Limits, open_file
 
 _MOST_AXES: Final = 32
 _CHECKED_AT_ONCE: Final = MIB

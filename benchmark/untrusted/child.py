@@ -2,6 +2,8 @@
 
 It imports numpy and nothing heavier, reads the file from its standard input, writes the answer to its standard output,
 and ends with its parent. What it says when it fails becomes the parent's sentence (`children.py`).
+
+Columns of a Parquet file, read in the child process; what it declares is compared with its limits first.
 """
 
 import contextlib
@@ -14,13 +16,39 @@ import zipfile
 from collections.abc import Callable
 from typing import Any, BinaryIO, Final
 
-from benchmark.untrusted.allowed import AllowListUnpickler, Refused
 from benchmark.untrusted.answers import Unanswerable, write_answer
 from benchmark.untrusted.checkpoint_structure import checkpoint_structure
-from benchmark.untrusted.files import one_line
-from benchmark.untrusted.limits import CHECKPOINT, GIB, PICKLE, PLANS, RESULTS, Limits
-from benchmark.untrusted.parquet_columns import parquet_columns
+from benchmark.untrusted.files import CHECKPOINT, GIB, PICKLE, PLAN_COLUMNS, PLANS, RESULTS, Limits, one_line
+from benchmark.untrusted.legacy_storages import AllowListUnpickler, Refused
 from benchmark.untrusted.result_values import result_value
+
+
+def parquet_columns(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
+    """Numbers as arrays and texts as lists, by column.
+
+    Args:
+        stream: The file.
+        limits: How many rows there may be, and how many bytes they may unpack to.
+
+    Returns:
+        As pandas would have them: missing numbers are NaN.
+    """
+    from pyarrow import parquet
+
+    file = parquet.ParquetFile(stream)
+    declared = file.metadata
+    if declared.num_rows > limits.values or declared.num_columns > PLAN_COLUMNS:
+        raise Unanswerable(f"it has {declared.num_rows} rows and {declared.num_columns} columns")
+    groups = [declared.row_group(number) for number in range(declared.num_row_groups)]
+    if sum(group.total_byte_size for group in groups) > limits.content_bytes:
+        raise Unanswerable(f"it unpacks to more than {limits.content_bytes} bytes")
+    table = file.read(use_threads=False)
+    columns = {}
+    for name in table.column_names:
+        values = table.column(name).to_numpy()
+        columns[name] = values.tolist() if values.dtype.kind == "O" else values
+    return columns
+
 
 _DIE_WITH_PARENT: Final = 1
 """``PR_SET_PDEATHSIG`` of Linux."""

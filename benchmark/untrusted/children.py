@@ -1,4 +1,7 @@
-"""Starting the child process that takes a foreign file apart, and one sentence for whatever becomes of it."""
+"""Starting the child process that takes a foreign file apart, and one sentence for whatever becomes of it.
+
+Pickles of recordings and anchors: arrays, numbers and plain containers, unpickled in a child process.
+"""
 
 import os
 import signal
@@ -11,8 +14,7 @@ from typing import Any, Final
 
 from benchmark.errors import InputError
 from benchmark.untrusted.answers import read_answer
-from benchmark.untrusted.files import open_file
-from benchmark.untrusted.limits import Limits, in_words
+from benchmark.untrusted.files import PICKLE, Limits, in_words, open_file
 
 _ROOT: Final = Path(__file__).resolve().parents[2]
 _PROGRAM: Final = "import sys; sys.path.insert(0, sys.argv[1]); from benchmark.untrusted.child import main; main()"
@@ -107,3 +109,30 @@ def _death(path: Path, number: int, limits: Limits) -> str:
     except ValueError:
         name = str(number)
     return f"{path} broke the process that reads it (signal {name}); {_UNTRUSTED}"
+
+
+def read_pickle(path: Path, limits: Limits = PICKLE) -> Any:
+    """Read a pickle of arrays and plain containers without trusting it.
+
+    Args:
+        path: The file.
+        limits: How large and deep it may be, and what reading it may cost.
+
+    Returns:
+        Its value.
+
+    Raises:
+        InputError: If the file is absent or broken, asks for anything that is not on the allow-list (the message names
+            what it asked for), or is more than the limits allow.
+    """
+    answer = taken_apart(path, "pickle", limits)
+    if answer.kind == "value":
+        return answer.parts[0]
+    if answer.kind == "refused":
+        raise InputError(
+            f"{path} is refused: its pickle asks for {answer.parts[0]}, which is not among the arrays and containers "
+            "that a recording needs and could run code; do not open this file, get the recording from a source you "
+            "trust"
+        )
+    reason = ": ".join(answer.parts)
+    raise InputError(f"{path} is not a readable pickle ({reason}); it may be truncated, fetch it again")

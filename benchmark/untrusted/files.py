@@ -1,12 +1,166 @@
-"""A foreign file before it is read: it is there, is a file, has a name that is text, and is not too long."""
+"""A foreign file before it is read: it is there, is a file, has a name that is text, and is not too long.
+
+How much a foreign file of each kind may be and may cost: the one table.
+
+Refusals that say of which kind they are, beside the sentence: what a golden set of broken files is compared by.
+"""
 
 import os
 import stat
+from dataclasses import dataclass, replace
 from io import BufferedReader
 from pathlib import Path
+from typing import Final, Literal, get_args
 
 from benchmark.errors import InputError
-from benchmark.untrusted.limits import Limits, in_words
+
+Category = Literal[
+    "truncated", "empty", "unknown", "no_plan", "class", "nesting", "size", "trailing", "shape", "not_finite", "token",
+    "duplicate", "count", "order", "unit", "offsets", "time", "frame", "origin",
+]  # fmt: skip
+"""Why a file of results is refused."""
+CATEGORIES: Final[tuple[Category, ...]] = get_args(Category)
+
+
+class RefusedFile(InputError):
+    """A file of results that is refused.
+
+    Args:
+        category: Why, in one word.
+        sentence: What is wrong, where, and what to do.
+    """
+
+    def __init__(self, category: Category, sentence: str) -> None:
+        super().__init__(sentence)
+        self.category: Category = category
+
+
+MIB: Final = 1 << 20
+GIB: Final = 1 << 30
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a foreign file of one kind may be at most.
+
+    Attributes:
+        what: The kind, in words that fit after "a".
+        file_bytes: Size of the file.
+        depth: Containers within containers.
+        values: Values, entries or rows, each counted as often as it is named.
+        name_characters: Characters of a name.
+        line_bytes: Bytes of one line, where there are lines.
+        content_bytes: What it unpacks to.
+        memory_bytes: Memory of the child process that takes it apart.
+        cpu_s: Its processor time.
+        clock_s: Its time on the wall.
+    """
+
+    what: str
+    file_bytes: int
+    depth: int = 64
+    values: int = 4_000_000
+    name_characters: int = 4096
+    line_bytes: int = 16 * MIB
+    content_bytes: int = GIB
+    memory_bytes: int = 3 * GIB // 2
+    cpu_s: int = 8
+    clock_s: float = 15.0
+
+
+PICKLE: Final = Limits("pickle", 256 * MIB)
+"""ScenarioNet files and published anchors; real ones have some megabytes."""
+COMPRESSED_PICKLE: Final = replace(PICKLE, what="compressed pickle", content_bytes=256 * MIB)
+ARCHIVE: Final = Limits("archive of tables", 256 * MIB, values=10_000)
+"""Golden roots: tables, CAN bus and maps, some megabytes; values are files."""
+PROGRAM: Final = Limits("program", MIB)
+CHECKPOINT: Final = Limits("checkpoint", 16 * GIB, values=1_000_000, content_bytes=256 * MIB)
+"""PyTorch files; the largest that is read here has 5 GB. Their content is what stands beside the numbers."""
+LIBRARY_CHECKPOINT: Final = replace(CHECKPOINT, file_bytes=64 * GIB)
+"""What libraries of others read: the encoder of prompts has 45 GB in one file."""
+SAFETENSORS: Final = Limits("weights file", 64 * GIB, values=1_000_000, content_bytes=64 * MIB)
+"""Content is the header."""
+NPZ: Final = Limits("file of arrays", 4 * GIB, values=10_000, content_bytes=8 * GIB)
+JSON: Final = Limits("JSON file", 512 * MIB, values=12_000_000, line_bytes=64 * MIB)
+"""Maps, CAN bus, manifests, small tables: the largest map of nuScenes has 40 MB and 4 million values."""
+TABLE: Final = replace(JSON, what="table", file_bytes=4 * GIB, values=150_000_000)
+"""Tables that are read whole by their check; those of nuScenes have up to 2 GB."""
+KEPT_ARRAYS: Final = Limits("file of kept arrays", 4 * GIB)
+"""Of the user's own cache: where the rows of tables are, 120 MB for nuScenes trainval."""
+RECORD: Final = Limits("record", 512 * MIB, values=60_000_000)
+"""Run records, manifests and lists of a submission."""
+PLANS: Final = Limits("plan file", 256 * MIB, values=1_000_000, line_bytes=64 * 1024, name_characters=256)
+"""One row a sample: all of nuScenes has 34,149."""
+RESULTS: Final = Limits("result file", 8 * GIB, values=8_000_000, memory_bytes=GIB)
+"""Files that planners' repositories write: plans, boxes, maps and forecasts of up to 34,149 samples. What reading may
+cost grows with the file (`for_file`)."""
+ANSWER: Final = Limits("answer of a planner", 64 * 1024, values=10_000)
+"""One text file of a folder of results."""
+PLANNER_ANSWER: Final = Limits(
+    "answer of a planner's process", 64 * MIB, depth=16, values=4_000_000, content_bytes=64 * MIB
+)
+"""A plan with its modes and forecasts, or what was raised; some kilobytes."""
+RESULT_FILES: Final = 40_000
+"""Files of a folder of results, one a sample."""
+PLAN_COLUMNS: Final = 64
+VERDICTS: Final = Limits("file of verdicts", 64 * MIB, depth=8, values=1_000_000, line_bytes=64 * 1024)
+"""One a scene, with a reason of a few words; all of nuScenes has 1,000 scenes."""
+PACKAGE: Final = Limits("package of a split", 256 * MIB, values=1000, name_characters=200, content_bytes=256 * MIB)
+"""Frozen splits have some kilobytes a scene; values are files."""
+SETTINGS: Final = Limits("file of settings", 256 * 1024)
+"""TOML that people write: rules of a challenge have a page."""
+PICTURE: Final = Limits("picture", 256 * MIB, values=64_000_000)
+"""Values are pixels: cameras have 1.4 to 12 million."""
+WIRE_REQUEST: Final = Limits("request", 64 * MIB, depth=8, values=10_000)
+"""Bodies that a simulator posts: six pictures of 1600 x 900 as plain numbers in base64 have 34.6 MB; values beside the
+pictures are some two hundred."""
+WIRE_ANSWER: Final = Limits("answer over HTTP", 64 * MIB, depth=8, values=4_000_000)
+"""Plans with objects, forecasts and, of some models, a view from above; or a renderer's actors and pictures."""
+WIRE_PICTURE: Final = Limits("picture over HTTP", 48 * MIB, values=16_000_000)
+"""Values are pixels; six of them are in memory together."""
+RECORDING_S: Final = 3600.0
+"""Seconds of one imported recording, whatever its steps."""
+RECORDED_OBJECTS: Final = 5000
+RECORDED_POSES: Final = 4_000_000
+"""Its objects times its frames; a crowded scene of nuScenes has 60,000."""
+MAP_POINTS: Final = 500_000
+"""Of its map; real ones have 20,000."""
+MAP_LANES: Final = 4000
+MAP_LINKS: Final = 200_000
+MAP_MEETINGS: Final = 2_000_000
+"""Pairs of pieces of its lines that come near each other: what it costs to join its surfaces."""
+EXPANSION: Final = 4
+"""How many times its own size a checkpoint's tensors may claim, since tensors may share what is stored."""
+
+
+_MOST_MORE_BYTES: Final = 16 * GIB
+
+
+def for_file(limits: Limits, size: int) -> Limits:
+    """Limits of a file whose reading costs in proportion to its size, so that a small one can never cost much.
+
+    Args:
+        limits: Of the kind, for the smallest.
+        size: Bytes of the file.
+
+    Returns:
+        They, with memory and time for the file.
+    """
+    more_s = size // (8 * MIB)
+    return replace(
+        limits,
+        memory_bytes=limits.memory_bytes + min(12 * size, _MOST_MORE_BYTES),
+        cpu_s=limits.cpu_s + more_s,
+        clock_s=limits.clock_s + 3 * more_s,
+    )
+
+
+def in_words(count: int) -> str:
+    """Bytes as somebody would say them."""
+    for unit, size in (("GB", GIB), ("MB", MIB), ("KB", 1024)):
+        if count >= size:
+            return f"{count / size:.3g} {unit}"
+    return f"{count} bytes"
 
 
 def open_file(path: Path, limits: Limits) -> BufferedReader:

@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from benchmark.records.caveats import Caveat
-from benchmark.untrusted.plan_plausibility import Misreading, plausibility_of
-from benchmark.untrusted.plans_beside_recording import ComparedPlans
+from benchmark.untrusted.plan_plausibility import ComparedPlans, Misreading, plausibility_of
 
 _RESTS = "every number rests on plans as they are read"
 

@@ -7,10 +7,19 @@ from typing import Any, Final, NoReturn
 
 from benchmark.errors import InputError
 from benchmark.untrusted.children import taken_apart
-from benchmark.untrusted.files import one_line, open_file, read_file
-from benchmark.untrusted.json_text import TooDeepError, TooLargeError, parse_json
-from benchmark.untrusted.limits import JSON, RESULTS, Limits, for_file
-from benchmark.untrusted.refusals import CATEGORIES, Category, RefusedFile
+from benchmark.untrusted.files import (
+    CATEGORIES,
+    JSON,
+    RESULTS,
+    Category,
+    Limits,
+    RefusedFile,
+    for_file,
+    one_line,
+    open_file,
+    read_file,
+)
+from benchmark.untrusted.text_files import TooDeepError, TooLargeError, parse_json
 
 _START_BYTES: Final = 64
 _ADVICE: Final[dict[str, str]] = {

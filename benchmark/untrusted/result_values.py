@@ -16,11 +16,9 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.untrusted.allowed import Refused
 from benchmark.untrusted.answers import Unanswerable
-from benchmark.untrusted.files import one_line
-from benchmark.untrusted.legacy_storages import Storage, storage_of
-from benchmark.untrusted.limits import EXPANSION, MIB, Limits
+from benchmark.untrusted.files import EXPANSION, MIB, Limits, one_line
+from benchmark.untrusted.legacy_storages import Refused, Storage, storage_of
 
 _CORES: Final = ("core", "_core")
 _NUMBERS: Final = re.compile(r"[<>|=]?(f[248]|[iu][1248]|b1|[SU]\d{1,4})")

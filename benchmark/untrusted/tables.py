@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from benchmark.untrusted.children import taken_apart
-from benchmark.untrusted.files import one_line, read_file
-from benchmark.untrusted.json_text import parse_json
-from benchmark.untrusted.limits import PLAN_COLUMNS, PLANS, Limits, in_words
+from benchmark.untrusted.files import PLAN_COLUMNS, PLANS, Limits, in_words, one_line, read_file
+from benchmark.untrusted.text_files import parse_json
 
 if TYPE_CHECKING:
     import pandas

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.errors import InputError
-from benchmark.untrusted.files import one_line, read_file
-from benchmark.untrusted.json_text import read_json
-from benchmark.untrusted.limits import VERDICTS, Limits, in_words
+from benchmark.untrusted.files import VERDICTS, Limits, in_words, one_line, read_file
+from benchmark.untrusted.text_files import read_json
 
 COLUMNS: Final = ("scene", "verdict", "reason", "inspector", "token")
 _NEEDED: Final = ("scene", "verdict")

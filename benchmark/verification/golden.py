@@ -14,7 +14,7 @@ from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.untrusted.arrays import read_npz
 from benchmark.untrusted.files import one_line
-from benchmark.untrusted.json_text import read_json
+from benchmark.untrusted.text_files import read_json
 from benchmark.verification.checks import Check, Comparison
 
 _DAMAGED: Final = (LookupError, ValueError, TypeError, AttributeError, ArithmeticError, RuntimeError, MemoryError)

@@ -9,9 +9,9 @@ import torch
 
 from benchmark.errors import InputError
 from benchmark.report.words import counted
+from benchmark.untrusted.arrays import require_sound_header
 from benchmark.untrusted.checkpoints import read_stored
-from benchmark.untrusted.limits import LIBRARY_CHECKPOINT
-from benchmark.untrusted.tensor_headers import require_sound_header
+from benchmark.untrusted.files import LIBRARY_CHECKPOINT
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmark.errors import InputError
-from generation.diffusion.preconditioning import GaussianPreconditioner, Shares
-from generation.diffusion.residual_network import LEVEL_FEATURES, ResidualNetwork
+from generation.diffusion.preconditioning import LEVEL_FEATURES, GaussianPreconditioner, ResidualNetwork, Shares
 from generation.diffusion.schedule import STEPS
 from generation.diffusion.standardiser import CHANNELS, WAYPOINTS
 
@@ -34,7 +33,7 @@ class DenoiserConfig:
         dropout: Active in training mode only.
         preconditioned: Whether a Gaussian of the data carries the linear part (`GaussianPreconditioner`).
         attention: Whether waypoints are tokens of a transformer; otherwise they are one vector
-            (`generation.diffusion.residual_network`), and heads, history and logits play no part.
+            (`generation.diffusion.preconditioning`), and heads, history and logits play no part.
         conditioned: Whether the network can be told how the vehicle moves now (`present_features`), so that no vehicle
             brakes into reverse. The published network cannot; one that can answers without where it is not told.
     """

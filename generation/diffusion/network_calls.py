@@ -12,7 +12,7 @@ from torch import Tensor
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from generation.diffusion.denoiser import Step, TrajectoryDenoiser
-from generation.diffusion.residual_network import present_features
+from generation.diffusion.preconditioning import present_features
 from generation.diffusion.schedule import Denoise
 
 PROCESSOR_ROWS: Final = 320

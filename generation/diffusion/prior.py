@@ -16,14 +16,11 @@ from torch import Tensor
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key, file_sha256
-from generation.diffusion.bank import bank_beside, normal_noise, read_bank
-from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser
+from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, bank_beside, load_denoiser, normal_noise, read_bank
 from generation.diffusion.denoiser import TrajectoryDenoiser
-from generation.diffusion.drivable_draws import DRAWN_FIRST, Draws, most_drivable
-from generation.diffusion.fast_sampling import solve, solver_timesteps
-from generation.diffusion.kinematics import motion
+from generation.diffusion.kinematics import DRAWN_FIRST, Draws, most_drivable, motion
 from generation.diffusion.network_calls import ACCELERATOR_ROWS, NetworkCalls, device_of
-from generation.diffusion.schedule import STEPS, Denoise, add_noise, reverse, strided_timesteps
+from generation.diffusion.schedule import STEPS, Denoise, add_noise, reverse, solve, solver_timesteps, strided_timesteps
 from generation.diffusion.standardiser import CHANNELS, WAYPOINTS, actions_from_waypoints, waypoints_from_actions
 from generation.search.proposals import Mutation, Request, Sampling
 

@@ -1,11 +1,163 @@
-"""A vehicle and the ego in the frame of the ego's driven path: who is where, and how long until they meet."""
+"""A vehicle and the ego in the frame of the ego's driven path: who is where, and how long until they meet.
+
+The path that the ego drove, as a frame: station along it, offset to its left.
+"""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
-from benchmark.geometry import Bools, Floats, box_gap
-from generation.labels.path_frame import PathFrame, Placement
+from benchmark.geometry import Bools, Floats, box_corners, box_gap, wrap_angle
+
+VERTEX_STEP_M = 1.0
+"""Distance of the path's vertices: closer ones would make headings out of the noise of a standing car."""
+EXTENSION_M = 150.0
+"""The path goes on by this much before its start and after its end."""
+BEND_M = 24.0
+"""So far it goes on with the curvature of its end, then straight; 3 s at 8 m/s."""
+MOST_BEND_RAD = np.deg2rad(90.0)
+CURVATURE_WINDOW_M = 5.0
+"""Length of the end over which its curvature is measured."""
+REACH_M = 90.0
+"""A point belongs to the part of the path within this station of the ego: paths cross themselves."""
+BODY_REACH_M = 15.0
+"""The corners of a body belong to the part of the path within this station of its centre."""
+
+
+@dataclass(frozen=True, slots=True)
+class PathFrame:
+    """Polyline of the ego's body centre, extended at both ends.
+
+    Attributes:
+        vertices: (M, 2) metres, global.
+        stations: (M,) metres along the path; 0 at the ego's first frame.
+        ego_stations: (T,) where the ego's centre is at each frame.
+    """
+
+    vertices: Floats
+    stations: Floats
+    ego_stations: Floats
+
+    @classmethod
+    def of(cls, ego: Floats) -> Self:
+        """The path of a recorded ego, (T, 5) body boxes, T >= 1."""
+        centers = ego[:, :2]
+        kept = [0]
+        for frame in range(1, len(centers)):
+            if np.hypot(*(centers[frame] - centers[kept[-1]])) >= VERTEX_STEP_M:
+                kept.append(frame)
+        poses = ego[kept][:, [0, 1, 4]]
+        # The past is a drive in reverse: the same arc, left behind.
+        before = _onwards(poses[::-1], backwards=True)[::-1]
+        vertices = np.concatenate([before, poses[:, :2], _onwards(poses, backwards=False)])
+        stations = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(vertices, axis=0).T))])
+        stations -= stations[len(before)]
+        # Segment k leads on from the k-th vertex; the first kept frame comes after those of the past.
+        segment = np.searchsorted(kept, np.arange(len(centers)), side="right") + len(before) - 1
+        edge = np.diff(vertices, axis=0)[segment]
+        length = np.hypot(edge[:, 0], edge[:, 1])
+        along = ((centers - vertices[segment]) * edge).sum(axis=1) / length
+        return cls(vertices, stations, stations[segment] + np.clip(along, 0.0, length))
+
+    def project(self, points: Floats, around: Floats, reach_m: float) -> tuple[Floats, Floats, Floats]:
+        """Nearest places on the path.
+
+        Args:
+            points: (F, P, 2) metres, global.
+            around: (F,) stations near which to look.
+            reach_m: How far from there.
+
+        Returns:
+            (F, P) stations, (F, P) offsets (left of the path is positive), (F, P) headings of the path, radians.
+        """
+        begin, edge = self.vertices[:-1], np.diff(self.vertices, axis=0)
+        length = np.hypot(edge[:, 0], edge[:, 1])
+        # Window of each segment, (F, 1, M).
+        low, high = (
+            np.clip(around[:, None, None] + end * reach_m - self.stations[:-1], 0.0, length) for end in (-1, 1)
+        )
+        outside = (np.abs(around[:, None] - self.stations[:-1] - 0.5 * length) > reach_m + 0.5 * length)[:, None]
+        offset = points[:, :, None] - begin
+        along = np.clip((offset * edge).sum(axis=-1) / length, low, high)
+        foot = begin + edge * (along / length)[..., None]
+        distance = np.where(outside, np.inf, np.linalg.norm(points[:, :, None] - foot, axis=-1))
+        station = self.stations[:-1] + along
+        nearest = distance.argmin(axis=-1)[..., None]
+        chosen = edge[nearest[..., 0]]
+        rest = np.take_along_axis(offset, nearest[..., None], axis=2)[..., 0, :]
+        side = np.sign(chosen[..., 0] * rest[..., 1] - chosen[..., 1] * rest[..., 0])
+        return (
+            np.take_along_axis(station, nearest, axis=-1)[..., 0],
+            side * np.take_along_axis(distance, nearest, axis=-1)[..., 0],
+            np.arctan2(chosen[..., 1], chosen[..., 0]),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """A body in the path frame, frame by frame.
+
+    Attributes:
+        station: (F,) of its centre, metres.
+        offset: (F,) of its centre.
+        turn: (F,) heading relative to the path's, [-pi, pi).
+        rear: (F,) smallest station of its corners.
+        front: (F,) largest station of its corners.
+        right: (F,) smallest offset of its corners.
+        left: (F,) largest offset of its corners.
+    """
+
+    station: Floats
+    offset: Floats
+    turn: Floats
+    rear: Floats
+    front: Floats
+    right: Floats
+    left: Floats
+
+    @classmethod
+    def of(cls, path: PathFrame, boxes: Floats, frames: slice) -> Self:
+        """Place a body of (F, 5) boxes at F frames of the ego.
+
+        Extents take in the middles of the sides too, because a long body spans bends.
+        """
+        station, offset, heading = (
+            part[:, 0] for part in path.project(boxes[:, None, :2], path.ego_stations[frames], REACH_M)
+        )
+        corners = box_corners(boxes)
+        outline = np.concatenate([corners, 0.5 * (corners + np.roll(corners, 1, axis=1))], axis=1)
+        along, across, _ = path.project(outline, station, BODY_REACH_M)
+        return cls(
+            station,
+            offset,
+            wrap_angle(boxes[:, 4] - heading),
+            along.min(axis=1),
+            along.max(axis=1),
+            across.min(axis=1),
+            across.max(axis=1),
+        )
+
+
+def _onwards(poses: Floats, *, backwards: bool) -> Floats:
+    """(E, 2) vertices after the last of some poses (M, 3) on the path: an arc as before, then straight.
+
+    Headings are those of the drive; ``backwards`` leads against them.
+    """
+    yaw = float(poses[-1, 2])
+    step = np.hypot(*np.diff(poses[:, :2], axis=0).T)[::-1]
+    way = np.concatenate([[0.0], np.cumsum(step)])
+    curvature = 0.0
+    if way[-1] >= CURVATURE_WINDOW_M:
+        first = int(np.argmax(way >= CURVATURE_WINDOW_M))
+        curvature = float(wrap_angle(yaw - poses[-1 - first, 2])) / float(way[first])
+    ahead = np.arange(VERTEX_STEP_M, BEND_M + 0.5 * VERTEX_STEP_M, VERTEX_STEP_M)
+    turned = np.clip(curvature * (ahead - 0.5 * VERTEX_STEP_M), -MOST_BEND_RAD, MOST_BEND_RAD)
+    heading = yaw + np.concatenate([turned, [turned[-1]]])
+    length = np.concatenate([np.full(len(ahead), VERTEX_STEP_M), [EXTENSION_M]])
+    moves = length[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+    return np.asarray(poses[-1, :2] + np.cumsum(-moves if backwards else moves, axis=0))
+
 
 MOVING_M_S = 1.0
 """Below this speed a body stands."""

@@ -10,7 +10,7 @@ from benchmark.datasets.judged import JUDGEMENTS_FILE
 from benchmark.datasets.reviewed import LEFT_OUT
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, write_bytes, write_json, writing_to
-from benchmark.records.seed_splits import SEARCH
+from benchmark.records.attempts import SEARCH
 from generation.nuscenes_writer.maps import write_maps
 from generation.nuscenes_writer.plan import DataSetPlan, require_own_root
 from generation.nuscenes_writer.scenes import read_state, release_claim, stored_fragment

@@ -21,9 +21,8 @@ from benchmark.records.ablation import RECORD, SCHEMA, VARIANTS, AblationReport,
 from benchmark.records.attempts import ATTEMPTS_FILE, Attempt, read_attempts
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import DataFacts
-from generation.pipeline.dry_run import estimate_build
 from generation.pipeline.recordings import source_scenes
-from generation.pipeline.report import BuildReport
+from generation.pipeline.report import BuildReport, estimate_build
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import NothingSurvivedError, build_split
 from generation.pipeline.surrogate import PROTOCOL, PlannerUnderTest, require_all_planned

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from benchmark.datasets.annotation_counts import require_annotated
+from benchmark.datasets.annotated import require_annotated
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.workspace import is_generated
@@ -12,7 +12,7 @@ from generation.pipeline.settings import BuildSettings
 from generation.search.definition import Search
 from generation.splits.building import require_not_frozen
 from generation.splits.format import require_freezable
-from generation.splits.seeds import require_seed
+from generation.splits.packaged import require_seed
 
 
 def ready_to_build(source: DataSet, split: str, settings: BuildSettings) -> tuple[str, ...]:

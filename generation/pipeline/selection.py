@@ -1,18 +1,104 @@
-"""Which generated scenes are written: the most challenging that no inspector rejected and the surrogate fails."""
+"""Which generated scenes are written: the most challenging that no inspector rejected and the surrogate fails.
 
-from collections.abc import Sequence
+Generated scenes that an inspector rejected: they are not written again.
+
+Variants of one recording that differ: the next one is the farthest from all that are kept already.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
 
 from benchmark.datasets.roots import DataSet
-from benchmark.records.review import Judged
+from benchmark.records.review import REJECTED, Judged, read_review
+from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan
-from generation.pipeline.inspection import rejected_jobs
+from generation.nuscenes_writer.plan import SceneNames
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.surrogate import Judgement, judge, staging_plan, take_over
-from generation.pipeline.variants import differing
 from generation.pipeline.writing import WritingJob, write_scenes
-from generation.search.chains import Chain, Dropped, SearchResult
+from generation.search.chains import Chain, Dropped, SearchResult, Tried
 from generation.search.ranking import ranked
+
+FAR_M: Final = 10.0
+"""Tracks this far apart are as different as any: another part of the traffic."""
+
+
+def distance(first: Tried, second: Tried) -> float:
+    """Difference of two adversaries of one recording, 0 to 2.
+
+    Returns:
+        The mean distance of their centres at the frames at which both act, in units of 10 m and at most 1 at each
+        (1 where they never act together), and 1 more where their primary manoeuvres are of different kinds.
+    """
+    tracks, starts = [], []
+    for each in (first, second):
+        tracks.append(np.array(each.stored.poses, dtype=np.float64).reshape(-1, 3)[:, :2])
+        starts.append(each.attempt.launch_frame or 0)
+    begin, end = max(starts), min(start + len(track) for start, track in zip(starts, tracks, strict=True))
+    apart = 1.0
+    if begin < end:
+        here, there = (track[begin - start : end - start] for start, track in zip(starts, tracks, strict=True))
+        apart = float(np.minimum(np.linalg.norm(here - there, axis=1) / FAR_M, 1.0).mean())
+    kinds = {None if each.attempt.labels is None else each.attempt.labels.manoeuvre for each in (first, second)}
+    return apart + (len(kinds) - 1)
+
+
+def differing(order: Sequence[Chain], most: int) -> list[Chain]:
+    """At most ``most`` scenes of each recording, best first, that differ from one another.
+
+    The most challenging one comes first; then, again and again, the one whose least `distance` to those that are
+    kept is largest. Scenes with several adversaries are compared link by link.
+    """
+    kept: set[str] = set()
+    for scene in dict.fromkeys(chain.scene_name for chain in order):
+        rest = [chain for chain in order if chain.scene_name == scene]
+        chosen = [rest.pop(0)]
+        while rest and len(chosen) < most:
+            least = [min(_apart(chain, other) for other in chosen) for chain in rest]
+            # The first of equals is the more challenging one.
+            chosen.append(rest.pop(int(np.argmax(least))))
+        kept.update(chain.name for chain in chosen)
+    return [chain for chain in order if chain.name in kept]
+
+
+def _apart(first: Chain, second: Chain) -> float:
+    return float(np.mean([distance(*links) for links in zip(first.links, second.links, strict=True)]))
+
+
+def rejected_jobs(
+    plan: DataSetPlan, jobs: Sequence[WritingJob], read: Callable[[str], Scene]
+) -> dict[str, tuple[int, Judged]]:
+    """Scenes of a build that an inspector rejected: verdicts beside the root stand on the same motion alone.
+
+    Args:
+        read: Gives a recorded scene by name; asked for scenes with a rejection alone.
+
+    Returns:
+        By name of the job: the variant, and what was said, under the name in the data set.
+    """
+    verdicts = read_review(plan.root)
+    found = {}
+    for job in jobs:
+        name = job.name_read(plan)
+        said = verdicts.get(name)
+        if said is None or said.verdict != REJECTED:
+            continue
+        scene = job.make(read(job.source_scene))
+        names = SceneNames.of(
+            plan,
+            scene,
+            name=job.written_as,
+            variant=job.variant,
+            source_scene=job.source_scene,
+            identity=job.identity,
+        )
+        token = names.token("scene")
+        if token == said.token:
+            found[job.name] = job.variant, Judged(name, token, REJECTED, said.reason)
+    return found
 
 
 @dataclass(frozen=True, slots=True)

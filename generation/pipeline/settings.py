@@ -46,7 +46,7 @@ class BuildSettings:
         keep_rounds: Whether the rounds of the search are kept for ``sheets --rounds``; of ``adv`` alone.
         freeze: File for the frozen split that others rebuild it from (`generation.splits`); of ``adv`` alone.
         timings: Folder for notes on how long work took, outside of the root; ``<out>.timings`` by default.
-        dry_run: Only count the work, and time a little of it (`generation.pipeline.dry_run`).
+        dry_run: Only count the work, and time a little of it (`generation.pipeline.report`).
     """
 
     out: Path

@@ -10,16 +10,14 @@ from pathlib import Path
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, only_writer
-from benchmark.records.attempts import ATTEMPTS_FILE
+from benchmark.records.attempts import ATTEMPTS_FILE, seed_of
 from benchmark.records.review import Judged
-from benchmark.records.seed_splits import seed_of
 from benchmark.report.words import counted
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, SourceInfo
-from generation.pipeline.dry_run import estimate_build
-from generation.pipeline.profile import runtime_table
+from generation.pipeline.estimate import runtime_table
 from generation.pipeline.recordings import ready_to_build, search_of, unlabelled_scenes
-from generation.pipeline.report import BuildReport
+from generation.pipeline.report import BuildReport, estimate_build
 from generation.pipeline.selection import Selection, select
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.writing import (
@@ -34,7 +32,7 @@ from generation.search.chains import Chain, SearchResult, search_chains
 from generation.search.definition import Search
 from generation.splits.format import Choice, FrozenRejection, write_frozen
 from generation.splits.freezing import freeze, search_facts
-from generation.splits.seeds import search_hash
+from generation.splits.packaged import search_hash
 
 
 class NothingSurvivedError(InputError):

@@ -17,7 +17,7 @@ from benchmark.metrics.effect import attributed_collisions
 from benchmark.metrics.transfer import adversary_failures
 from benchmark.records.run import RunRecord
 from benchmark.report.words import counted
-from benchmark.runs.failures import FAILURES_FILE, first_failure
+from benchmark.runs.units import FAILURES_FILE, first_failure
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.nuscenes_writer.scenes import claim_files, stored_fragment

@@ -22,7 +22,7 @@ from benchmark.datasets.roots import DataSet, open_data
 from benchmark.datasets.tables import variant_folders
 from benchmark.errors import InputError
 from benchmark.fairness.scenes import TracksAtHand, judge_scene
-from benchmark.fairness.split_realism import split_realism
+from benchmark.fairness.splits import split_realism
 from benchmark.machine.storage import canonical_json, content_key, read_json, write_bytes, writing_to
 from benchmark.machine.workers import Executor
 from benchmark.records.judgement import DEFINITION, SceneJudgement

@@ -13,9 +13,8 @@ from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, write_bytes
 from benchmark.report.birdseye import SceneFromAbove
-from benchmark.report.canvas import png
+from benchmark.report.canvas import Picture, png, write_text
 from benchmark.report.captions import draw_captions, draw_time
-from benchmark.report.lettering import Picture, write_text
 from benchmark.report.palette import PAPER
 from benchmark.scene import Scene
 from benchmark.scene_pages.making import sheet_to_draw

@@ -1,4 +1,4 @@
-"""The schematic renderer as a sensor of driven worlds (`benchmark.closed_loop.sensors`)."""
+"""The schematic renderer as a sensor of driven worlds (`benchmark.closed_loop.observing`)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

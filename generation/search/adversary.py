@@ -22,13 +22,12 @@ from benchmark.scene import Scene
 from generation.labels.labelling import closest_approach, describe, times_to_collision
 from generation.labels.manoeuvres import Manoeuvre
 from generation.search.candidates import launch_frame
-from generation.search.ground_truth_checks import masked_steps
 from generation.search.hyperparameters import Discards, HyperParameters
 from generation.search.planning import Planning
 from generation.search.proposals import Diversify, Prior, SearchSteps, Seconds, run_together
 from generation.search.ranking import challenge_score
-from generation.search.recorded_ego import log_replay_contacts
-from generation.search.verify import Discard, Finding, unfair, verify
+from generation.search.recorded_motion import log_replay_contacts
+from generation.search.verify import Discard, Finding, masked_steps, unfair, verify
 
 ALGORITHM_VERSION = "4"
 """Part of every content key; changes when the same inputs would give other tracks."""

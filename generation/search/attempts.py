@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, field_serializer
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.machine.pages import keep_pages
+from benchmark.machine.metering import keep_pages
 from benchmark.machine.storage import canonical_json, write_bytes, write_json
 from benchmark.machine.workers import Executor
 from benchmark.records.attempts import Attempt
@@ -21,8 +21,8 @@ from benchmark.runs.units import ResultStore, run_units
 from benchmark.scene import Scene
 from benchmark.scene_pages.motion import origin_of
 from generation.search.adversary import Searched, attempts_together
+from generation.search.candidates import Eligibility, eligibility_of
 from generation.search.definition import Earlier, Search, Unit
-from generation.search.eligibility import Eligibility, eligibility_of
 from generation.search.hyperparameters import Discards, HyperParameters
 from generation.search.verify import verify
 

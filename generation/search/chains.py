@@ -21,9 +21,8 @@ from benchmark.scene import Scene
 from generation.labels.manoeuvres import Manoeuvre
 from generation.search.asked_manoeuvres import able
 from generation.search.attempts import StoredAttempt, attempts, eligibility
-from generation.search.candidates import launch_frame
+from generation.search.candidates import Eligibility, launch_frame
 from generation.search.definition import Earlier, Search, Unit
-from generation.search.eligibility import Eligibility
 from generation.search.ranking import ranked
 
 

@@ -15,7 +15,7 @@ from generation.labels.manoeuvres import Manoeuvre
 from generation.search.adversary import ALGORITHM_VERSION
 from generation.search.hyperparameters import HyperParameters
 from generation.search.proposals import Prior
-from generation.search.rounds import SHOWN_CANDIDATES
+from generation.search.refinement import SHOWN_CANDIDATES
 
 PriorFactory = Callable[[], Prior]
 """Gives the same prior in any process. Must be picklable."""

@@ -9,9 +9,9 @@ from scipy.spatial import cKDTree
 
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME, PLAN_STEP_S, PLAN_STEPS
 from benchmark.geometry import Floats, wrap_angle
-from benchmark.machine.last_made import LastMade
+from benchmark.machine.kept_arrays import LastMade
 from benchmark.scene import Scene
-from generation.labels.path_frame import PathFrame
+from generation.labels.encounters import PathFrame
 
 SPACING_M: Final = 0.5
 """Of the points that stand for the path; offsets are exact on straight pieces all the same."""

@@ -14,8 +14,7 @@ from benchmark.dynamics.reference_path import WAYPOINTS
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key
-from generation.search.setting_values import parsed
-from generation.search.threat_settings import NEUTRAL, ThreatSettings
+from generation.search.threat_settings import NEUTRAL, ThreatSettings, parsed
 
 CANDIDATE_FRAMES = WAYPOINTS * FRAMES_PER_KEYFRAME
 """Frames that a candidate lasts: 8 s at 12 Hz."""
@@ -87,7 +86,7 @@ class Launch(StrEnum):
 
     ``NEAR``: once it is near the ego, after a history, driving forwards on the road. ``START``: at the first frame at
     which it is there and in the area around the ego (Algorithm 1 begins at frame 0). ``REFERENCE``: the code's.
-    ``REACH``: when it can get in the ego's way and stay near it (`generation.search.reach`); who never can is not
+    ``REACH``: when it can get in the ego's way and stay near it (`generation.search.candidates`); who never can is not
     tried.
     """
 
@@ -101,7 +100,7 @@ class Discards(StrEnum):
     """Reasons for which a scene is dropped.
 
     ``OURS``: all of `generation.search.verify`. ``PAPER``: of it, what the paper names. ``REFERENCE``: what the code
-    asks, which does not look for contact again (`generation.search.reference_discards`).
+    asks, which does not look for contact again (`generation.search.planning`).
     """
 
     OURS = "ours"

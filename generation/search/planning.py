@@ -1,8 +1,12 @@
-"""The planning frames of one adversary: searched one after the other, the best candidate executed up to the next."""
+"""The planning frames of one adversary: searched one after the other, the best candidate executed up to the next.
+
+What the public reference code drops a scene for: a bad score, or a place far from the ego. Contact is no reason.
+"""
 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -18,14 +22,42 @@ from generation.search.asked_manoeuvres import Wish
 from generation.search.hyperparameters import Discards, HyperParameters, Motion, ScoreOf
 from generation.search.proposals import Diversify, SearchSteps
 from generation.search.recorded_motion import in_canvas, initial_state
-from generation.search.reference_discards import fault_of_place, fault_of_step
-from generation.search.reference_rules import SPEED_FRAMES, STEP_FRAMES, reference_previous, reference_state
-from generation.search.reference_scoring import challenge_on, reference_surroundings, reference_terms
-from generation.search.refinement import Evaluated, NothingToDraw, Refinement, refine
-from generation.search.rounds import rounds_of
+from generation.search.reference_scoring import (
+    SPEED_FRAMES,
+    STEP_FRAMES,
+    challenge_on,
+    reference_previous,
+    reference_state,
+    reference_surroundings,
+    reference_terms,
+)
+from generation.search.refinement import Evaluated, NothingToDraw, Refinement, refine, rounds_of
 from generation.search.scoring import Surroundings, Terms, score_terms, surroundings
 from generation.search.threat import threat_rating
 from generation.search.verify import EGO, Discard, Finding, contacts
+
+WORST_SCORE: Final = 7.0
+"""A scene in which the best candidate of any planning frame scores higher is dropped."""
+FARTHEST_M: Final = 50.0
+"""From the ego's rear axle, along either axis of the map."""
+
+
+def fault_of_step(best_score: float, frame: int) -> Finding | None:
+    """Why the reference code drops a scene after a planning frame: its best candidate is too bad."""
+    if best_score <= WORST_SCORE:
+        return None
+    return Finding(Discard.SCORES_TOO_HIGH, frame, quantity="best score", value=best_score, limit=WORST_SCORE)
+
+
+def fault_of_place(scene: Scene, centers: Floats, first: int) -> Finding | None:
+    """Why the reference code drops a scene for where its adversary was: 50 m from the ego along an axis of the map.
+
+    (F, 2) ``centers`` of the adversary begin at frame ``first``; the scene's last frame is not looked at.
+    """
+    last = len(scene.timestamps_us) - 1
+    offset = np.abs(centers[: last - first] - scene.ego.pose[first : first + len(centers)][: last - first, :2])
+    out = np.flatnonzero((offset > FARTHEST_M).any(axis=1))
+    return Finding(Discard.LEAVES_AREA, first + int(out[0])) if len(out) else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from benchmark.geometry import Bools, Floats, axes_overlap, box_corners
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
-from generation.search.ground_truth_checks import raster_footprints
 from generation.search.hyperparameters import CollisionReading, HyperParameters
+from generation.search.verify import raster_footprints
 
 ROUNDING_M2, UNDERSTATED = 1e-6, 1.0 - 1e-12
 """Slack of the broad phase, far above rounding: boxes that touch corner to corner must reach the exact test."""

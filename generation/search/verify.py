@@ -1,9 +1,12 @@
 """Whether an adversarial scene is kept: challenging, drivable, and passable for the recorded ego.
 
 Paper section 3 (last paragraph of "Multi-round Trajectory Refinement") and appendix "The Adv-nuSc Dataset".
+
+Whether the recorded ego is clear of an adversary as the official protocols see both, and how large it is for them.
 """
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -12,19 +15,90 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from benchmark.constants import FRAMES_PER_KEYFRAME, PLAN_STEPS
 from benchmark.datasets.annotated import tracks_between
-from benchmark.dynamics.bicycle import DriverLimits
-from benchmark.dynamics.driver_limits import broken_limit
-from benchmark.geometry import Floats, box_corners, boxes_overlap, to_local
-from benchmark.protocols import NATIVE_PROTOCOLS
+from benchmark.datasets.sample_truth import truth_of_scene
+from benchmark.dynamics.bicycle import DriverLimits, broken_limit
+from benchmark.geometry import Bools, Floats, box_corners, boxes_overlap, to_local
+from benchmark.protocols import NATIVE_PROTOCOLS, masking_protocols, protocol
+from benchmark.protocols.raster import RasterProtocol
+from benchmark.protocols.stacked import stack
+from benchmark.records.attempts import MaskedSteps
 from benchmark.records.judgement import SceneJudgement, unsolvable
 from benchmark.scene import Scene
 from generation.labels.labelling import agent_boxes, body_gaps, ego_speed
-from generation.search.ground_truth_checks import recorded_contacts
 from generation.search.hyperparameters import Discards, HyperParameters
-from generation.search.recorded_ego import log_replay_contacts
-from generation.search.recorded_motion import in_canvas
+from generation.search.recorded_motion import in_canvas, log_replay_contacts
 from generation.splits.format import METRE_DIGITS, YAW_DIGITS
+
+
+def recorded_contacts(
+    scene: Scene, instances: Collection[str], protocols: Iterable[str]
+) -> dict[str, tuple[Bools, Bools]]:
+    """Contacts that protocols find of the recorded ego: at the key frames of the data set, as they see it from each.
+
+    Returns:
+        For each protocol two times (K, 6) verdicts for K samples and the steps after them, False where the recording
+        has ended: contact with one of these instances, and contact with anything else.
+    """
+    known = masking_protocols()
+    truths = stack(truth_of_scene(scene, [""] * len(scene.keyframes)))
+    own = np.array([name in instances for name in truths.instances], np.bool_)
+    return {
+        name: (known[name].recorded_contacts(truths, own), known[name].recorded_contacts(truths, ~own))
+        for name in protocols
+    }
+
+
+def masked_steps(scene: Scene) -> dict[str, MaskedSteps]:
+    """Steps of a scene that each protocol with a ground-truth check takes from every planner.
+
+    They are counted by protocol: steps at which the recorded ego touches an adversary, and those at which it
+    touches others alone.
+    """
+    return {
+        name: MaskedSteps(adversary=int(own.sum()), others=int((others & ~own).sum()))
+        for name, (own, others) in recorded_contacts(scene, scene.adversaries, masking_protocols()).items()
+    }
+
+
+def masked_together(scenes: Iterable[Mapping[str, MaskedSteps]]) -> dict[str, dict[str, int]]:
+    """Masked steps of several scenes: by protocol those of ``adversary`` and of ``others``, as JSON values."""
+    sums: dict[str, Counter[str]] = {}
+    for by_protocol in scenes:
+        for name, steps in by_protocol.items():
+            sums.setdefault(name, Counter()).update(adversary=steps.adversary, others=steps.others)
+    return {name: dict(found) for name, found in sums.items()}
+
+
+def masked_line(sums: Mapping[str, Mapping[str, int]]) -> str:
+    """`masked_together` for people."""
+    told = ", ".join(f"{name} {of['adversary']} / {of['others']}" for name, of in sums.items())
+    return f"steps masked whatever is planned, for adversaries / for others: {told}"
+
+
+def raster_footprints(scene: Scene, frames: NDArray[np.int64]) -> Floats:
+    """The recorded ego as the rasters of the native protocols show it, wherever key frames may lie.
+
+    At a frame that a plan reaches at its k-th step the ego looks as it did k half seconds before. (S, 6, 5) boxes,
+    one for each step of (S,) frames: what any of the rasters covers on average.
+    """
+    rasters = [known for known in map(protocol, NATIVE_PROTOCOLS) if isinstance(known, RasterProtocol)]
+    ends = np.stack([raster.mean_ends_m for raster in rasters])
+    rear, front, right, left = ends[:, 0].min(), ends[:, 1].max(), ends[:, 2].min(), ends[:, 3].max()
+    pose = scene.ego.pose
+    heading = pose[frames, 2, None]
+    lidar = pose[frames, None, :2] + scene.lidar.translation[0] * _direction(heading)
+    step = FRAMES_PER_KEYFRAME * np.arange(1, PLAN_STEPS + 1)
+    yaw = pose[np.maximum(frames[:, None] - step, 0), 2]
+    ahead, aside = _direction(yaw), _direction(yaw + np.pi / 2)
+    center = lidar + 0.5 * ((rear + front) * ahead + (right + left) * aside)
+    size = np.broadcast_to([front - rear, left - right], center.shape)
+    return np.concatenate([center, size, yaw[..., None]], axis=-1)
+
+
+def _direction(yaw_rad: Floats) -> Floats:
+    return np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=-1)
 
 
 class Discard(StrEnum):
@@ -147,12 +221,12 @@ def _masked(scene: Scene, agent: int, start: int) -> Finding | None:
     track = np.column_stack([scene.agents.position[agent, frames, :2], scene.agents.yaw[agent, frames]])
     frozen = np.column_stack([np.round(track[:, :2], METRE_DIGITS), np.round(track[:, 2], YAW_DIGITS)])
     for seen in (scene, scene.with_adversary(agent, frames, frozen)):
-        for protocol, (own, _) in recorded_contacts(seen, {name}, NATIVE_PROTOCOLS).items():
+        for native, (own, _) in recorded_contacts(seen, {name}, NATIVE_PROTOCOLS).items():
             if own.any():
                 sample, step = np.nonzero(own)
                 first = int(scene.keyframes[(sample + step).min() + 1])
                 return Finding(
-                    Discard.touches(protocol), first, EGO, f"steps masked under {protocol}", float(own.sum()), 0.0
+                    Discard.touches(native), first, EGO, f"steps masked under {native}", float(own.sum()), 0.0
                 )
     return None
 

@@ -9,9 +9,9 @@ from typing import Any, Final
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, only_writer, read_kept_json, write_json
+from benchmark.records.attempts import seed_of
 from benchmark.records.judgement import SceneJudgement, unsolvable
 from benchmark.records.review import REJECTED, Judged
-from benchmark.records.seed_splits import seed_of
 from benchmark.report.words import counted
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, SourceInfo
@@ -21,12 +21,10 @@ from generation.pipeline.estimate import Estimate, rendering_estimate, workers_o
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.writing import WritingJob, WrittenScenes, publish, publish_reports, write_scenes
 from generation.search.adversary import ALGORITHM_VERSION
-from generation.search.ground_truth_checks import masked_line, masked_steps, masked_together
-from generation.splits.digests import facts_of_row, tables_digest, written_digest
+from generation.search.verify import masked_line, masked_steps, masked_together
 from generation.splits.format import EDITED, FrozenScene, ImageFacts
-from generation.splits.packaged import NamedSplit
-from generation.splits.seeds import require_seed, search_hash
-from generation.splits.tracks import adversarial, scene_report, tracks_of
+from generation.splits.packaged import NamedSplit, require_seed, search_hash
+from generation.splits.tracks import adversarial, facts_of_row, scene_report, tables_digest, tracks_of, written_digest
 
 _MARK: Final = "frozen.json"
 """In the writer's own folder: which frozen split a root is built from."""

@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmark.datasets.listing import listed_scenes
 from benchmark.datasets.roots import DataSet
+from benchmark.datasets.statistics import listed_scenes
 from benchmark.machine.storage import content_key
 from benchmark.machine.workspace import cache_root, is_finished
 from benchmark.records.judgement import DEFINITION

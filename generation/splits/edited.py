@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.datasets.own_words import Exchanged
 from benchmark.datasets.roots import DataSet
+from benchmark.datasets.scenario_map import Exchanged
 from benchmark.datasets.scenarionet import find_scenarionet, read_exchanged
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, wrap_angle
@@ -15,7 +15,6 @@ from benchmark.machine.storage import token
 from benchmark.scene import Scene
 from benchmark.untrusted.files import one_line
 from generation.nuscenes_writer import DataSetPlan, SourceInfo
-from generation.splits.digests import tables_digest
 from generation.splits.format import (
     EDITED,
     Choice,
@@ -26,7 +25,7 @@ from generation.splits.format import (
     SearchFacts,
 )
 from generation.splits.packaged import NamedSplit
-from generation.splits.tracks import SAME_M, adversarial, recorded_pose, rounded_pose
+from generation.splits.tracks import SAME_M, adversarial, recorded_pose, rounded_pose, tables_digest
 
 _SAME_SIZE_M: Final = 0.005
 _SAME_TIME_S: Final = 1e-3

@@ -11,8 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, content_key, read_json, write_bytes
+from benchmark.records.attempts import is_adversarial
 from benchmark.records.review import LONGEST_REASON
-from benchmark.records.seed_splits import is_adversarial
 from benchmark.records.store import validated
 
 FORMAT: Final = "challenger-bench frozen split"
@@ -60,7 +60,7 @@ class FrozenScene(_Frozen):
         name: Its name in the split.
         source: Name of the recorded scene.
         adversaries: In the order in which they were planned.
-        tables: Hash of its tables, numbers rounded to a nanometre (`generation.splits.digests`).
+        tables: Hash of its tables, numbers rounded to a nanometre (`generation.splits.tracks`).
         images: Hash of its key frames' images, if they were compared.
     """
 

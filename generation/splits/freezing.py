@@ -10,7 +10,6 @@ from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan
 from generation.search.chains import Chain, Tried
 from generation.search.definition import Search
-from generation.splits.digests import drawn_digest, image_facts, tables_digest
 from generation.splits.format import (
     Choice,
     FrozenAdversary,
@@ -19,7 +18,7 @@ from generation.splits.format import (
     Recordings,
     SearchFacts,
 )
-from generation.splits.tracks import adversarial, recorded_pose, rounded_pose
+from generation.splits.tracks import adversarial, drawn_digest, image_facts, recorded_pose, rounded_pose, tables_digest
 
 _UNKNOWN: Final = "0" * 64
 """Stands for a hash until the scene is put together."""

@@ -21,9 +21,8 @@ from benchmark.records.drives import DriveRecord
 from benchmark.records.review import REVIEW_FILE, ReviewFile, read_review
 from benchmark.records.review import SCHEMA as REVIEW_SCHEMA
 from benchmark.records.stored import Stored
-from benchmark.untrusted.files import one_line, read_file
-from benchmark.untrusted.limits import SETTINGS
-from benchmark.untrusted.packages import package_bytes
+from benchmark.untrusted.compressed import package_bytes
+from benchmark.untrusted.files import SETTINGS, one_line, read_file
 from generation.splits.packaged import NamedSplit
 
 FORMAT: Final = "challenger-bench split package"

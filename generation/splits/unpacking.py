@@ -11,9 +11,9 @@ from benchmark.machine.extension import AbsentExtensionError
 from benchmark.machine.storage import write_bytes
 from benchmark.records.review import ReviewFile
 from benchmark.records.store import validated
+from benchmark.untrusted.compressed import read_package
 from benchmark.untrusted.files import one_line
-from benchmark.untrusted.json_text import parse_json
-from benchmark.untrusted.packages import read_package
+from benchmark.untrusted.text_files import parse_json
 from generation.splits.format import FORMAT as SPLIT_FORMAT
 from generation.splits.format import SCHEMA as SPLIT_SCHEMA
 from generation.splits.format import FrozenSplit

@@ -12,14 +12,13 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from benchmark.constants import HORIZON_STEPS
-from benchmark.metrics.confusion import comparisons
-from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.disagreement import EXACT, comparisons
 from benchmark.metrics.effect import says_whom, touched_scenes
 from benchmark.metrics.rates import Rate
+from benchmark.records.rows import scene_failures
 from benchmark.records.run import NATIVE, RunRecord, protocol_of
 from benchmark.records.run_schema import ProtocolSummary
-from benchmark.records.scene_failures import scene_failures
-from benchmark.report.lettering import drawable
+from benchmark.report.canvas import drawable
 from benchmark.report.plots import Sketch, Theme, for_pages, new_figure
 from benchmark.report.words import titled
 from leaderboard.frame.rows import judges, name_cell, splits_of

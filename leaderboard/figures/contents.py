@@ -1,18 +1,227 @@
-"""Which figures there are, and in which order they are looked at."""
+"""Which figures there are, and in which order they are looked at.
 
-from collections.abc import Callable, Iterable
-from typing import Final
+Attack success against how real the adversaries move, a point a generator setting and planner.
+"""
 
+import textwrap
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from benchmark.metrics.attacks import attack_rates, counts_attacks, has_adversaries, says_severity
 from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.judgements import split_ladders
+from benchmark.metrics.rates import Rate
 from benchmark.metrics.transfer import TransferMatrix
+from benchmark.records.judgement import FeatureRealism
+from benchmark.records.run import RunRecord
 from benchmark.records.scenes import Sheets
-from leaderboard.figures.attacks import attack_figures, nothing_drawn
-from leaderboard.figures.charts import run_figures
+from benchmark.report.canvas import drawable
+from benchmark.report.plots import Theme, for_pages, new_figure
+from benchmark.report.words import split_of
+from leaderboard.figures.charts import MARKERS, name_below, planner_name, run_figures
 from leaderboard.figures.heat_map import heat_maps, lift_maps
 from leaderboard.figures.refinement import refinement_figures
+from leaderboard.frame.rows import in_table_order, split_place
 from leaderboard.frame.runs import Frame
 from leaderboard.page.sections import NamedFigure
 from leaderboard.tables.transfer import frame_matrices, name_of_lift, name_of_transfer
+
+NAME: Final = "attack-realism"
+TITLE: Final = "Attributable attack success against realism"
+REALISM_AXIS: Final = "realism of the worst feature"
+VALIDITY_AXIS: Final = "scenes whose adversaries have no fault (%)"
+_WIDTH, _HEIGHT, _LINE, _LEGEND_LINE, _LEGEND_COLUMNS = 5.7, 3.3, 0.145, 0.21, 3
+"""Inches; of two panels the figure is 1.4 times as wide."""
+_LETTERS_PER_INCH: Final = 15.5
+_APART: Final = 0.013
+"""Planners of one setting stand this part of the axis beside one another, so that their intervals can be told."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One setting of a generator: the adversarial scenes of one split of one data set.
+
+    `worst` is the worst feature, ``None`` where there was no comparison with recordings; `without_fault` the share of
+    the scenes whose adversaries have no fault; `success` the attributable attack success on each planner, of scenes.
+    """
+
+    data_name: str
+    split: str
+    worst: FeatureRealism | None
+    without_fault: Rate
+    success: tuple[tuple[RunRecord, Rate], ...]
+
+
+def generator_settings(records: Sequence[RunRecord]) -> list[Setting]:
+    """Settings, by data set and split, that say whether the careful human survives and how severe plans are."""
+    found: dict[tuple[str, str], list[RunRecord]] = {}
+    for record in in_table_order(list(filter(counts_attacks, records))):
+        found.setdefault((record.run.data.name, record.run.split), []).append(record)
+    settings = []
+    for (data_name, split), runs in sorted(found.items(), key=lambda each: (each[0][0], split_place(each[0][1]))):
+        ladder = split_ladders(runs).get(split)
+        rates = [(run, attack_rates(run).scenes["attributable"]) for run in runs]
+        success = tuple((run, rate) for run, rate in rates if rate.value is not None)
+        if ladder is not None and success:
+            said = next((run.run.realism for run in runs if run.run.realism is not None), None)
+            worst = None if said is None else said.headline
+            settings.append(Setting(data_name, split, worst, ladder.without_fault, success))
+    return settings
+
+
+def attack_figures(frame: Frame) -> tuple[NamedFigure, ...]:
+    """The figure of a data set, or none where none of its own settings can be drawn (`nothing_drawn`).
+
+    Settings of a generator are compared with one another, those of other data sets too; its own stand out.
+    """
+    settings = generator_settings(frame.against or frame.given)
+    if not any(setting.data_name == frame.data_name for setting in settings):
+        return ()
+    return (NamedFigure(NAME, TITLE, *for_pages(partial(_figure, frame.data_name, settings))),)
+
+
+def nothing_drawn(data_name: str, records: Sequence[RunRecord]) -> str | None:
+    """Reason why there is no figure of a data set that has adversaries, in a sentence; ``None`` where there is one."""
+    own = [each for each in records if each.run.data.name == data_name and has_adversaries(each)]
+    if not own or any(setting.data_name == data_name for setting in generator_settings(own)):
+        return None
+    if not any(map(says_severity, own)):
+        return "No figure of attack success against realism: no record says how severe its plans are."
+    return "No figure of attack success against realism: nobody said of any scene who survives it."
+
+
+def _figure(data_name: str, settings: Sequence[Setting], theme: Theme) -> Figure:
+    kinds: list[tuple[str, Callable[[Setting], _Place | None]]] = [
+        (REALISM_AXIS, _by_realism),
+        (VALIDITY_AXIS, _by_validity),
+    ]
+    panels = [(head, place) for head, place in kinds if any(place(setting) for setting in settings)]
+    planners = {run.planner: run for setting in settings for run, _ in setting.success}
+    style: dict[str, dict[str, Any]] = {
+        name: {"color": theme.planner(at), "marker": MARKERS[at % len(MARKERS)], "markersize": 6, "linestyle": "none"}
+        for at, name in enumerate(planners)
+    }
+    width = _WIDTH * (1.4 if len(panels) > 1 else 1.0)
+    words = [line for text in _words(settings) for line in textwrap.wrap(text, int(_LETTERS_PER_INCH * width))]
+    below = _LINE * len(words) + _LEGEND_LINE * -(-len(planners) // _LEGEND_COLUMNS) + 0.2
+    figure = new_figure(width, _HEIGHT + below)
+    shown = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for axes, (head, place) in zip(shown, panels, strict=True):
+        _frame(axes, head, theme)
+        for number, setting in enumerate(settings, 1):
+            at = place(setting)
+            if at is not None:
+                _draw_setting(axes, setting, number, at, style, theme, own=setting.data_name == data_name)
+    shown[0].set_ylabel("attributable success, % of the scenes")
+    shown[0].set_ylim(-3, 108)
+    figure.tight_layout(rect=(0, below / figure.get_figheight(), 1, 0.94))
+    _say(figure, f"{drawable(data_name)}: attributable attack success against realism", words, theme)
+    lines = [mpl.lines.Line2D([], [], **look) for look in style.values()]
+    above = (0.5, (_LINE * len(words) + 0.08) / figure.get_figheight())
+    names = [planner_name(run) for run in planners.values()]
+    name_below(figure, lines, names, min(_LEGEND_COLUMNS, len(planners)), bbox_to_anchor=above)
+    return figure
+
+
+def _frame(axes: Axes, head: str, theme: Theme) -> None:
+    axes.set_xlabel(head)
+    axes.set_xlim((-0.02, 1.02) if head == REALISM_AXIS else (-2, 102))
+    axes.grid(color=theme.rule, linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _say(figure: Figure, heading: str, words: Sequence[str], theme: Theme) -> None:
+    height = figure.get_figheight()
+    plain: dict[str, Any] = {"parse_math": False}
+    figure.text(0.02, 0.08 / height, "\n".join(words), va="bottom", fontsize=8.5, color=theme.faint, **plain)
+    figure.text(0.5, 1 - 0.06 / height, heading, ha="center", va="top", fontsize=10.5, **plain)
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Place of a setting on an axis, and its interval."""
+
+    at: float
+    low: float | None
+    high: float | None
+
+
+def _by_realism(setting: Setting) -> _Place | None:
+    if setting.worst is None:
+        return None
+    low, high = setting.worst.interval or (None, None)
+    return _Place(setting.worst.realism, low, high)
+
+
+def _by_validity(setting: Setting) -> _Place | None:
+    """Only where there is no realism: the two axes are not comparable."""
+    rate = setting.without_fault
+    if setting.worst is not None or rate.value is None:
+        return None
+    ends = (None if end is None else 100 * end for end in (rate.low, rate.high))
+    return _Place(100 * rate.value, *ends)
+
+
+def _draw_setting(
+    axes: Axes,
+    setting: Setting,
+    number: int,
+    place: _Place,
+    style: Mapping[str, dict[str, Any]],
+    theme: Theme,
+    *,
+    own: bool,
+) -> None:
+    """Points of one setting at its line, with their intervals; those of other data sets are hollow."""
+    axes.axvline(place.at, color=theme.rule, linewidth=1.0, zorder=1)
+    axes.annotate(
+        str(number),
+        (place.at, 104),
+        ha="center",
+        va="center",
+        fontsize="small",
+        color=theme.ink if own else theme.faint,
+    )
+    if place.low is not None and place.high is not None:
+        axes.plot([place.low, place.high], [101, 101], color=theme.faint, linewidth=1.2, zorder=1)
+    left, right = axes.get_xlim()
+    order = list(style)
+    for run, rate in setting.success:
+        look, value = style[run.planner], 100 * (rate.value or 0.0)
+        at = place.at + _APART * (right - left) * (order.index(run.planner) - 0.5 * (len(order) - 1))
+        if rate.low is not None and rate.high is not None:
+            ends = [100 * rate.low, 100 * rate.high]
+            axes.plot([at, at], ends, color=look["color"], linewidth=1.2, alpha=0.5, zorder=2)
+        face = look["color"] if own else theme.paper
+        axes.plot(at, value, **look, markerfacecolor=face, zorder=3)
+
+
+def _words(settings: Sequence[Setting]) -> list[str]:
+    """Sentences on which number is which setting, and on the axes."""
+    found = []
+    for number, setting in enumerate(settings, 1):
+        name = drawable(split_of(setting.split, setting.data_name))
+        worst = "" if setting.worst is None else f"; worst: {setting.worst.name.replace('_', ' ')}"
+        found.append(f"{number}: {name}{worst}")
+    if any(setting.worst is None for setting in settings):
+        found.append(
+            "Where nobody compared the adversaries with recordings, as on our own town, there is no realism; the share "
+            "of scenes whose adversaries have no validity fault says less."
+        )
+    halves = [setting.worst.realism_of_halves for setting in settings if setting.worst is not None]
+    known = [half for half in halves if half is not None]
+    if known:
+        ends = f"{min(known):.2f}" if min(known) == max(known) else f"{min(known):.2f} to {max(known):.2f}"
+        found.append(f"Two halves of the recordings reach {ends} on the same feature: what is above says nothing more.")
+    return found
+
 
 OF_RUNS: Final[tuple[Callable[[Frame], Iterable[NamedFigure]], ...]] = (run_figures, attack_figures)
 

@@ -20,8 +20,8 @@ from benchmark.machine.storage import write_bytes
 from benchmark.metrics.rates import Estimate, Rate
 from benchmark.metrics.transfer import TransferMatrix
 from benchmark.records.run import NATIVE
+from benchmark.report.canvas import drawable
 from benchmark.report.cells import UNDEFINED, interval, number
-from benchmark.report.lettering import drawable
 from benchmark.report.plots import FORMATS, LIGHT, Theme, for_pages, new_figure, picture
 from leaderboard.tables.transfer import planner_names
 

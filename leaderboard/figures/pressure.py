@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from benchmark.metrics.rates import Rate
 from benchmark.records.drives import DriveRecord
-from benchmark.report.lettering import drawable
+from benchmark.report.canvas import drawable
 from benchmark.report.plots import Theme, for_pages, new_figure
 from leaderboard.figures.charts import name_below, planner_style
 from leaderboard.frame.rows import name_cell

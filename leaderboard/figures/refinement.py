@@ -25,7 +25,7 @@ from benchmark.records.scenes import (
     TraceFrame,
     TraceRound,
 )
-from benchmark.report.lettering import drawable
+from benchmark.report.canvas import drawable
 from benchmark.report.plots import LIGHT, Sketch, Theme, for_pages, new_figure, picture
 from leaderboard.figures.refinement_map import MapView, draw_candidates, draw_road, draw_traffic, view_of
 from leaderboard.page.sections import NamedFigure

@@ -5,13 +5,13 @@ from dataclasses import dataclass, field
 
 from benchmark.errors import InputError
 from benchmark.records.ablation import AblationReport
-from benchmark.records.challenge_scores import ChallengeScores
+from benchmark.records.challenge import ChallengeScores
 from benchmark.records.drives import DriveRecord
 from benchmark.records.quality import QualityRecord
 from benchmark.records.run import RunRecord
 from benchmark.records.scenes import NO_SHEETS, Sheets
 from leaderboard.frame.runs import Frame
-from leaderboard.selection import one_run_each
+from leaderboard.results import one_run_each
 
 
 @dataclass(frozen=True, slots=True)

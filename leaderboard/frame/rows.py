@@ -5,11 +5,11 @@ from dataclasses import replace
 from typing import Protocol
 
 from benchmark.metrics.scores import registered_version, source_of_scenes
-from benchmark.records.file_plans import file_notes
+from benchmark.records.attempts import is_adversarial
+from benchmark.records.planner_versions import file_notes
 from benchmark.records.review import NOT_REVIEWED, review_words
 from benchmark.records.run import NATIVE, RunRecord
 from benchmark.records.run_schema import RecordFacts
-from benchmark.records.seed_splits import is_adversarial
 from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS, Shown
 from benchmark.report.words import counted
 

@@ -1,11 +1,16 @@
-"""A table as a specification: columns, each with a head and a format, over rows of named values."""
+"""A table as a specification: columns, each with a head and a format, over rows of named values.
+
+Scene sheets: the splits of each data set, and the cells of their numbers.
+"""
 
 import itertools
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from benchmark.report.cells import PERCENT, UNDEFINED, Cell, Origin, Shown
+from benchmark.records.scenes import Sheets, SplitSheet
+from benchmark.report.cells import PERCENT, UNDEFINED, Cell, Origin, Shown, named_record
 from benchmark.report.table import Brief, LatexForm, Table, table_of
+from leaderboard.frame.rows import split_place
 
 Value = Cell | Shown | str | None
 Values = Mapping[str, Value]
@@ -128,3 +133,34 @@ def tabulate(
 def share(origin: Origin, count: int, among: int, of: str) -> Cell:
     """A count as a percentage of all."""
     return origin.cell(count / among if among else None, PERCENT, among, of, scale=100.0)
+
+
+OfSplits = Callable[[str, Sequence[SplitSheet]], Iterable[Table | None]]
+"""Tables of the splits of one data set, by its name; ``None`` where there is nothing to show."""
+
+
+def by_data_set(sheets: Sheets, tables: OfSplits) -> dict[str, tuple[Table, ...]]:
+    """Tables by name of the data set, in the order of the names; the paper's three splits come first."""
+    splits: dict[str, list[SplitSheet]] = {}
+    for sheet in sorted(sheets.splits.values(), key=lambda sheet: (sheet.data.name, split_place(sheet.split))):
+        splits.setdefault(sheet.data.name, []).append(sheet)
+    found = {name: tuple(table for table in tables(name, own) if table is not None) for name, own in splits.items()}
+    return {name: made for name, made in found.items() if made}
+
+
+def by_name(parts: Iterable[Mapping[str, Sequence[Table]]]) -> dict[str, tuple[Table, ...]]:
+    """Tables of several kinds by name of the data set, in the order of the names."""
+    found = list(parts)
+    names = sorted({name for part in found for name in part})
+    return {name: tuple(table for part in found for table in part.get(name, ())) for name in names}
+
+
+def origin_of(sheet: SplitSheet) -> Origin:
+    """Origin of the numbers of a split: the data set's fingerprint stands for a record."""
+    return Origin(record=named_record(sheet.data.fingerprint[:12], sheet.data.name, sheet.split))
+
+
+def counts_of(splits: Sequence[SplitSheet], of: str, count: Callable[[SplitSheet], int]) -> dict[str, Value]:
+    """A count of each split, for `leaderboard.frame.specification.places`."""
+    counts = [(split, count(split)) for split in splits]
+    return {f"#{at}": Shown(f"{n:,}", origin_of(split).count(n, of)) for at, (split, n) in enumerate(counts)}

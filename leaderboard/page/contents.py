@@ -9,15 +9,23 @@ from benchmark.report.table import Table, escape_markdown
 from leaderboard.figures.contents import data_set_figures, matrix_figures, missing_figures
 from leaderboard.figures.pressure import pressure_figures
 from leaderboard.frame.results import Results
-from leaderboard.page.files import CLOSED_LOOP, TABLES_FOLDER, group_of, page_path, page_text
-from leaderboard.page.sections import Item, Section, said_once, sections_of
+from leaderboard.page.sections import (
+    CLOSED_LOOP,
+    TABLES_FOLDER,
+    Item,
+    Section,
+    group_of,
+    page_path,
+    page_text,
+    said_once,
+    sections_of,
+)
 from leaderboard.paper.document import paper_document, paper_tables
 from leaderboard.paper.runtime_chart import runtime_charts
 from leaderboard.tables.contents import closed_loop_tables, data_set_tables, generation_tables, missing_notes
-from leaderboard.tables.loops import DISAGREEMENTS
-from leaderboard.tables.published import published_tables
+from leaderboard.tables.drives import DISAGREEMENTS
+from leaderboard.tables.published import published_tables, standing_tables
 from leaderboard.tables.slices import SLICES
-from leaderboard.tables.standing import standing_tables
 
 
 def data_sets(results: Results) -> Iterator[Section]:

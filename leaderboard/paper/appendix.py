@@ -19,8 +19,7 @@ from benchmark.records.statistics import Runtime
 from benchmark.report.cells import UNDEFINED
 from benchmark.report.table import LatexForm, Table
 from benchmark.report.words import counted
-from leaderboard.frame.sheets import counts_of, origin_of
-from leaderboard.frame.specification import Values, numbers, places, tabulate, texts, under
+from leaderboard.frame.specification import Values, counts_of, numbers, origin_of, places, tabulate, texts, under
 from leaderboard.tables.published import published_rows, published_seconds
 from leaderboard.tables.runtime import counted_of, stages_of
 

@@ -1,15 +1,143 @@
-"""The paper's tables in its order, and one LaTeX document of them and the chart with booktabs and graphicx alone."""
+"""The paper's tables in its order, and one LaTeX document of them and the chart with booktabs and graphicx alone.
 
+The paper's Table 1 in its two-column form: two planners beside each other, a line for each data set.
+"""
+
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+from benchmark.metrics.rates import HORIZONS
+from benchmark.metrics.scores import takes_maxima
+from benchmark.published import DATA_SET_OF_SPLIT, TABLE_1_SOURCE
 from benchmark.records.ablation import AblationReport
-from benchmark.records.run import RunRecord
+from benchmark.records.run import NATIVE, RunRecord
+from benchmark.records.run_schema import ProtocolSummary
 from benchmark.records.scenes import Sheets
-from benchmark.report.table import Table, escape_latex
-from leaderboard.frame.sheets import by_data_set, by_name
+from benchmark.report.cells import PERCENT, UNDEFINED, Origin, Shown, record_name
+from benchmark.report.table import LatexForm, Table, escape_latex, table_of
+from leaderboard.frame.rows import SPLIT_ORDER
+from leaderboard.frame.runs import Frame, Row, row_notes
+from leaderboard.frame.specification import by_data_set, by_name
 from leaderboard.paper.appendix import hyper_parameter_tables, paper_data_set_tables, paper_runtime_tables
-from leaderboard.paper.table_1 import paper_table_1
+from leaderboard.tables.published import published_increase, published_rate, quoted
+
+_ORDER: Final = ("uniad", "vad", "sparsedrive", "diffusiondrive")
+"""Of the paper, by the planners' own protocols: the first half stands on the left."""
+_HERE, _PAPER = "here, own protocol", "paper, own protocol"
+_DIGITS: Final = {"sparsedrive": 3, "diffusiondrive": 3}
+"""As the paper prints them; all others have two."""
+_HEADS: Final = ("AD model", *HORIZONS, "×", "avg", "×")
+
+
+Block = Mapping[str, Row[ProtocolSummary]]
+"""One planner: its runs by split."""
+
+
+def paper_table_1(data_name: str, records: Sequence[RunRecord]) -> Table | None:
+    """Table 1 as the paper lays it out, each planner under the protocol of its own repository.
+
+    Two planners a block, those of the paper first and in its order, on the paper's three splits; published averages and
+    increases have columns of their own. ``None`` without runs.
+    """
+    blocks = _blocks(Frame(data_name, records))
+    if not blocks:
+        return None
+    splits = [split for split in SPLIT_ORDER if any(split in block for block in blocks)]
+    rows = [(split, *_half(left, split), *_half(right, split)) for left, right in _pairs(blocks) for split in splits]
+    said = ", ".join(f"{split} is {DATA_SET_OF_SPLIT[split]}" for split in splits)
+    return table_of(
+        "paper-table-1",
+        f"{data_name}: performance of end-to-end driving systems across data sets, collision rate over 3 seconds (%)",
+        ("data set", *_HEADS, *_HEADS),
+        rows,
+        notes=(
+            "As in the paper each planner is judged by the protocol of its own repository (exact where it has none): "
+            f"planners do not compare with each other. ×: (adv − val) / val of the averages. In the paper {said}.",
+            *row_notes([row for block in blocks for row in block.values()]),
+        ),
+        text_columns=2,
+        groups=(("", 2), (_HERE, 5), (_PAPER, 2), ("", 1), (_HERE, 5), (_PAPER, 2)),
+        sources=(TABLE_1_SOURCE,),
+        latex_form=LatexForm(
+            alignment=r"llrrrrrrr@{\hspace{1.5em}}lrrrrrrr",
+            rules_after=tuple(range(len(splits), len(rows), len(splits))),
+            # As in the paper the name stands once, in the middle of its lines.
+            once=(1, 1 + len(_HEADS)),
+            bold_rows=tuple(place for place in range(len(rows)) if rows[place][0] == "adv"),
+            fit=True,
+        ),
+    )
+
+
+def _blocks(frame: Frame) -> list[Block]:
+    """Planners with their runs; the paper's first, then others with a protocol of their own, then the rest."""
+    blocks: dict[str, dict[str, Row[ProtocolSummary]]] = {}
+    for row in frame.judged(NATIVE):
+        if row.split in SPLIT_ORDER and not takes_maxima(row.judge):
+            blocks.setdefault(row.record.planner, {})[row.split] = row
+    return sorted(blocks.values(), key=_place)
+
+
+def _first(block: Block) -> Row[ProtocolSummary]:
+    return next(iter(block.values()))
+
+
+def _place(block: Block) -> tuple[int, int, bool, str]:
+    record = _first(block).record
+    own = record.run.planner.native_protocol
+    place = _ORDER.index(own) if own in _ORDER else len(_ORDER)
+    return int(own is None), place, record.run.planner.miniature, record.planner
+
+
+def _pairs(blocks: Sequence[Block]) -> list[tuple[Block, Block | None]]:
+    """Planners that stand beside each other: of those with and of those without a protocol the halves."""
+    pairs: list[tuple[Block, Block | None]] = []
+    for without in (0, 1):
+        group = [block for block in blocks if _place(block)[0] == without]
+        half = (len(group) + 1) // 2
+        pairs += itertools.zip_longest(group[:half], group[half:])
+    return pairs
+
+
+def increase_over(baseline: float | None, rate: float | None) -> float | None:
+    """The paper's "× increase": (rate - baseline) / baseline, ``None`` where the baseline is zero or unknown."""
+    if baseline is None or rate is None or baseline == 0:
+        return None
+    return (rate - baseline) / baseline
+
+
+def _half(block: Block | None, split: str) -> tuple[str | Shown, ...]:
+    """One planner's part of a line."""
+    if block is None:
+        return ("",) * len(_HEADS)
+    row = block.get(split)
+    if row is None:
+        return (_first(block).planner, *(UNDEFINED,) * (len(_HEADS) - 1))
+    rates, digits = row.found.columns["collision"], _DIGITS.get(row.judge, 2)
+    shown = [row.origin.percent(rates[horizon]).shown(digits) for horizon in HORIZONS]
+    return (row.with_caveats, *shown, _increase(row, block.get("val")), *_published(row))
+
+
+def _increase(row: Row[ProtocolSummary], val: Row[ProtocolSummary] | None) -> Shown:
+    """Increase from val to adv, where both are whole and judged alike."""
+    if row.split != "adv" or val is None or not (row.record.covers_split and val.record.covers_split):
+        return Shown("")
+    both = [each.found for each in (val, row)]
+    same = both[0].version == both[1].version
+    value = increase_over(*(summary.columns["collision"]["avg"].value for summary in both)) if same else None
+    origin = Origin(row.judge, record_name(val.record, row.record))
+    return origin.cell(value, "×", sum(summary.counted for summary in both)).shown(1, after="×")
+
+
+def _published(row: Row[ProtocolSummary]) -> tuple[Shown, Shown]:
+    """The paper's average and increase, where they are of the same planner, protocol and split."""
+    paper = published_rate(row.record, row.judge)
+    if paper is None:
+        return Shown(""), Shown("")
+    origin = Origin(protocol=paper.protocol, source=TABLE_1_SOURCE)
+    return quoted(paper.percent[-1], PERCENT, origin), published_increase(paper) or Shown("")
+
 
 PREAMBLE: Final = r"""\documentclass[10pt]{article}
 \usepackage[a4paper,margin=1.6cm]{geometry}

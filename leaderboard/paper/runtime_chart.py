@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 
 from benchmark.published import RUNTIME_S
 from benchmark.records.scenes import Sheets, SplitSheet
-from benchmark.report.lettering import drawable
+from benchmark.report.canvas import drawable
 from benchmark.report.plots import Theme, for_pages, new_figure
 from benchmark.report.words import titled
 from leaderboard.page.sections import NamedFigure

@@ -29,11 +29,10 @@ from benchmark.records.scenes import Sheet, SheetAgent, Sheets
 from benchmark.report.overlays import candidates_by_score, shared_point
 from benchmark.report.placing import agent_box, agent_box_at, ego_box, ego_pose, frame_seconds, placed_waypoints
 from leaderboard.frame.drives import worlds
-from leaderboard.site.packing import CENTIMETRE, DECIMETRE, MILLIRADIAN, packed, packed_path
+from leaderboard.site.packing import CENTIMETRE, DECIMETRE, MILLIRADIAN, data_script, packed, packed_path
 from leaderboard.site.scene_data import agent_data
 from leaderboard.site.scene_index import scene_key
 from leaderboard.site.scene_plans import ERROR_CHARACTERS
-from leaderboard.site.scripts import data_script
 
 _SCENES: Final = "window.CHALLENGER_SCENES = window.CHALLENGER_SCENES || {}"
 _X, _Y, _YAW, _SPEED = range(4)

@@ -1,7 +1,11 @@
-"""The site's index: everything that is shown without loading a scene."""
+"""The site's index: everything that is shown without loading a scene.
 
+What the site's index says of planners: what ran, its rates under every protocol, and its driving scores.
+"""
+
+import json
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 from urllib.parse import quote
@@ -9,20 +13,142 @@ from urllib.parse import quote
 from benchmark.machine.storage import file_name
 from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.effect import attributes, says_whom, touched_scenes
+from benchmark.metrics.rates import Rate
+from benchmark.metrics.scores import registered_version
+from benchmark.records.driving import SUB_SCORES, TOTALS, VERSION
 from benchmark.records.judgement import DRIVER_NAMES
+from benchmark.records.planner_versions import file_notes
+from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import DrivingSummary, ProtocolSummary
 from benchmark.records.scenes import Sheets
 from benchmark.report.cells import MINIATURE_WORDS, Cell, Shown, number
 from benchmark.report.table import Table
 from leaderboard.frame.results import Results
-from leaderboard.frame.rows import PRIVILEGED_NOTE, name_cell, splits_of
+from leaderboard.frame.rows import PRIVILEGED_NOTE, in_table_order, name_cell, recordings, splits_of
 from leaderboard.frame.runs import Frame
 from leaderboard.frame.specification import Column, Value, numbers, tabulate, texts, under
 from leaderboard.site.drive_data import drive_index
-from leaderboard.site.model_index import model_index
 from leaderboard.site.scene_index import scene_index, scene_key
 from leaderboard.tables.collision import collision_table
 from leaderboard.tables.effect import effect_table
 from leaderboard.tables.judgements import DRIVER_HEADS
+
+_SHOWN_COLUMNS: Final = ("collision", "l2")
+_DIGITS: Final = 6
+"""Decimals of rates: pages show two of a percentage."""
+
+
+def model_index(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
+    """Planners in the order of tables, of at most one record for each data set, split and planner."""
+    runs_of: dict[str, list[RunRecord]] = {}
+    for record in in_table_order(records):
+        runs_of.setdefault(record.planner, []).append(record)
+    return [
+        {
+            "name": name,
+            "privileged": runs[0].run.planner.privileged,
+            "miniature": runs[0].run.planner.miniature,
+            "nativeProtocol": runs[0].run.planner.native_protocol,
+            "facts": {
+                "seed": runs[0].run.planner.seed,
+                "settings": _words(runs[0].run.planner.settings),
+                "weights": runs[0].run.planner.weights_sha256,
+            },
+            "runs": [_run(record) for record in runs],
+        }
+        for name, runs in runs_of.items()
+    ]
+
+
+def _run(record: RunRecord) -> dict[str, Any]:
+    """One run; code, commit and machine are of the run, because two runs of a planner may differ in them."""
+    run, summary = record.run, record.summary
+    environment = run.environment
+    source = _words(environment.get("source") or {})
+    return {
+        "record": record.content_id,
+        "data": run.data.name,
+        "split": run.split,
+        "fingerprint": run.data.fingerprint,
+        "code": run.planner.code_sha256,
+        "commit": source.get("commit"),
+        "dirty": source.get("dirty"),
+        "hardware": _words(environment.get("hardware") or {}),
+        "packages": _words(environment.get("packages") or {}),
+        "rescored": run.rescored is not None,
+        "samples": summary.samples,
+        "failed": summary.failed,
+        "coverage": summary.coverage,
+        "scenes": len(run.scenes),
+        "scenesInSplit": run.scenes_in_split,
+        "recordings": recordings(record),
+        "protocols": {
+            name: {
+                **_protocol(of_protocol, stale=name in record.stale_protocols),
+                "scenesHit": _scenes_hit(record, name),
+            }
+            for name, of_protocol in summary.protocols.items()
+        },
+        "driving": None if summary.driving is None else _driving(summary.driving),
+        **({} if run.plans_from is None else {"plansFrom": file_notes([record])[0]}),
+    }
+
+
+def _driving(summary: DrivingSummary) -> dict[str, Any]:
+    """Driving scores: the mean of each sub-score and of the totals."""
+    return {
+        "version": summary.version,
+        "stale": summary.version != VERSION,
+        "counted": summary.counted,
+        "means": {name: _rate(summary.columns[name]["mean"]) for name in (*TOTALS, *SUB_SCORES)},
+    }
+
+
+def _scenes_hit(record: RunRecord, protocol: str) -> list[int] | None:
+    """Numbers of scenes with a sample that touches the adversary first, and of scenes where that is said."""
+    told = attributes(record) and registered_version(protocol) is not None and says_whom(record, protocol)
+    if not told:
+        return None
+    verdicts = touched_scenes(record, protocol).values()
+    return [sum(failed is True for failed in verdicts), sum(failed is not None for failed in verdicts)]
+
+
+def _protocol(summary: ProtocolSummary, *, stale: bool) -> dict[str, Any]:
+    shown = {name: summary.columns[name] for name in _SHOWN_COLUMNS if name in summary.columns}
+    return {
+        "version": summary.version,
+        "stale": stale,
+        "counted": summary.counted,
+        "scenesFailed": summary.scenes_failed,
+        "scenesDecided": summary.scenes_decided,
+        **{name: {horizon: _rate(rate) for horizon, rate in by_horizon.items()} for name, by_horizon in shown.items()},
+    }
+
+
+def _rate(rate: Rate) -> dict[str, float | int | None]:
+    return {
+        "value": _rounded(rate.value),
+        "low": _rounded(rate.low),
+        "high": _rounded(rate.high),
+        "n": rate.denominator,
+    }
+
+
+def _words(facts: Any) -> dict[str, str | None]:
+    """Facts of a stranger's record as text: they may hold anything that JSON can, NaN too."""
+    if not isinstance(facts, Mapping):
+        return {}
+    return {str(name): _said(value) for name, value in facts.items()}
+
+
+def _said(value: Any) -> str | None:
+    return value if value is None or isinstance(value, str) else json.dumps(value)
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, _DIGITS)
+
 
 TITLE: Final = "challenger-bench"
 _FORMATS: Final = (".csv", ".tex", ".json")

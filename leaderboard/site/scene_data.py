@@ -39,10 +39,9 @@ from benchmark.report.birdseye import SceneFromAbove
 from benchmark.report.palette import ON_DARK, ON_LIGHT, GroundColours
 from benchmark.report.placing import agent_box, ego_box
 from benchmark.waypoints import points_in_ego
-from leaderboard.site.packing import CENTIMETRE, MILLIRADIAN, packed, packed_path
+from leaderboard.site.packing import CENTIMETRE, MILLIRADIAN, data_script, packed, packed_path
 from leaderboard.site.scene_index import SceneName, scene_key
 from leaderboard.site.scene_plans import planner_samples
-from leaderboard.site.scripts import data_script
 
 _MICROSECONDS: Final = 1e6
 _SCENES: Final = "window.CHALLENGER_SCENES = window.CHALLENGER_SCENES || {}"

@@ -7,8 +7,8 @@ from typing import Final
 from leaderboard.frame.results import Results
 from leaderboard.site.drive_data import drive_files
 from leaderboard.site.index_data import PlacedFigure, PlacedTable, index_data
+from leaderboard.site.packing import data_script
 from leaderboard.site.scene_data import scene_files
-from leaderboard.site.scripts import data_script
 
 INDEX_PATH: Final = "data/index.js"
 """Written first: where it is, the folder is a site of ours."""

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from benchmark.metrics.attacks import AttackRates, Reading, attack_rates, counts_attacks
-from benchmark.metrics.severities import Spread, contacts_of, near_passes_of
+from benchmark.metrics.judgements import Spread, contacts_of, near_passes_of
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import PERCENT, Cell, Origin
 from benchmark.report.table import Table

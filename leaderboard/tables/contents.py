@@ -1,41 +1,216 @@
-"""Which tables there are, and in which order they are read."""
+"""Which tables there are, and in which order they are read.
+
+How far consecutive plans of each planner disagree about the same place and time.
+
+How far collision rates on adversarial scenes move with the seed of their search, beside the interval over scenes.
+"""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
+from benchmark.errors import InputError
 from benchmark.metrics.attacks import has_adversaries, says_severity
+from benchmark.metrics.consistency import INSTANTS, MEAN, Consistency, consistency
 from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.drawn_seeds import over_seeds, seeds_in_words
+from benchmark.metrics.rates import HORIZONS, SceneSums
+from benchmark.metrics.scores import scored, source_of_scenes
 from benchmark.records.ablation import AblationReport
+from benchmark.records.attempts import seed_of
 from benchmark.records.drives import DriveRecord
 from benchmark.records.driving import PDM
-from benchmark.records.run import RunRecord
+from benchmark.records.run import RunRecord, protocol_of
 from benchmark.records.scenes import Sheets
+from benchmark.report.cells import PERCENT, AnyRate, Origin, record_name
 from benchmark.report.table import Table
-from leaderboard.frame.runs import Frame
-from leaderboard.frame.sheets import OfSplits, by_data_set, by_name
+from leaderboard.frame.rows import judges, name_cell, run_notes
+from leaderboard.frame.runs import Frame, Row, row_notes, whose
+from leaderboard.frame.specification import (
+    OfSplits,
+    Values,
+    by_data_set,
+    by_name,
+    estimates,
+    intervals,
+    numbers,
+    tabulate,
+    texts,
+    under,
+)
 from leaderboard.tables.ablation import ablation_tables
 from leaderboard.tables.attacks import attack_tables
 from leaderboard.tables.collision import collision_table
 from leaderboard.tables.comparisons import planner_table, split_table
-from leaderboard.tables.consistency import consistency_table
-from leaderboard.tables.cost import cost_table, drive_cost_table
 from leaderboard.tables.diagnosis import diagnosis_tables
 from leaderboard.tables.disagreement import disagreement_tables
-from leaderboard.tables.drawn_seeds import drawn_seeds_table
-from leaderboard.tables.drives import drive_tables
+from leaderboard.tables.drives import drive_tables, loop_tables
 from leaderboard.tables.driving import driving_tables
 from leaderboard.tables.effect import effect_table
 from leaderboard.tables.further_columns import further_table
 from leaderboard.tables.judgements import judgement_tables
 from leaderboard.tables.longer_plans import longer_table
-from leaderboard.tables.loops import loop_tables
 from leaderboard.tables.pressure import pressure_tables
-from leaderboard.tables.runtime import runtime_tables
-from leaderboard.tables.seeds import seed_spread_table
+from leaderboard.tables.runtime import cost_table, drive_cost_table, runtime_tables
 from leaderboard.tables.slices import DIAGNOSIS, slices_of
-from leaderboard.tables.statistics import manoeuvre_tables, statistics_tables
+from leaderboard.tables.statistics import manoeuvre_tables, seed_spread_table, statistics_tables
 from leaderboard.tables.transfer import transfer_tables
+
+_AVERAGE = HORIZONS.index("avg")
+_RULE = (
+    "Splits adv-seed-N: the same recordings, searched with seed N (generate --seeds). The row of all: the mean "
+    "of the rates. Over scenes: 95 % bootstrap interval over recorded scenes, of all seeds with everything that they "
+    "made of a recording; it holds the chance of the search, which comes in once for each recording and seed. "
+    "Deviation: of the rates of the seeds around their mean (n − 1); over seeds: 95 % interval of that mean (Student) "
+    "on these very recordings, as wide as drawing the search again makes it (docs/metrics.md)."
+)
+
+
+def drawn_seeds_table(frame: Frame, protocol: str) -> Table | None:
+    """Average collision rate of each planner on the splits ``adv-seed-N`` of several seeds.
+
+    A row a seed, and one for all, for each planner that ran on at least two; ``None`` where there is none. ``native``
+    is the protocol of the planner's own repository; what does not belong to the others is named below.
+    """
+    rows: list[Values] = []
+    notes, shown = [_RULE], []
+    for runs in _by_planner(frame.runs):
+        kept, refused = _comparable(runs, protocol)
+        if len(kept) < 2:
+            continue
+        notes += refused
+        rows += _rows(kept, protocol)
+        shown += list(kept.values())
+    if not rows:
+        return None
+    columns = [
+        *texts("planner", "protocol", "seed"),
+        *under("counted", numbers("scenes", "recordings")),
+        *under(
+            f"average collision rate in %, {whose(protocol)}",
+            estimates("avg", digits=2, beside="over scenes"),
+            numbers("deviation", digits=2),
+            intervals({"over seeds": "over seeds"}),
+        ),
+    ]
+    return tabulate(
+        f"drawn-seeds-{protocol}",
+        f"{frame.data_name}: average collision rate (%) over seeds of the search, {judges(protocol)}",
+        columns,
+        rows,
+        (*notes, *run_notes(shown, ())),
+    )
+
+
+def _by_planner(records: Sequence[RunRecord]) -> list[dict[int, RunRecord]]:
+    """Runs on splits of seeds, by planner and then by seed."""
+    found: dict[str, dict[int, RunRecord]] = {}
+    for record in records:
+        seed = seed_of(record.run.split)
+        if seed is not None:
+            found.setdefault(record.planner, {})[seed] = record
+    return [dict(sorted(runs.items())) for runs in found.values()]
+
+
+def _comparable(runs: dict[int, RunRecord], protocol: str) -> tuple[dict[int, RunRecord], list[str]]:
+    """Runs that differ in the seed of the search alone, and why the others do not count."""
+    kept: dict[int, RunRecord] = {}
+    refused = []
+    for seed, run in runs.items():
+        reason = _refusal(seed, run, next(iter(kept.values()), None), protocol)
+        if reason is None:
+            kept[seed] = run
+        else:
+            refused.append(f"Left out: {run.planner} on {run.run.split}: {reason}.")
+    return kept, refused
+
+
+def _refusal(seed: int, run: RunRecord, first: RunRecord | None, protocol: str) -> str | None:
+    made = run.run.generated
+    if made is None or made.seed != seed:
+        return "its data set does not say that it was searched with this seed"
+    if not (run.covers_split and run.complete):
+        return "it has no plan for some samples of the split"
+    if first is not None and first.run.generated is not None and first.run.generated.search != made.search:
+        return f"it comes from another search than {first.run.split}, not from another seed alone"
+    weights = None if first is None else first.run.planner
+    if weights is not None and weights != run.run.planner:
+        return f"the planner has other weights, settings, code or seed than on {first.run.split if first else ''}"
+    try:
+        scored(run, protocol=protocol)
+    except InputError as refusal:
+        return str(refusal)
+    return None
+
+
+def _rows(runs: dict[int, RunRecord], protocol: str) -> list[Values]:
+    """A row a seed, and one of all, which alone has a deviation and an interval over seeds."""
+    found = over_seeds({seed: _sums(run, protocol) for seed, run in runs.items()})
+    first = next(iter(runs.values()))
+    judge = protocol_of(first, protocol)
+    who: Values = {"planner": name_cell(first.planner, first.run.planner), "protocol": judge}
+
+    def row(seed: str, of: Sequence[RunRecord], recordings: int, rate: AnyRate) -> Values:
+        origin = Origin(judge, record_name(*of))
+        scenes = origin.count(sum(len(run.run.scenes) for run in of), "scenes")
+        counted = {"scenes": scenes, "recordings": origin.count(recordings, "recorded scenes")}
+        return {**who, "seed": seed, **counted, "avg": origin.percent(rate)}
+
+    of_each = [(one, run, len(set(source_of_scenes(run).values()))) for one, run in zip(found.seeds, runs.values())]
+    rows = [row(str(one.seed), [run], recordings, one.rate) for one, run, recordings in of_each]
+    origin, count = Origin(judge, record_name(*runs.values())), len(found.seeds)
+    of_seeds = f"seeds {seeds_in_words(list(runs))}"
+    every = {
+        **row("all", list(runs.values()), found.recordings, found.mean),
+        "deviation": origin.cell(found.deviation, PERCENT, count, of_seeds, scale=100.0),
+        "over seeds": origin.cell(
+            found.mean.value, PERCENT, count, "seeds", low=found.low, high=found.high, scale=100.0
+        ),
+    }
+    return [*rows, every]
+
+
+def _sums(run: RunRecord, protocol: str) -> SceneSums:
+    """Sums that each recording adds to the average rate."""
+    whole = scored(run, protocol=protocol).sums(source_of_scenes(run))
+    column = slice(_AVERAGE, _AVERAGE + 1)
+    return SceneSums(whole.names, whole.numerators[:, column], whole.denominators[:, column])
+
+
+_AFTER = {instant: f"after {instant}" for instant in INSTANTS}
+_COLUMNS = [
+    *texts("planner", "split"),
+    *under("distance in m", estimates(MEAN, digits=2), numbers(*_AFTER.values(), digits=2)),
+    *under("counted", numbers("pairs")),
+]
+_NOTE = (
+    "Two plans half a second apart, the recorded motion between them taken out: distance at the same instants, by "
+    "seconds after the later one. Brackets: 95 % bootstrap interval over recorded scenes. 0: one fixed path is "
+    "followed. Who changes a plan for a good reason is not told from who dithers."
+)
+
+
+def consistency_table(frame: Frame) -> Table | None:
+    """Distances between consecutive plans; ``None`` where no two consecutive samples have plans."""
+    rows = [row for row in frame.rows("", consistency) if row.found.pairs]
+    if not rows:
+        return None
+    title = f"{frame.data_name}: how far consecutive plans disagree about the same place and time (m)"
+    without = [(row.who, row.found.without) for row in rows if row.found.without]
+    told = [f"{who}: {count} pairs are left out because a plan is missing." for who, count in without]
+    brief = ("planner", "split", MEAN, f"95 % of {MEAN}", "pairs")
+    return tabulate("consistency", title, _COLUMNS, map(_values, rows), (_NOTE, *row_notes(rows, told)), brief=brief)
+
+
+def _values(row: Row[Consistency]) -> Values:
+    found, origin = row.found, row.origin
+    return {
+        "planner": row.planner,
+        "split": row.split,
+        **{_AFTER.get(at, at): origin.amount(rate, "m", "pairs") for at, rate in found.distances.items()},
+        "pairs": origin.count(found.pairs, "pairs", found.pairs + found.without),
+    }
+
 
 Made = Table | None | Iterable[Table]
 FIRST: Final[tuple[Callable[[Frame], Made], ...]] = (effect_table,)

@@ -2,8 +2,15 @@
 
 from collections.abc import Sequence
 
-from benchmark.metrics.confusion import Confusion, ProtocolComparison, comparisons
-from benchmark.metrics.disagreement import CAUSES, EXACT, OTHER_INSTANTS, RUNGS
+from benchmark.metrics.disagreement import (
+    CAUSES,
+    EXACT,
+    OTHER_INSTANTS,
+    RUNGS,
+    Confusion,
+    ProtocolComparison,
+    comparisons,
+)
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import Origin, Shown, number, record_name
 from benchmark.report.table import Table

@@ -7,7 +7,7 @@ from benchmark.errors import InputError
 from benchmark.metrics.attacks import has_adversaries, knows_adversaries
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.effect import AT_3_S, AdversaryEffect, PairedEffect, effect_of, says_whom
-from benchmark.metrics.paired_interval import PairedDifference
+from benchmark.metrics.rates import PairedDifference
 from benchmark.metrics.unchanged import sees_images, unchanged_record
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import PERCENT, Cell, Origin, record_name

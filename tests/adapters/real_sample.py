@@ -13,7 +13,7 @@ from PIL import Image
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.geometry import Floats, quaternion_from_yaw, transform_matrix
-from benchmark.untrusted.pickles import read_pickle
+from benchmark.untrusted.children import read_pickle
 
 NUSCENES = Path(__file__).resolve().parents[3] / "shared" / "data" / "nuscenes"
 FRAME = NUSCENES / "scene0061_frame_first"

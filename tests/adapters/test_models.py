@@ -234,7 +234,7 @@ def test_a_miniature_is_a_value() -> None:
 def test_the_command_says_once_which_model_runs(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("benchmark.api.saying._said", set())
+    monkeypatch.setattr("benchmark.api.opening._said", set())
     assert load_planner("vad", data=EMBEDDED).name == "vad-mini"
     said = capsys.readouterr()
     assert said.out == "" and said.err.startswith("there are no weights for vad: vad-mini runs in its place")

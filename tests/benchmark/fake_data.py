@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
-from benchmark.datasets.annotation_counts import AnnotationCount
+from benchmark.datasets.annotated import AnnotationCount
 from benchmark.datasets.can_bus import CanBus, ego_state
 from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.scene_facts import scene_facts_of

@@ -18,9 +18,9 @@ from benchmark.records.drives import DriveRecord
 from benchmark.records.run import RunRecord, find_records
 from benchmark.records.run_schema import SceneFacts
 from leaderboard.build import leaderboard_files, leaderboard_tables, stale_files, write_leaderboard
-from leaderboard.figures.attacks import attack_figures
+from leaderboard.figures.contents import attack_figures
 from leaderboard.frame.results import read_results
-from leaderboard.selection import one_run_each
+from leaderboard.results import one_run_each
 from leaderboard.tables.published import published_table
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Failing, Straight

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from benchmark.cli.demonstration import stale_demo
+from benchmark.cli.demo import stale_demo
 from benchmark.machine.storage import read_json
 from benchmark.records.run import RunRecord
 from leaderboard.results import NUMBERS, PAGE, stale_results, write_results

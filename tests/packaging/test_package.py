@@ -24,7 +24,7 @@ MODULE_OF = {
 BROUGHT_BY_OTHERS = {
     "huggingface_hub": "transformers and diffusers need it; `weights fetch` says so where it is missing"
 }
-SERVERS = ("benchmark/extensions/http/application.py", "benchmark/extensions/http/server.py")
+SERVERS = ("benchmark/extensions/http/server.py", "benchmark/extensions/http/server.py")
 """Modules that need an extra when they are imported: `serve` imports them when everything was looked at."""
 NEEDED_BY_OTHERS = {
     "sentencepiece": "the tokenizer of transformers that renderers load",

@@ -1,5 +1,9 @@
-"""`challenger-bench verify results`: result files of planners' repositories against what must come out of them."""
+"""`challenger-bench verify results`: result files of planners' repositories against what must come out of them.
 
+The set behind `verify results` without ``--golden``: files of every format, written here from made-up plans.
+"""
+
+import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,11 +12,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.extensions.golden_sets.result_files_made_here import compare_made_here
+from adapters.result_files.contract import FileFrame
 from adapters.result_files.frames import ego_waypoints, lidar_waypoints
 from adapters.result_files.importing import ImportedPlans, import_results
+from adapters.result_files.made_up import PRECISION_M, SINGLE_M, made_up_plans, made_up_samples
 from adapters.result_files.recognition import recognise
 from adapters.result_files.samples import RecordedSamples
+from adapters.result_files.writing.formats import WRITERS
+from adapters.result_files.writing.pickles import DumpedPlans
 from benchmark.constants import PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.extensions.golden_sets.protocols.golden_set import truths_of
@@ -21,6 +28,21 @@ from benchmark.protocols import PROTOCOLS
 from benchmark.truth import SampleTruth
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays, GoldenFolder, GoldenSet
+
+
+def compare_made_here(comparison: Comparison) -> None:
+    """Write the made-up plans in every format and read them back."""
+    samples = made_up_samples()
+    dumped = DumpedPlans(samples, tuple(dict.fromkeys(samples.scenes)), made_up_plans(samples), PLAN_STEPS)
+    with tempfile.TemporaryDirectory() as folder:
+        for name, write in WRITERS.items():
+            imported, at = import_results([recognise(write(Path(folder) / name, dumped))], samples), comparison.at(name)
+            found = imported.found
+            wanted = np.array([dumped.waypoints(row, FileFrame.LIDAR) for row in found.rows.tolist()])
+            at.verdicts("formats", imported.format.name != name)
+            at.verdicts("samples", len(found.rows) != len(dumped.plans))
+            at.numbers(f"{name} (m)", lidar_waypoints(found, samples), wanted, PRECISION_M.get(name, SINGLE_M))
+
 
 FACTS, MANIFEST, PROTOCOLS_SET = "facts.npz", "manifest.json", "protocols"
 _REFUSALS: Final = "refusals by category"

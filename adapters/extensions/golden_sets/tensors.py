@@ -1,16 +1,56 @@
-"""Comparing tensors with what golden sets store of them: all numbers or a part of them, and statistics of the whole."""
+"""Comparing tensors with what golden sets store of them: all numbers or a part of them, and statistics of the whole.
+
+What inner modules of a network give while it runs, under the names of golden sets.
+"""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from benchmark.geometry import Bools, Floats
 from benchmark.verification.checks import Comparison
+
+
+@contextmanager
+def hooked(network: nn.Module, hooks: Iterable[tuple[str, Callable[[Any], None]]]) -> Iterator[None]:
+    """Hand on the outputs of modules, by their names, of the network that runs within the context."""
+    handles = []
+    try:
+        for name, keep in hooks:
+
+            def hook(_module: nn.Module, _inputs: object, output: Any, keep: Callable[[Any], None] = keep) -> None:
+                keep(output)
+
+            handles.append(network.get_submodule(name).register_forward_hook(hook))
+        yield
+    finally:
+        for handle in handles:
+            handle.remove()
+
+
+@contextmanager
+def tapped(network: nn.Module, head: str = "", parts: Iterable[str] = ()) -> Iterator[dict[str, Tensor]]:
+    """Feature maps of images, and what `parts` of a `head` give, of the network that runs within the context.
+
+    Tensors come by the names of the sets.
+    """
+    taps: dict[str, Tensor] = {}
+
+    def levels(name: str) -> tuple[str, Callable[[Any], None]]:
+        return f"img_{name}", lambda maps: taps.update({f"{name}{level}": each for level, each in enumerate(maps)})
+
+    def tokens(name: str) -> tuple[str, Callable[[Any], None]]:
+        return f"{head}.{name}", lambda states: taps.update({name: states})
+
+    with hooked(network, [levels("backbone"), levels("neck"), *map(tokens, parts)]):
+        yield taps
+
 
 OUTLIERS: Final = "all values of such quantities (of their spread)"
 OUTLIER_TOLERANCE: Final = 0.02

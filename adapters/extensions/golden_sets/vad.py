@@ -9,12 +9,17 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from adapters.extensions.golden_sets.parity_set import GoldenNetwork, ParitySet, built, compare_frame
-from adapters.extensions.golden_sets.taps import tapped
-from adapters.extensions.golden_sets.tensors import Quantity, Tolerance
+from adapters.extensions.golden_sets.tensors import Quantity, Tolerance, tapped
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD, VADInputs
-from adapters.networks.vad.predictions import VADPredictions
-from adapters.networks.vad.selection import SelectedBoxes, SelectedLines, select, select_boxes, select_lines
+from adapters.networks.vad.selection import (
+    SelectedBoxes,
+    SelectedLines,
+    VADPredictions,
+    select,
+    select_boxes,
+    select_lines,
+)
 from benchmark.geometry import Bools
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays

@@ -40,7 +40,7 @@ def train_denoiser_command(options: TrainDenoiserOptions) -> None:
     api.require_device(options.device)
     require_folder(options.tracks, "--tracks")
     require_output_file(options.out, "--out")
-    from generation.diffusion.bank import write_bank
+    from generation.diffusion.checkpoint import write_bank
     from generation.extensions.denoiser_training.card import write_model_card
     from generation.extensions.denoiser_training.loop import TrainingConfig, train_denoiser
 
@@ -90,7 +90,7 @@ class TrainPlannerOptions:
 def train_planner_command(options: TrainPlannerOptions) -> None:
     """Train a miniature of a native model on a data set; the same command resumes."""
     from adapters.models import miniature
-    from benchmark.datasets.listing import listed_scenes
+    from benchmark.datasets.statistics import listed_scenes
     from benchmark.machine.places import require_file, require_output_file
 
     if options.model != "image-encoder":
@@ -125,7 +125,7 @@ class TrainJudgeOptions:
 @command(TrainJudgeOptions, app, "judge")
 def train_judge_command(options: TrainJudgeOptions) -> None:
     """Measure a trained miniature again, and write its facts and its card anew."""
-    from benchmark.datasets.listing import listed_scenes
+    from benchmark.datasets.statistics import listed_scenes
     from benchmark.machine.places import require_file
 
     require_file(options.weights, "the weights")

@@ -70,7 +70,7 @@ def normalised_boxes(boxes: Tensor) -> Tensor:
 
     Returns:
         (..., 10) x, y, log width, log length, z, log height, sin yaw, cos yaw, velocity x, y: the order of
-        `adapters.networks.layers.coders.box_codes`.
+        `adapters.networks.layers.deformable_decoder.box_codes`.
     """
     x, y, z, length, width, height, yaw, velocity_x, velocity_y = boxes.unbind(-1)
     sizes = torch.stack([width, length, height]).clamp(min=_SMALLEST_SIZE_M).log()

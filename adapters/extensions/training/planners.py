@@ -23,9 +23,8 @@ from adapters.extensions.training.mixture import (
     require_made_from,
     require_others,
 )
-from adapters.extensions.training.phases import Phase
 from adapters.extensions.training.plan_figures import Images, JudgedPlans, Loss, judged_plans, plan_figures
-from adapters.extensions.training.trainer import IMAGE_ENCODER, Recipe, fit
+from adapters.extensions.training.trainer import IMAGE_ENCODER, Phase, Recipe, fit
 from adapters.models import Model, miniature, resolve
 from adapters.planners.constant_velocity import ConstantVelocity
 from benchmark.constants import VERSION
@@ -39,8 +38,7 @@ from benchmark.machine.storage import (
     write_bytes,
     write_json,
 )
-from benchmark.weights.tensors import read_tensors
-from benchmark.weights.training_run import tensors_key
+from benchmark.weights.tensors import read_tensors, tensors_key
 
 ENCODER_NAME: Final = "image-encoder"
 """What ``--model`` calls the network that all miniatures start from."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from adapters.camera_inputs import MINIATURE_IMAGE, RGB_MEAN_STD, camera_images, can_bus_vector, lidar_pose
 from adapters.camera_inputs import lidar_to_image as lidar_to_image_of
-from adapters.checkpoints.sightings import detected_classes, map_lines
+from adapters.checkpoints.anchor_files import detected_classes, map_lines
 from adapters.extensions.training.frames import DRIVABLE_CELLS, DRIVABLE_HALF_M, FUTURE_STEPS, LINE_POINTS
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.datasets.roots import DataSet

@@ -1,11 +1,14 @@
-"""The loop that trains a network by its objective: seeded, logged, and resumed by the same command."""
+"""The loop that trains a network by its objective: seeded, logged, and resumed by the same command.
+
+Parts of a training that follow one another, each with its own objective and recipe.
+"""
 
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 import torch
@@ -17,7 +20,7 @@ from benchmark.machine.devices import device_of
 from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import content_key, content_seed, write_json_lines
 from benchmark.machine.workers import single_threaded
-from benchmark.weights.training_run import TrainingRun, read_run, tensors_key, write_run
+from benchmark.weights.tensors import TrainingRun, read_run, tensors_key, write_run
 
 LOG_EVERY: Final = 50
 """Steps whose mean losses are one row of the log; a run is only ever interrupted between two such rows."""
@@ -229,3 +232,21 @@ def _losses(
         return
     for clip in clips:
         yield objective.losses(clip), 1 / len(clips)
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """One part of a training; it starts from the averaged weights of the part before it.
+
+    `objective` makes that of a network; it may set first values and what of the network learns.
+    """
+
+    name: str
+    objective: Callable[[Any], Objective]
+    recipe: Recipe
+
+    def changed(self, share: float, seed: int, learning_rate: float | None) -> Self:
+        """The same phase with a share of its steps; a learning rate of ``None`` is the recipe's own."""
+        steps = max(round(self.recipe.steps * share), 1)
+        peak = self.recipe.learning_rate if learning_rate is None else learning_rate
+        return replace(self, recipe=replace(self.recipe, steps=steps, seed=seed, learning_rate=peak))

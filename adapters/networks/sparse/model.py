@@ -1,25 +1,78 @@
-"""SparseDrive and DiffusionDrive: six images and camera matrices in; a plan, boxes, forecasts and a vector map out."""
+"""SparseDrive and DiffusionDrive: six images and camera matrices in; a plan, boxes, forecasts and a vector map out.
+
+The planner of SparseDrive (Sun et al., 2024): plans are read from tokens of modes.
+
+Numbers of tracked instances.
+"""
 
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
-from adapters.networks.layers.feature_pyramid import FeaturePyramid
-from adapters.networks.layers.front_eyes import FrontEyes, seen_ahead
-from adapters.networks.layers.front_reader import FRONT
-from adapters.networks.layers.resnet import EXPANSION, ResNet
+from adapters.networks.layers.front_reader import FRONT, FrontEyes, seen_ahead
+from adapters.networks.layers.resnet import EXPANSION, FeaturePyramid, ResNet
 from adapters.networks.sparse.aggregation import CameraFeatures
+from adapters.networks.sparse.boxes import KeyframeMotion, KeyframePose
 from adapters.networks.sparse.config import STAGES, SparseConfig
 from adapters.networks.sparse.decoder import BoxDecoder, LineDecoder, Remembered
 from adapters.networks.sparse.diffusion import DiffusionPlanner
-from adapters.networks.sparse.keyframe_pose import KeyframeMotion, KeyframePose
-from adapters.networks.sparse.motion_planner import Scene
+from adapters.networks.sparse.motion_planner import Planner, PlannerPredictions, Scene, interaction_layers
 from adapters.networks.sparse.queue import QueueMemory
-from adapters.networks.sparse.regression import RegressionPlanner
 from adapters.networks.sparse.selection import SparseOutputs, SparsePredictions, select
-from adapters.networks.sparse.tracks import Tracks, number_instances
 from benchmark.machine.storage import content_seed
+
+
+@dataclass(frozen=True, slots=True)
+class Tracks:
+    """Numbers of the (K,) remembered instances, the most certain one first, and of the next new one.
+
+    No number is used twice.
+    """
+
+    ids: Tensor
+    next_id: Tensor
+
+
+def number_instances(past: Tracks | None, fresh: bool, rows: Tensor, instances: int) -> tuple[Tensor, Tracks]:
+    """Numbers, (instances,) int64, for every instance of a frame, and the tracks to leave.
+
+    `fresh` says whether the first instances of this frame are those of the earlier one; `rows` are the (K,) instances
+    that the next frame gets.
+    """
+    known = past.ids if past and fresh else rows.new_zeros(0)
+    first = past.next_id if past else rows.new_zeros(())
+    new = instances - len(known)
+    ids = torch.cat([known, first + torch.arange(new, device=rows.device)])
+    return ids, Tracks(ids[rows], first + new)
+
+
+class RegressionPlanner(Planner):
+    """One plan for each mode and driving command, in one go."""
+
+    def __init__(self, config: SparseConfig) -> None:
+        super().__init__(config, {"layers": interaction_layers(config, plans=True)})
+
+    def forward(self, scene: Scene, noise: Tensor | None = None) -> PlannerPredictions:
+        """Forecasts and plans of a key frame; only the other planner has noise."""
+        queue = self.instance_queue(scene.past, scene.motion, scene.agents, scene.ids, scene.front)
+        found = self.interact(scene, queue)
+        ego, front = self.with_front(found.tokens[-1:], scene.finest_front, scene.front_before)
+        queries = self.plan_queries(ego)
+        motion_logits, motion_offsets = self.forecast(scene.agents, found.tokens[:-1])
+        status = self.refinement.plan_status_branch(ego)[0].float()
+        return PlannerPredictions(
+            motion_logits,
+            motion_offsets,
+            self.refinement.plan_cls_branch(queries)[..., 0].float(),
+            self.refinement.plan_reg_branch(queries).float().unflatten(-1, (-1, 2)),
+            status,
+            queue,
+            self.remember(scene, queue, found.features[-1:], status, front),
+            {},
+            front,
+        )
+
 
 DEPTH_LEVELS = 3
 

@@ -6,21 +6,19 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from adapters.networks.layers.attention import ResidualAttention
-from adapters.networks.layers.branches import plain_branch
+from adapters.networks.layers.attention import ResidualAttention, plain_branch
 from adapters.networks.layers.front_reader import FrontReader
-from adapters.networks.sparse.aggregation import CameraFeatures
-from adapters.networks.sparse.boxes import heading_of
-from adapters.networks.sparse.branches import (
+from adapters.networks.sparse.aggregation import (
+    CameraFeatures,
     FeedForward,
     class_branch,
     decoupled_attention,
     point_encoder,
     sine_of_points,
 )
+from adapters.networks.sparse.boxes import KeyframeMotion, heading_of
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.decoder import Decoded, most_certain
-from adapters.networks.sparse.keyframe_pose import KeyframeMotion
 from adapters.networks.sparse.queue import STATUS, InstanceQueue, Queue, QueueMemory
 
 LAYERS_OF_A_BLOCK = 7
@@ -221,7 +219,7 @@ class Planner(nn.Module):
         key: tuple[Tensor, Tensor],
         allowed: Tensor | None = None,
     ) -> Tensor:
-        """`adapters.networks.sparse.branches.decoupled_attention` with the planner's own projections."""
+        """`adapters.networks.sparse.aggregation.decoupled_attention` with the planner's own projections."""
         return decoupled_attention(layer, self.fc_before, self.fc_after, query, key, allowed)
 
     def forecast(self, agents: Decoded, tokens: Tensor) -> tuple[Tensor, Tensor]:

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from adapters.networks.sparse.boxes import BOX_CODE, carry_boxes
+from adapters.networks.sparse.boxes import BOX_CODE, KeyframeMotion, carry_boxes
 from adapters.networks.sparse.config import STRIDE, SparseConfig
-from adapters.networks.sparse.decoder import Decoded
-from adapters.networks.sparse.keyframe_pose import KeyframeMotion
-from adapters.networks.sparse.lines import GROUND_Z_M
+from adapters.networks.sparse.decoder import GROUND_Z_M, Decoded
 from benchmark.constants import EGO_HEIGHT_M
 
 EGO_SIZE_M = (4.08, 1.73, EGO_HEIGHT_M)

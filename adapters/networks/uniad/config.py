@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Final, Literal, Self
 
 from adapters.camera_inputs import MINIATURE_IMAGE, ImageFormat
-from adapters.networks.layers.bev_config import BEVConfig
+from adapters.networks.layers.bev_network import BEVConfig
 from adapters.networks.layers.reporting import Reporting
 
 PUBLISHED_IMAGE: Final = ImageFormat.scaled(1.0)
@@ -23,7 +23,7 @@ class UniADConfig(BEVConfig):
         occupancy_feedforward_channels: Hidden width of the feed-forward blocks in the decoder of the occupancy head.
         queries: Agent queries beside the one of the ego.
         map_levels: Feature maps for which the map head's attention has parameters; it is given one map
-            (`adapters.networks.uniad.map_attention`).
+            (`adapters.networks.uniad.map_head`).
         thing_mask_layers: Blocks that make the masks of map elements.
         stuff_mask_layers: Blocks that make the mask of the drivable area.
         motion_groups: Groups of kinds of agents with anchors of their own.

@@ -6,20 +6,18 @@ import torch
 from torch import Tensor, nn
 
 from adapters.networks.layers.ego_motion import CAN_BUS, EgoMotion
-from adapters.networks.layers.feature_pyramid import FeaturePyramid
 from adapters.networks.layers.front_reader import FRONT
-from adapters.networks.layers.resnet import EXPANSION, ResNet
-from adapters.networks.uniad.bev import DetectionHead
+from adapters.networks.layers.resnet import EXPANSION, FeaturePyramid, ResNet
 from adapters.networks.uniad.collision_optimiser import MovedPlan, Solver, move_plan
 from adapters.networks.uniad.config import UniADConfig
-from adapters.networks.uniad.frames import UniADInputs, UniADOutputs, UniADPredictions
 from adapters.networks.uniad.map_head import MapHead, MapMasks
 from adapters.networks.uniad.map_masks import RoadMap, paste_masks, ranked
 from adapters.networks.uniad.motion import MotionHead
 from adapters.networks.uniad.occupancy import OccupancyHead
-from adapters.networks.uniad.planning import PlanningHead
+from adapters.networks.uniad.planning import PlanningHead, UniADInputs, UniADOutputs, UniADPredictions
 from adapters.networks.uniad.track_memory import MemoryBank, QueryInteraction
 from adapters.networks.uniad.tracking import (
+    DetectionHead,
     Instances,
     Pose,
     chosen_tracks,

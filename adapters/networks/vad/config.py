@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Self
 
 from adapters.camera_inputs import ImageFormat
-from adapters.networks.layers.bev_config import BEVConfig
+from adapters.networks.layers.bev_network import BEVConfig
 from adapters.networks.layers.reporting import Reporting
 
 

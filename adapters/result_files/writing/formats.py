@@ -7,7 +7,7 @@ from typing import Final
 from adapters.result_files.recognition import NO_PLANS, no_format
 from adapters.result_files.samples import RecordedSamples
 from adapters.result_files.writing import pickles, texts
-from adapters.result_files.writing.dumped import DumpedPlans
+from adapters.result_files.writing.pickles import DumpedPlans
 from benchmark.errors import InputError
 from benchmark.records.run import RunRecord
 

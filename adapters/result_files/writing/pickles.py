@@ -1,19 +1,156 @@
-"""Pickles of UniAD, VAD, SparseDrive, BEV-Planner, Agent-Driver and AD-MLP."""
+"""Pickles of UniAD, VAD, SparseDrive, BEV-Planner, Agent-Driver and AD-MLP.
 
+What is written: the plans of a run record in the frames of result files.
+
+Tensors in pickles as PyTorch writes them there, with the same bytes each time.
+"""
+
+import io
+import pickle
+from collections import OrderedDict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from adapters.result_files.contract import LONG_PLAN_STEPS, FileFrame
-from adapters.result_files.turning import turned
+from adapters.result_files.contract import LONG_PLAN_STEPS, FileFrame, Rows
+from adapters.result_files.frames import file_waypoints
+from adapters.result_files.samples import RecordedSamples, turned
 from adapters.result_files.uniad import MIRRORED
 from adapters.result_files.vad import COMMANDS
-from adapters.result_files.writing.dumped import DumpedPlans, written
-from adapters.result_files.writing.tensors import PickledTensor, write_pickle
 from benchmark.constants import HORIZON_STEPS, PLAN_STEPS
+from benchmark.errors import InputError
 from benchmark.geometry import Floats
+from benchmark.machine.storage import write_bytes
+from benchmark.planning import Plan, PlanFrame
+from benchmark.records.run import RunRecord
+from benchmark.untrusted.legacy_storages import FORMAT, MAGIC, STORAGES
 from benchmark.waypoints import chord_headings
+
+_PROTOCOL: Final = 2
+"""What mmcv writes."""
+_SYSTEM: Final = {
+    "protocol_version": FORMAT,
+    "little_endian": True,
+    "type_sizes": {"short": 2, "int": 4, "long": 4},
+}
+_CLASS_OF: Final = {kind: name for name, kind in STORAGES.items() if name != "BFloat16Storage"}
+
+
+class PickledTensor:
+    """An array that is pickled as the tensor of the same numbers.
+
+    Single precision unless `kind`, a number type as numpy names it, says otherwise.
+    """
+
+    def __init__(self, values: ArrayLike, kind: str = "<f4") -> None:
+        self._values: NDArray[Any] = np.ascontiguousarray(values, kind)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """As a tensor reduces itself."""
+        from torch._utils import _rebuild_tensor_v2
+
+        values = self._values
+        strides = tuple(step // values.itemsize for step in values.strides)
+        return _rebuild_tensor_v2, (_Storage(values), 0, values.shape, strides, False, OrderedDict())
+
+
+class _Storage:
+    """The numbers of a tensor, pickled as PyTorch's storages are."""
+
+    def __init__(self, values: NDArray[Any]) -> None:
+        self.values = values
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """As a storage reduces itself: the bytes of a file in PyTorch's old form."""
+        from torch.storage import _load_from_bytes
+
+        return _load_from_bytes, (_storage_bytes(self),)
+
+
+class _StoragePickler(pickle.Pickler):
+    def persistent_id(self, obj: Any) -> Any:
+        """Tuple that stands for the storage."""
+        if not isinstance(obj, _Storage):
+            return None
+        import torch
+
+        kind = getattr(torch, _CLASS_OF[obj.values.dtype.str])
+        return ("storage", kind, "0", "cpu", obj.values.size, None)
+
+
+def _storage_bytes(storage: _Storage) -> bytes:
+    stream = io.BytesIO()
+    for value in (MAGIC, FORMAT, _SYSTEM):
+        pickle.dump(value, stream, _PROTOCOL)
+    _StoragePickler(stream, _PROTOCOL).dump(storage)
+    pickle.dump(["0"], stream, _PROTOCOL)
+    stream.write(storage.values.size.to_bytes(8, "little"))
+    stream.write(storage.values.tobytes())
+    return stream.getvalue()
+
+
+def write_pickle(path: Path, value: Any, protocol: int = _PROTOCOL) -> Path:
+    """Write a pickle of plain values, arrays and `PickledTensor`."""
+    write_bytes(path, pickle.dumps(value, protocol))
+    return path
+
+
+@dataclass(frozen=True)
+class DumpedPlans:
+    """Plans to be written, by row and in the order of rows; all have the same `steps`, waypoints."""
+
+    samples: RecordedSamples
+    scenes: tuple[str, ...]
+    plans: dict[int, Plan]
+    steps: int
+
+    @classmethod
+    def of_record(cls, record: RunRecord, samples: RecordedSamples) -> "DumpedPlans":
+        """The plans of a record; one without any is an `InputError`."""
+        plans = {
+            samples.row_of[row.sample_token]: Plan(np.array(row.plan.waypoints), PlanFrame(row.plan.frame))
+            for row in record.rows
+            if row.plan is not None
+        }
+        if not plans:
+            raise InputError(f"{record.directory} has no plan to write into a result file; see its failures.txt")
+        steps = min(len(plan.waypoints) for plan in plans.values())
+        return cls(samples, tuple(record.run.scenes), dict(sorted(plans.items())), steps)
+
+    @cached_property
+    def info_rows(self) -> Rows:
+        """Rows of the scenes that ran, in the likelier order of an info file that is sorted by time."""
+        return self.samples.in_orders()[0].of_scenes(self.scenes).by_time
+
+    def waypoints(self, row: int, frame: FileFrame, steps: int = PLAN_STEPS) -> Floats:
+        """(K, 2) waypoints of a sample in the frame of a file, metres."""
+        return file_waypoints(self.plans[row], frame, self.samples.lidar_in_ego[row])[:steps]
+
+    def by_token(self, frame: FileFrame) -> Iterator[tuple[str, int, Floats]]:
+        """Token, row and (6, 2) waypoints of each sample that has a plan."""
+        for row in self.plans:
+            yield self.samples.tokens[row], row, self.waypoints(row, frame)
+
+    def require_all(self, format_name: str) -> None:
+        """Refuse to write a file that names no samples where some have no plan."""
+        missing = [self.samples.tokens[row] for row in self.info_rows.tolist() if row not in self.plans]
+        if missing:
+            raise InputError(
+                f"a file of the format {format_name} names no samples, so each needs a plan, and {len(missing)} have "
+                f"none, the first {missing[0]}; choose another format"
+            )
+
+
+def written(folder: Path, name: str) -> Path:
+    """Path of a file to be written in a folder that exists."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder / name
+
 
 _MODES: Final = 6
 """Plans of one command in SparseDrive."""

@@ -6,9 +6,7 @@ from typing import Final
 
 from adapters.result_files.contract import FileFrame
 from adapters.result_files.text_answers import SUFFIX
-from adapters.result_files.writing.dumped import DumpedPlans, written
-from adapters.result_files.writing.pickles import global_way
-from adapters.result_files.writing.tensors import write_pickle
+from adapters.result_files.writing.pickles import DumpedPlans, global_way, write_pickle, written
 from benchmark.geometry import Floats
 from benchmark.machine.storage import write_bytes
 

@@ -120,7 +120,7 @@ def in_a_process(words: list[str], cache: Path, wanted: int = 0) -> float:
 def checkpoint_through_the_door(path: Path) -> tuple[float, float]:
     import torch
 
-    from benchmark.weights.foreign import read_checkpoint
+    from benchmark.weights.folders import read_checkpoint
 
     return 1, sum(float(tensor.sum(dtype=torch.float64)) for tensor in read_checkpoint(path).tensors.values())
 
@@ -138,14 +138,14 @@ def checkpoint_before(path: Path) -> tuple[float, float]:
 
 
 def recording_through_the_door(path: Path) -> tuple[float, float]:
-    from benchmark.untrusted.pickles import read_pickle
+    from benchmark.untrusted.children import read_pickle
 
     return 1, float(sum(track["position"].sum() for track in read_pickle(path).values()))
 
 
 def recording_before(path: Path) -> tuple[float, float]:
     """In this process, with the allow-list alone."""
-    from benchmark.untrusted.allowed import AllowListUnpickler
+    from benchmark.untrusted.legacy_storages import AllowListUnpickler
 
     with path.open("rb") as stream:
         return 1, float(sum(track["position"].sum() for track in AllowListUnpickler(stream).load().values()))

@@ -16,10 +16,9 @@ import numpy as np
 from bench.speed.case import Case
 from benchmark.datasets.sample_truth import truth_of_scene
 from benchmark.fairness.encounter import severity_of
-from benchmark.fairness.features import recorded_runs, runs_of
+from benchmark.fairness.features import RoadEdge, recorded_runs, runs_of
 from benchmark.fairness.plan_severity import plan_severities
-from benchmark.fairness.realism import realism_of
-from benchmark.fairness.road_edge import RoadEdge
+from benchmark.fairness.splits import realism_of
 from benchmark.fairness.validity import faults_of
 from benchmark.geometry import Floats, quaternion_from_yaw
 from benchmark.interactions.solvability import SceneLadder

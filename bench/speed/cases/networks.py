@@ -60,8 +60,7 @@ def denoise_calls(other: dict[str, Any], _quick: bool) -> Any:
 
 
 def first_batches(source: str, _quick: bool) -> Any:
-    from generation.diffusion.bank import sample_actions
-    from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser
+    from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser, sample_actions
     from generation.diffusion.prior import SamplerSettings, Samples, TrajectoryPrior
 
     prior = TrajectoryPrior.load(None, SamplerSettings(samples=Samples(source)))
@@ -111,10 +110,9 @@ def quality(part: str, device_name: str, quick: bool, folder: Path) -> Any:
     import torch
     from transformers import ViTConfig, ViTModel
 
-    from benchmark.extensions.quality.consistency import SubjectFeatures
-    from benchmark.extensions.quality.cut_masks import Mask
-    from benchmark.extensions.quality.imaging import ImagingQuality
+    from benchmark.extensions.quality.masks import Mask
     from benchmark.extensions.quality.musiq import Musiq
+    from benchmark.extensions.quality.scoring import ImagingQuality, SubjectFeatures
     from benchmark.machine.devices import device_of
 
     torch.manual_seed(0)

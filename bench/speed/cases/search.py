@@ -18,14 +18,13 @@ import shapely
 from bench.speed.case import Case
 from benchmark.dynamics.bicycle import DriverLimits, MotionModel, VehicleState, simulate
 from benchmark.geometry import Floats, box_corners
-from benchmark.machine.pages import keep_pages
+from benchmark.machine.metering import keep_pages
 from benchmark.published import RUNTIME_S
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.diffusion.prior import TrajectoryPrior, diversify
 from generation.search.adversary import attempts_together
-from generation.search.candidates import launch_frame
-from generation.search.eligibility import eligibility_of
+from generation.search.candidates import eligibility_of, launch_frame
 from generation.search.hyperparameters import HyperParameters
 from generation.search.recorded_motion import initial_state
 from generation.search.scoring import Surroundings, score_terms, surroundings

@@ -6,7 +6,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.datasets.schema.kinds import (
+from benchmark.datasets.schema.rows import shown
+from benchmark.datasets.schema.tables import (
     EARTH_M,
     LINKS_OF_LIST,
     POSITION,
@@ -17,7 +18,6 @@ from benchmark.datasets.schema.kinds import (
     number,
     numbers,
 )
-from benchmark.datasets.schema.rows import shown
 from benchmark.errors import InputError
 
 _FASTEST: Final = 1e4

@@ -1,23 +1,315 @@
-"""All checks of one data set, in the order in which a reader would trip over the faults."""
+"""All checks of one data set, in the order in which a reader would trip over the faults.
 
-from collections.abc import Mapping
-from dataclasses import replace
+Tables that the devkit reads by itself where they are: whoever opens the root is told what it says of them.
+
+Map expansions: there, in their place, whole, and of the place where the ego drove.
+
+Truth that is missing though the tables are sound: labels, sizes, tracks, nuScenes' categories, poses that move.
+
+What recorded motion says against the tables: boxes that jump or lie across it, rotations in another order.
+"""
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, Final
 
-from benchmark.constants import NUSCENES_TABLES
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import MAP_LAYERS, NUSCENES_TABLES, OFFICIAL_LOCATIONS
+from benchmark.datasets.annotated import AnnotationCount, has_size, labelled_keyframes
+from benchmark.datasets.categories import KNOWN, names_in
+from benchmark.datasets.devkit_import import FURTHER_TABLES, devkit_with
+from benchmark.datasets.map_layers import expansion_file, read_road_map
 from benchmark.datasets.schema import Fault, FaultList
 from benchmark.datasets.schema.files import check_files
-from benchmark.datasets.schema.further_tables import check_further_tables
 from benchmark.datasets.schema.links import check_chains, check_links, check_sample_chains
-from benchmark.datasets.schema.maps import check_maps
-from benchmark.datasets.schema.motion import EgoAtSamples, check_motion
 from benchmark.datasets.schema.provenance import check_provenance, check_splits
-from benchmark.datasets.schema.rates import check_gaps, check_rates
-from benchmark.datasets.schema.table_checks import read_checked
-from benchmark.datasets.schema.truth import check_truth
-from benchmark.datasets.schema.values import check_copied_intrinsics, check_images, check_sensors, check_shared
+from benchmark.datasets.schema.table_checks import CheckedTables, Row, read_checked
+from benchmark.datasets.schema.values import (
+    check_copied_intrinsics,
+    check_gaps,
+    check_images,
+    check_rates,
+    check_sensors,
+    check_shared,
+)
 from benchmark.datasets.tables import variant_folders, version_folders
+from benchmark.datasets.truth_facts import (
+    MISFIT_SHARE,
+    MOTIONLESS_S,
+    Steps,
+    in_another_order,
+    lie_across,
+    objects_across,
+)
 from benchmark.errors import InputError
+from benchmark.geometry import Floats, yaw_of_quaternion
+from benchmark.machine.storage import read_json
+from benchmark.report.words import counted
+from benchmark.road_map import RoadMap
+
+_QUATERNIONS = "make sense only if they are read as x, y, z, w; nuScenes has w, x, y, z: reorder them"
+
+
+@dataclass(frozen=True, slots=True)
+class EgoAtSamples:
+    """Poses of the ego at S samples of all scenes, scene by scene, in time order.
+
+    Attributes:
+        scene: (S,) number of the scene.
+        logs: S tokens of logs.
+        seconds: (S,) times.
+        position: (S, 3) metres, global.
+        rotation: (S, 4) quaternions as they stand in the table.
+    """
+
+    scene: NDArray[np.int64]
+    logs: tuple[str, ...]
+    seconds: Floats
+    position: Floats
+    rotation: Floats
+
+    @classmethod
+    def of(cls, tables: CheckedTables) -> "EgoAtSamples":
+        """By any keyframe row of each sample."""
+        pose_of: dict[str, Row] = {}
+        for row in tables.having("sample_data", "sample_token", "ego_pose_token", "is_key_frame"):
+            if row["is_key_frame"] and row["sample_token"] not in pose_of:
+                pose = tables.get("ego_pose", row["ego_pose_token"], "translation", "rotation")
+                if pose is not None:
+                    pose_of[row["sample_token"]] = pose
+        numbers = {row["token"]: number for number, row in enumerate(tables.having("scene", "log_token"))}
+        logs = [row["log_token"] for row in tables.having("scene", "log_token")]
+        samples = [
+            (numbers[row["scene_token"]], row["timestamp"], pose_of[row["token"]])
+            for row in tables.having("sample", "scene_token", "timestamp")
+            if row["scene_token"] in numbers and row["token"] in pose_of
+        ]
+        samples.sort(key=lambda sample: sample[:2])
+        return cls(
+            scene=np.array([scene for scene, _, _ in samples], np.int64),
+            logs=tuple(logs[scene] for scene, _, _ in samples),
+            seconds=_seconds([time_us for _, time_us, _ in samples]),
+            position=_columns([pose["translation"] for _, _, pose in samples], 3),
+            rotation=_columns([pose["rotation"] for _, _, pose in samples], 4),
+        )
+
+
+def check_motion(tables: CheckedTables, ego: EgoAtSamples, faults: FaultList) -> None:
+    """Note boxes that jump, boxes that lie across their motion, and rotations in the order x, y, z, w."""
+    driven = Steps.of(ego.scene, ego.seconds, ego.position).directions(len(ego.scene))
+    if in_another_order(ego.rotation, driven):
+        faults.add("rotations in another order", "ego_pose", "", f"the rotations {_QUATERNIONS}", severity="warning")
+    rows, times_us = _annotations(tables)
+    if not rows:
+        return
+    rotation = _columns([row["rotation"] for row in rows], 4)
+    if in_another_order(rotation):
+        sentence = f"the rotations {_QUATERNIONS}"
+        faults.add("rotations in another order", "sample_annotation", "", sentence, severity="warning")
+    places: defaultdict[str, int] = defaultdict(lambda: len(places))
+    owner = np.array([places[row["instance_token"]] for row in rows], np.int64)
+    steps = Steps.of(owner, _seconds(times_us), _columns([row["translation"] for row in rows], 3))
+    for step in np.flatnonzero(steps.jumps).tolist():
+        row = rows[int(steps.row[step]) + 1]
+        name = row["instance_token"]
+        sentence = f"since its annotation before, instance {name} would have moved at {steps.speed[step]:.0f} m/s"
+        faults.add("boxes that jump", "sample_annotation", row["token"], sentence, severity="warning")
+    # A table has width before length.
+    size = _columns([row["size"] for row in rows], 3)[:, [1, 0]]
+    moving, across = objects_across(steps, yaw_of_quaternion(rotation), size)
+    if lie_across(moving, across):
+        sentence = (
+            f"the boxes of {across} of {counted(moving, 'moving object')} lie across their motion: width and length "
+            "are exchanged, or headings turned by 90 degrees"
+        )
+        faults.add("boxes across their motion", "sample_annotation", "", sentence, severity="warning")
+
+
+def _annotations(tables: CheckedTables) -> tuple[list[Row], list[int]]:
+    """Annotations that can be relied on, those of an instance together in time order, and their times."""
+    fields = ("instance_token", "sample_token", "translation", "size", "rotation")
+    found: list[tuple[str, int, Row]] = []
+    for row in tables.having("sample_annotation", *fields):
+        sample = tables.get("sample", row["sample_token"], "timestamp")
+        if sample is not None:
+            found.append((row["instance_token"], sample["timestamp"], row))
+    found.sort(key=lambda each: each[:2])
+    return [row for _, _, row in found], [time_us for _, time_us, _ in found]
+
+
+def _seconds(times_us: Sequence[int]) -> Floats:
+    """Since the first of all, so that nothing is lost to the size of the numbers."""
+    times = np.array(times_us, np.int64)
+    return np.asarray((times - (times.min() if len(times) else 0)) * 1e-6)
+
+
+def _columns(values: Sequence[Any], width: int) -> Floats:
+    return np.array(values, np.float64).reshape(-1, width)
+
+
+_LABELS: Final = "scenes without labels"
+
+
+def check_truth(tables: CheckedTables, categories: Mapping[str, str], faults: FaultList) -> None:
+    """Warn of scenes and objects of which commands that judge say nothing, or less.
+
+    Args:
+        categories: What other names of categories mean (`benchmark.datasets.categories.read_categories`).
+    """
+    if "sample_annotation" in tables.unreadable:
+        return
+    _check_labels(tables, faults)
+    _check_boxes(tables, faults)
+    _check_categories(tables, categories, faults)
+    _check_poses(tables, faults)
+
+
+def _check_labels(tables: CheckedTables, faults: FaultList) -> None:
+    """Scenes that are not labelled, or in a part only."""
+    boxes = Counter(row["sample_token"] for row in tables.having("sample_annotation", "sample_token", "size"))
+    samples: defaultdict[str, list[tuple[int, str]]] = defaultdict(list)
+    for row in tables.having("sample", "scene_token", "timestamp"):
+        samples[row["scene_token"]].append((row["timestamp"], row["token"]))
+    for scene in tables.having("scene", "name"):
+        counts = np.array([boxes[token] for _, token in sorted(samples[scene["token"]])], np.int64)
+        missing = np.flatnonzero(~labelled_keyframes(counts))
+        if not len(missing):
+            continue
+        if not counts.any():
+            sentence = f"{scene['name']} has no annotations: no contact there can be judged, and no rate counts it"
+        else:
+            sentence = (
+                f"{scene['name']} has no annotations at {len(missing)} of {counted(len(counts), 'sample')}, the first "
+                f"of them number {missing[0]}: no contact that falls there can be judged"
+            )
+        faults.add(_LABELS, "scene", scene["token"], sentence, severity="warning")
+
+
+def _check_boxes(tables: CheckedTables, faults: FaultList) -> None:
+    """Boxes without a size, and instances without a box."""
+    for row in tables.having("sample_annotation", "size"):
+        if not has_size(row):
+            sentence = f"its size is {row['size']}: the box is ignored, nothing can touch it"
+            faults.add("boxes without a size", "sample_annotation", row["token"], sentence, severity="warning")
+    tracked = {row["instance_token"] for row in tables.having("sample_annotation", "instance_token")}
+    for row in tables.rows["instance"]:
+        if row["token"] not in tracked:
+            sentence = "no annotation is of this instance: it is ignored"
+            faults.add("instances without a track", "instance", row["token"], sentence, severity="warning")
+
+
+def _check_categories(tables: CheckedTables, categories: Mapping[str, str], faults: FaultList) -> None:
+    """Categories that are not nuScenes', once for the whole data set."""
+    names = {row["token"]: row["name"] for row in tables.having("category", "name")}
+    names |= {token: dict(names_in(names.values(), categories)).get(name, name) for token, name in names.items()}
+    category_of = {
+        row["token"]: names.get(row["category_token"]) for row in tables.having("instance", "category_token")
+    }
+    found = Counter(
+        category_of.get(row["instance_token"]) for row in tables.having("sample_annotation", "instance_token")
+    )
+    unknown = {name: count for name, count in found.items() if name is not None and name not in KNOWN}
+    if unknown:
+        counts = AnnotationCount(found.total(), unknown)
+        so = "say nothing of contacts" if counts.foreign else "do not see them"
+        sentence = f"{counts.sentence}: protocols that go by categories {so}; say what they mean with --categories"
+        faults.add("unknown categories", "category", "", sentence, severity="warning")
+
+
+def _check_poses(tables: CheckedTables, faults: FaultList) -> None:
+    """Scenes in which the ego pose never changes."""
+    poses: defaultdict[str, set[tuple[float, ...]]] = defaultdict(set)
+    times_us: defaultdict[str, list[int]] = defaultdict(list)
+    for row in tables.having("sample_data", "sample_token", "ego_pose_token", "is_key_frame"):
+        sample = tables.get("sample", row["sample_token"], "scene_token", "timestamp")
+        pose = tables.get("ego_pose", row["ego_pose_token"], "translation", "rotation")
+        if row["is_key_frame"] and sample is not None and pose is not None:
+            poses[sample["scene_token"]].add((*pose["translation"], *pose["rotation"]))
+            times_us[sample["scene_token"]].append(sample["timestamp"])
+    for scene in tables.having("scene", "name"):
+        times = times_us[scene["token"]]
+        if len(poses[scene["token"]]) == 1 and (max(times) - min(times)) * 1e-6 >= MOTIONLESS_S:
+            sentence = f"the ego pose of {scene['name']} is the same at every sample, as if there were none"
+            faults.add("ego poses that never move", "scene", scene["token"], sentence, severity="warning")
+
+
+_EXPANSION_KEYS: Final = (*MAP_LAYERS, "canvas_edge", "connectivity", "arcline_path_3")
+_ELSEWHERE: Final = ("../maps/expansion", "maps", "../maps", "expansion", "../expansion")
+"""Folders in which expansions are found that were unpacked in the wrong one."""
+
+
+def check_maps(root: Path, tables: CheckedTables, ego: EgoAtSamples, faults: FaultList) -> None:
+    """Note map expansions that are missing, lie in another folder, are broken or of another place."""
+    logs: defaultdict[str, set[str]] = defaultdict(set)
+    for row in tables.having("log", "location"):
+        logs[row["location"]].add(row["token"])
+    for location in sorted(logs):
+        path = expansion_file(root, location)
+        if path is None:
+            _note_missing(root, location, faults)
+            continue
+        road_map = _checked(path, location, faults)
+        if road_map is not None and not road_map.drivable_area.is_empty:
+            _check_fit(road_map, ego, logs[location], faults)
+
+
+def _note_missing(root: Path, location: str, faults: FaultList) -> None:
+    """Note a missing expansion, and where it lies if it lies near."""
+    name = f"maps/expansion/{location}.json"
+    folders = _ELSEWHERE if Path(location).name == location else ()
+    near = next(
+        (f"{folder}/{location}.json" for folder in folders if (root / folder / f"{location}.json").is_file()), None
+    )
+    what = "planners and generation that need the vector map cannot use the data set"
+    if near is not None:
+        what = f"it lies at {near}: move or link it, for without it {what}"
+    elif location not in OFFICIAL_LOCATIONS:
+        return
+    faults.add("missing map expansions", name, "", f"{name} is missing; {what}", severity="warning")
+
+
+def _checked(path: Path, location: str, faults: FaultList) -> RoadMap | None:
+    """The map of a location, unless it cannot be read."""
+    name = f"maps/expansion/{location}.json"
+    try:
+        road_map = read_road_map(path)
+    except InputError as error:
+        faults.add("broken map expansions", name, "", str(error))
+        return None
+    missing = [layer for layer in _EXPANSION_KEYS if layer not in read_json(path)]
+    if missing and location in OFFICIAL_LOCATIONS:
+        sentence = f"{name} lacks {', '.join(missing)}, which other readers of map expansions need"
+        faults.add("incomplete map expansions", name, "", sentence, severity="warning")
+    return road_map
+
+
+def _check_fit(road_map: RoadMap, ego: EgoAtSamples, logs: set[str], faults: FaultList) -> None:
+    """Note logs whose ego drives beside the roads of their map."""
+    off = ~road_map.is_drivable(ego.position[:, :2])
+    for log in sorted(logs):
+        mine = np.array([each == log for each in ego.logs], np.bool_)
+        share = float(off[mine].mean()) if mine.any() else 0.0
+        if share > MISFIT_SHARE:
+            sentence = (
+                f"the recorded ego is off the drivable area of {road_map.location} in {100 * share:.0f} % of the "
+                f"{np.count_nonzero(mine)} samples of this log: the map or the location is of another place"
+            )
+            faults.add("maps that do not fit", "log", log, sentence, severity="warning")
+
+
+def check_further_tables(folder: Path, root: Path, tables: CheckedTables, faults: FaultList) -> None:
+    """Note that the devkit does not open a root with such tables; asked only where nothing else is wrong."""
+    there = [table for table in FURTHER_TABLES if (folder / f"{table}.json").exists()]
+    if not there or any(fault.severity == "error" for fault in faults.faults):
+        return
+    try:
+        devkit_with(root, folder.name, tables.rows)
+    except InputError as error:
+        faults.add("tables that the devkit refuses", there[0], "", str(error))
 
 
 def check_tables(root: Path, *, version: str | None = None, categories: Mapping[str, str] | None = None) -> list[Fault]:

@@ -7,8 +7,7 @@ from operator import itemgetter
 from typing import TypeVar
 
 from benchmark.datasets.schema import LINKS, FaultList, Link
-from benchmark.datasets.schema.faults import Severity
-from benchmark.datasets.schema.rows import shown
+from benchmark.datasets.schema.rows import Severity, shown
 from benchmark.datasets.schema.table_checks import CheckedTables, Row
 from benchmark.report.words import counted
 

@@ -9,9 +9,8 @@ from collections.abc import Collection, Mapping
 from benchmark.datasets.schema import LINKS, FaultList
 from benchmark.datasets.schema.links import check_chains, check_link, check_links, check_sample_chains
 from benchmark.datasets.schema.provenance import check_adversaries
-from benchmark.datasets.schema.rates import check_rates
 from benchmark.datasets.schema.table_checks import CheckedTables, Row
-from benchmark.datasets.schema.values import check_images, check_sensors, check_shared
+from benchmark.datasets.schema.values import check_images, check_rates, check_sensors, check_shared
 
 
 def check_opened(tables: CheckedTables, faults: FaultList, rates: FaultList) -> None:

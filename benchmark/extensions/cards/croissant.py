@@ -1,13 +1,88 @@
-"""Croissant metadata (ML Commons, version 1.0) with the fields of its responsible-AI extension."""
+"""Croissant metadata (ML Commons, version 1.0) with the fields of its responsible-AI extension.
 
+Columns of an index, said once: what the Parquet file holds, Croissant describes and the card explains.
+
+Licences by the identifiers that hubs use, and where each is to be read.
+"""
+
+import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
-from benchmark.extensions.cards.columns import CROISSANT_TYPE, Column
-from benchmark.extensions.cards.licences import UNKNOWN, licence_page
-from benchmark.machine.storage import file_sha256
+from benchmark.errors import InputError
+from benchmark.machine.storage import file_sha256, write_bytes
+
+PAGES: Final[Mapping[str, str]] = {
+    "apache-2.0": "https://www.apache.org/licenses/LICENSE-2.0",
+    "mit": "https://opensource.org/license/mit",
+    "cc0-1.0": "https://creativecommons.org/publicdomain/zero/1.0/",
+    "cc-by-4.0": "https://creativecommons.org/licenses/by/4.0/",
+    "cc-by-sa-4.0": "https://creativecommons.org/licenses/by-sa/4.0/",
+    "cc-by-nc-4.0": "https://creativecommons.org/licenses/by-nc/4.0/",
+    "cc-by-nc-sa-4.0": "https://creativecommons.org/licenses/by-nc-sa/4.0/",
+}
+UNKNOWN: Final = "unknown"
+OTHER: Final = "other"
+_IDENTIFIER: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9.+-]{0,99}")
+
+
+def licence_named(text: str | None) -> str:
+    """Identifier of the licence that a user means; ``unknown`` where none is given."""
+    if text is None:
+        return UNKNOWN
+    if not _IDENTIFIER.fullmatch(text):
+        raise InputError(f"--licence {text!r} is no licence identifier; name one such as cc-by-nc-sa-4.0, or other")
+    return text.lower()
+
+
+def licence_page(identifier: str) -> str:
+    """Where a licence is to be read; the identifier itself where that is not known here."""
+    return PAGES.get(identifier, identifier)
+
+
+Kind = Literal["text", "count", "number", "truth"]
+CROISSANT_TYPE: Final[Mapping[Kind, str]] = {
+    "text": "sc:Text",
+    "count": "sc:Integer",
+    "number": "sc:Float",
+    "truth": "sc:Boolean",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column of an index: its name, with the unit where it has one, the kind of its values, and a phrase.
+
+    Any value may be null.
+    """
+
+    name: str
+    kind: Kind
+    meaning: str
+
+
+def write_index(path: Path, columns: Sequence[Column], rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write rows as a Parquet file, in place of the present one; a row has a value or ``None`` for each column."""
+    import pyarrow
+    from pyarrow import parquet
+
+    types = {"text": pyarrow.string(), "count": pyarrow.int64(), "number": pyarrow.float64(), "truth": pyarrow.bool_()}
+    schema = pyarrow.schema([(column.name, types[column.kind]) for column in columns])
+    values = {column.name: [row[column.name] for row in rows] for column in columns}
+    stream = io.BytesIO()
+    parquet.write_table(pyarrow.table(values, schema=schema), stream)
+    write_bytes(path, stream.getvalue())
+
+
+def column_rows(columns: Sequence[Column]) -> list[str]:
+    """Rows of a Markdown table of the columns."""
+    return ["| column | type | what |", "|---|---|---|"] + [
+        f"| `{column.name}` | {column.kind} | {column.meaning} |" for column in columns
+    ]
+
 
 CONFORMS_TO: Final = ("http://mlcommons.org/croissant/1.0", "http://mlcommons.org/croissant/RAI/1.0")
 CONTEXT: Final[Mapping[str, Any]] = {

@@ -6,9 +6,7 @@ from typing import Any, Final
 
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
-from benchmark.extensions.cards.columns import Column, column_rows
-from benchmark.extensions.cards.croissant import Described
-from benchmark.extensions.cards.licences import UNKNOWN, licence_named, licence_page
+from benchmark.extensions.cards.croissant import UNKNOWN, Column, Described, column_rows, licence_named, licence_page
 from benchmark.extensions.cards.writing import CITE, CROISSANT_FILE, CardSettings, WrittenCard, ending, write_card
 from benchmark.machine.storage import content_key
 from benchmark.metrics.rates import Rate

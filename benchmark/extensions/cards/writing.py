@@ -1,5 +1,9 @@
-"""A card on disk: ``README.md`` for people and hubs, an index in Parquet, ``croissant.json`` for search engines."""
+"""A card on disk: ``README.md`` for people and hubs, an index in Parquet, ``croissant.json`` for search engines.
 
+The head of a card as hubs read it: YAML between lines of dashes. JSON values are YAML, so no package is needed.
+"""
+
+import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,12 +13,35 @@ from typing import Any, Final
 
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
-from benchmark.extensions.cards.columns import Column, write_index
-from benchmark.extensions.cards.croissant import Described, croissant
-from benchmark.extensions.cards.front_matter import front_matter, size_category
-from benchmark.extensions.cards.licences import PAGES, UNKNOWN, licence_named
+from benchmark.extensions.cards.croissant import (
+    PAGES,
+    UNKNOWN,
+    Column,
+    Described,
+    croissant,
+    licence_named,
+    write_index,
+)
 from benchmark.machine.storage import write_bytes, write_json
 from benchmark.published import PAPER
+
+_SIZES: Final = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
+
+
+def front_matter(fields: Mapping[str, Any]) -> str:
+    """Front matter of a card, dashes included, in the given order; fields that are ``None`` or empty are left out."""
+    lines = [
+        f"{name}: {json.dumps(value, ensure_ascii=False, allow_nan=False)}"
+        for name, value in fields.items()
+        if value not in (None, "", [], {})
+    ]
+    return "\n".join(["---", *lines, "---", ""])
+
+
+def size_category(rows: int) -> str:
+    """Size category in which hubs put a number of rows."""
+    return next((name for most, name in _SIZES if rows < most), "n>1M")
+
 
 CARD_FILE: Final = "README.md"
 CROISSANT_FILE: Final = "croissant.json"

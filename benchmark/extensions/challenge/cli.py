@@ -152,7 +152,7 @@ def challenge_score_command(options: ChallengeScoreOptions) -> None:
     from benchmark.extensions.challenge.scoring import ScoreSettings, score_entries
     from benchmark.machine.places import require_file, require_folder, require_place
     from benchmark.protocols import protocol as known_protocol
-    from benchmark.records.challenge_scores import write_scores
+    from benchmark.records.challenge import write_scores
     from benchmark.records.run import NATIVE
     from leaderboard.extensions.challenge.tables import challenge_tables
 

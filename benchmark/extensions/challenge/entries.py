@@ -7,7 +7,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from benchmark.datasets.annotation_counts import AnnotationCount
+from benchmark.datasets.annotated import AnnotationCount
 from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.scene_facts import scene_facts_of

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from benchmark.box_projection import corners_of_box, to_camera
 from benchmark.errors import InputError
-from benchmark.extensions.challenge.counterparts import Keyframes
+from benchmark.extensions.challenge.recorded_part import Keyframes
 from benchmark.extensions.challenge.rules import Images
 from benchmark.geometry import Floats
 from benchmark.interactions.tracks import Integers
@@ -25,7 +25,7 @@ from benchmark.planning import CameraView
 from benchmark.records.challenge import Reason
 from benchmark.report.words import counted
 from benchmark.scene import Scene
-from benchmark.untrusted.pictures import read_picture
+from benchmark.untrusted.wire_images import read_picture
 
 Views = Mapping[str, Sequence[CameraView]]
 

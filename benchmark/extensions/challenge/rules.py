@@ -17,7 +17,7 @@ from benchmark.machine.storage import content_key
 from benchmark.records.store import validated
 from benchmark.records.stored import Stored
 from benchmark.untrusted.files import one_line
-from benchmark.untrusted.toml_text import parse_toml, read_toml
+from benchmark.untrusted.text_files import parse_toml, read_toml
 
 SCHEMA: Final = 1
 RULES_FILE: Final = "rules.toml"

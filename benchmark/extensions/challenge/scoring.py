@@ -21,7 +21,7 @@ from benchmark.extensions.challenge.checking import check_entry
 from benchmark.extensions.challenge.entries import SPLIT, CheckedEntry
 from benchmark.extensions.challenge.rules import Rules
 from benchmark.fairness.encounter import CRITICAL_S
-from benchmark.fairness.split_realism import split_realism
+from benchmark.fairness.splits import split_realism
 from benchmark.geometry import Floats
 from benchmark.machine.storage import file_name
 from benchmark.machine.workers import LocalProcesses
@@ -41,8 +41,17 @@ from benchmark.metrics.entries import (
 )
 from benchmark.metrics.rates import HORIZONS
 from benchmark.protocols import STANDARD
-from benchmark.records.challenge import ComparedData, EntryVerdict, Reason, write_verdict
-from benchmark.records.challenge_scores import ChallengeScores, EntryScore, Measured, PlannerOnEntry, Rank
+from benchmark.records.challenge import (
+    ChallengeScores,
+    ComparedData,
+    EntryScore,
+    EntryVerdict,
+    Measured,
+    PlannerOnEntry,
+    Rank,
+    Reason,
+    write_verdict,
+)
 from benchmark.records.judgement import JudgementSummary, SplitRealism
 from benchmark.records.run import NATIVE, RunRecord
 from benchmark.runs.plan_rows import PlannerFactory

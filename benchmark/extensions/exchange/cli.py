@@ -48,7 +48,7 @@ def export_scenarionet_command(options: ExportOptions) -> None:
 @command(ExportOptions)
 def export_openscenario_command(options: ExportOptions) -> None:
     """Write scenes as OpenSCENARIO 1.2: a trajectory for every object, no road network."""
-    from benchmark.datasets.own_words import NEEDS_A_PACKAGE
+    from benchmark.datasets.scenario_map import NEEDS_A_PACKAGE
     from benchmark.machine.extension import require_package
 
     require_package("scenariogeneration", NEEDS_A_PACKAGE)

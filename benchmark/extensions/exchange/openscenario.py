@@ -22,8 +22,8 @@ from benchmark.constants import (
     EGO_WHEELBASE_M,
     VERSION,
 )
-from benchmark.datasets.own_words import DATASET, NEEDS_A_PACKAGE, Exchanged
 from benchmark.datasets.roots import DataSet
+from benchmark.datasets.scenario_map import DATASET, NEEDS_A_PACKAGE, Exchanged
 from benchmark.errors import InputError
 from benchmark.extensions.exchange.exporting import ExportedScene, exchanged_of, export_scenes, scene_file
 from benchmark.geometry import Bools, Floats

@@ -12,7 +12,7 @@ from benchmark.extensions.http.values import WireError, member, numbers_of
 from benchmark.geometry import Floats
 from benchmark.pdm.motion import headed
 from benchmark.planning import Forecasts, Plan, PlanFrame
-from benchmark.untrusted.limits import WIRE_ANSWER
+from benchmark.untrusted.files import WIRE_ANSWER
 from benchmark.waypoints import points_in_ego
 
 _BODY: Final = "the answer"

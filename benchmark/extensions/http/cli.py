@@ -90,7 +90,7 @@ def serve_planner(
     from adapters.registry import is_foreign, planner, planner_factory
     from benchmark.extensions.http.server import PlannerServer
     from benchmark.extensions.http.session import Session
-    from benchmark.machine.pages import keep_pages_of
+    from benchmark.machine.metering import keep_pages_of
 
     runs = api.model_that_runs(name, checkpoint, data="")
     built: Planner

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from benchmark.planning import PlannerAwayError, PlannerGoneError, PlannerLateError
-from benchmark.untrusted.files import one_line
-from benchmark.untrusted.limits import WIRE_ANSWER, in_words
+from benchmark.untrusted.files import WIRE_ANSWER, in_words, one_line
 
 if TYPE_CHECKING:
     import httpx2

@@ -8,14 +8,12 @@ from typing import Any, Final
 
 from benchmark.extensions.http.answers import ModelAnswer
 from benchmark.extensions.http.connection import ALIVE_S, Connection, Reply
-from benchmark.extensions.http.images import ImageFormat
-from benchmark.extensions.http.observed import request_of
-from benchmark.extensions.http.values import WireError
+from benchmark.extensions.http.session import request_of
+from benchmark.extensions.http.values import ImageFormat, WireError
 from benchmark.machine.address import Address
 from benchmark.planning import Observation, Plan, PlanFrame, PlannerGoneError, PlannerLateError, SceneInfo
-from benchmark.untrusted.files import one_line
-from benchmark.untrusted.json_text import parse_json
-from benchmark.untrusted.limits import WIRE_ANSWER
+from benchmark.untrusted.files import WIRE_ANSWER, one_line
+from benchmark.untrusted.text_files import parse_json
 
 DEADLINE_S: Final = 120.0
 """Of one request."""

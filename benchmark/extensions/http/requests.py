@@ -7,9 +7,8 @@ from typing import Any, Final, Self
 
 from benchmark.extensions.http.values import WireError, matrix_of, member, pose_of, whole_number
 from benchmark.geometry import Floats
-from benchmark.untrusted.files import one_line
-from benchmark.untrusted.json_text import parse_json
-from benchmark.untrusted.limits import WIRE_REQUEST, Limits
+from benchmark.untrusted.files import WIRE_REQUEST, Limits, one_line
+from benchmark.untrusted.text_files import parse_json
 
 CAMERAS: Final = ("CAM_FRONT", "CAM_FRONT_LEFT", "CAM_FRONT_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT")
 """In the order of the wire, which is not that of our tables."""
@@ -26,7 +25,7 @@ class InferRequest:
     """One observation as the wire has it.
 
     Attributes:
-        images: Text of each of the six cameras: base64 of a file (`benchmark.extensions.http.images`).
+        images: Text of each of the six cameras: base64 of a file (`benchmark.extensions.http.values`).
         ego2world: (4, 4) pose of the rear axle.
         canbus: (16,) see `CANBUS`.
         timestamp: Microseconds.

@@ -7,28 +7,108 @@ One step is half a second of whole microseconds. In it the order is fixed:
 2. while priming, the next recorded frame is taken; afterwards the car drives.
 
 So a state is checked one step late, as in the published code, and the last one that was planned from by `finished`.
+
+Open-loop rates that NeuroNCAP gives beside its score: each plan laid out rigidly against what actors will do.
+
+The driving command of NeuroNCAP: where the recorded path lies three seconds ahead.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from benchmark.constants import PLAN_STEPS
-from benchmark.extensions.neuroncap.actors import Actor
-from benchmark.extensions.neuroncap.car import Car
-from benchmark.extensions.neuroncap.command import command_at
-from benchmark.extensions.neuroncap.contact import Contact, EgoMoment, touched
-from benchmark.extensions.neuroncap.future import future_hits, future_moments
-from benchmark.extensions.neuroncap.plan_path import usable_waypoints
-from benchmark.extensions.neuroncap.poses import pose_between
+from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEP_S, PLAN_STEPS
+from benchmark.extensions.neuroncap.actors import Actor, pose_between
+from benchmark.extensions.neuroncap.contact import Car, Contact, EgoMoment, touched
+from benchmark.extensions.neuroncap.plan_path import WAYPOINT_US, usable_waypoints
 from benchmark.extensions.neuroncap.recording import Recording, Singles
 from benchmark.extensions.neuroncap.staging import Staged
 from benchmark.extensions.neuroncap.vehicle import STEP_US, DrivenStep, Vehicle, driven
-from benchmark.geometry import Floats
+from benchmark.geometry import Floats, quaternion_from_yaw, transform_matrix
 from benchmark.planning import Command
-from benchmark.records.neuroncap_switches import Switches
+from benchmark.records.neuroncap_aggregate import Switches
+
+_AHEAD_S: Final = 3.0
+_SLOWEST_M_S: Final = 2.0
+_EXTENSION_M: Final = 100.0
+
+
+def extended_path(path: Floats, switches: Switches) -> Floats:
+    """The recorded (F, 3) path of x, y, yaw, continued for 100 m as (F + 1, 2) positions.
+
+    The switches decide whether the continuation divides by the norm of the last step with its turn in it, or follows
+    the last step that moves. As ``code``, the last position is not finite where the last two frames are the same, and a
+    recording that stands makes every command straight.
+    """
+    steps = np.diff(path, axis=0)
+    if switches.command_extension == "paper":
+        moving = np.flatnonzero(np.linalg.norm(steps[:, :2], axis=1) > 0)
+        yaw = path[-1, 2]
+        last = steps[moving[-1], :2] if len(moving) else np.array([np.cos(yaw), np.sin(yaw)])
+    else:
+        last = steps[-1]
+    with np.errstate(invalid="ignore"):
+        end = path[-1, :2] + _EXTENSION_M * last[:2] / np.linalg.norm(last)
+    return np.concatenate([path[:, :2], end[None]])
+
+
+def command_at(pose: Floats, speed: float, path: Floats, switches: Switches) -> Command:
+    """Command of a state: a (4, 4) pose of the rear axle, m/s, and the recording's (F, 3) path.
+
+    Left or right where the point of the path that is nearest to the point three seconds straight ahead lies more than 2
+    m to that side.
+    """
+    extended = extended_path(path, switches)
+    ahead = (pose @ np.array([_AHEAD_S * max(speed, _SLOWEST_M_S), 0.0, 0.0, 1.0]))[:2]
+    start, step = extended[:-1], np.diff(extended, axis=0)
+    squared = np.sum(step**2, axis=1)
+    if switches.command_extension == "code" and not (squared > 0).all():
+        # Two equal samples in a row are 0 / 0 in the published code: nothing is left or right of that.
+        return Command.STRAIGHT
+    share = np.sum((ahead - start) * step, axis=1) / np.where(squared > 0, squared, 1.0)
+    nearest = start + np.clip(share, 0.0, 1.0)[:, None] * step
+    point = nearest[int(np.argmin(np.linalg.norm(nearest - ahead, axis=1)))]
+    left = float(np.linalg.inv(pose[:2, :2])[1] @ (point - pose[:2, 3]))
+    if left > COMMAND_LATERAL_M:
+        return Command.LEFT
+    return Command.RIGHT if left < -COMMAND_LATERAL_M else Command.STRAIGHT
+
+
+_STILL_M: Final = 0.2
+"""Next waypoints nearer than this to the origin give no heading."""
+
+
+def future_hits(future: Sequence[EgoMoment], actors: Sequence[Actor], car: Car, switches: Switches) -> tuple[bool, ...]:
+    """Whether a plan touches an actor at 0.5, 1.0 .. 3.0 s: six verdicts on `future_moments`."""
+    found = (touched(moment, actors, car, switches) for moment in future)
+    return tuple(contact is not None for contact in found)
+
+
+def future_moments(time_us: int, pose: Floats, plan: ArrayLike, switches: Switches) -> list[EgoMoment]:
+    """A plan, (6, 2) x forward and y left, laid out rigidly from the (4, 4) pose of the rear axle.
+
+    Args:
+        switches: As ``plan_3s`` code, the pose at 3 s is that of 2.5 s.
+
+    Returns:
+        The ego at 0.5, 1.0 .. 3.0 s; its speeds are the published code's, and decide nothing.
+    """
+    waypoints = np.asarray(plan, np.float64)[:, :2]
+    around = np.concatenate([np.zeros((1, 2)), waypoints, waypoints[-1:]])
+    spans = np.linalg.norm(around[2:] - around[:-2], axis=1)
+    found, last = [], PLAN_STEPS - 2
+    for step in range(PLAN_STEPS):
+        chord, end = waypoints[min(step, last) + 1] - waypoints[min(step, last)], waypoints[min(step, last) + 1]
+        yaw = float(np.arctan2(chord[1], chord[0])) if np.linalg.norm(end) >= _STILL_M else 0.0
+        position = waypoints[min(step, last) if switches.plan_3s == "code" else step]
+        planned = transform_matrix(quaternion_from_yaw(np.array(yaw)), [*position, 0.0])
+        seconds = PLAN_STEP_S * (step + 1)
+        found.append(EgoMoment(time_us + WAYPOINT_US * (step + 1), pose @ planned, float(spans[step] / seconds)))
+    return found
+
 
 _INSTANTS: Final = 10
 """Of contact within a step."""

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from benchmark.constants import PLAN_STEPS
 from benchmark.dynamics.reference_path import fitted_curvature
 from benchmark.geometry import Floats, wrap_angle
-from benchmark.records.neuroncap_switches import Switches
+from benchmark.records.neuroncap_aggregate import Switches
 
 Waypoints = NDArray[np.floating[Any]]
 """(N, 2 or more), in single or double precision."""

@@ -1,15 +1,27 @@
-"""What NeuroNCAP's engine reads of a recording."""
+"""What NeuroNCAP's engine reads of a recording.
+
+A stationary, a frontal and a side scenario for any recording, in NeuroNCAP's form: what a newcomer can run offline.
+
+Recordings for NeuroNCAP's engine from a data set in nuScenes format: frames, annotations, CAN bus.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.extensions.neuroncap.actors import FURTHER_VEHICLES, KEPT_CLASSES, Actor, Integers
-from benchmark.extensions.neuroncap.poses import heading_of
+from benchmark.datasets.can_bus import CanMessages
+from benchmark.datasets.schema.beside import CAN_BUS, CAN_BUS_POSE
+from benchmark.datasets.schema.tables import Kind
+from benchmark.errors import InputError
+from benchmark.extensions.neuroncap.actors import FURTHER_VEHICLES, KEPT_CLASSES, Actor, Integers, heading_of
+from benchmark.extensions.neuroncap.scenarios import STEP_S, Jitter, Scenario, ScenarioActor
 from benchmark.geometry import Floats, transform_matrix
-from benchmark.records.neuroncap_switches import Switches
+from benchmark.records.neuroncap_aggregate import Switches
+from benchmark.scene import Scene
 
 Singles = NDArray[np.float32]
 CAN_COLUMNS = 16
@@ -95,3 +107,124 @@ def actors_of(annotations: Annotations, times: Integers, switches: Switches) -> 
         stamps = times[annotations.frame[rows]]
         actors.append(Actor(annotations.tokens[instance], kind, annotations.size[rows[0]], stamps, np.array(poses)))
     return tuple(actors)
+
+
+START_FRAME: Final = 4
+PRIMING_STEPS: Final = 2
+DURATION_S: Final = 8.0
+MEETING_FRAMES: Final = 12
+"""From the start to the meeting."""
+LEAST_DRIVEN_M: Final = 15.0
+"""An ego that comes no further than this until then meets nobody."""
+_CANDIDATES: Final = 3
+"""Cars of the recording of which one is drawn."""
+_CROSSING_M_S: Final = 6.0
+_CROSSING_S: Final = 5.0
+"""Before and after the meeting."""
+
+
+def own_scenarios(recording: Recording) -> dict[str, Scenario]:
+    """Scenarios of a recording by family; none where it is too short, has no car, or its ego hardly moves."""
+    meeting = START_FRAME + MEETING_FRAMES
+    cars = tuple(actor.uuid for actor in recording.actors if actor.kind == "car")[:_CANDIDATES]
+    if not cars or meeting + MEETING_FRAMES // 2 >= len(recording.times):
+        return {}
+    if float(np.hypot(*(recording.path[meeting] - recording.path[START_FRAME])[:2])) < LEAST_DRIVEN_M:
+        return {}
+    yaw = float(recording.path[meeting, 2])
+    place, seconds = recording.poses[meeting, :3, 3], (recording.times - recording.times[0]) / 1e6
+    stands = (np.array([0.0, float(seconds[-1])]), np.stack([place, place]))
+    oncoming = _oncoming(recording, seconds, meeting)
+    aside = _CROSSING_M_S * _CROSSING_S * np.array([-np.sin(yaw), np.cos(yaw), 0.0])
+    crosses = (seconds[meeting] + np.array([-_CROSSING_S, _CROSSING_S]), np.stack([place - aside, place + aside]))
+    return {
+        "stationary": _scenario(cars, *stands, yaw, Jitter(3.0, 1.0, yaw, 0.5)),
+        "frontal": _scenario(cars, *oncoming, yaw + np.pi, Jitter(3.0, 0.75, yaw)),
+        "side": _scenario(cars, *crosses, yaw + np.pi / 2, Jitter(1.0, 0.5, yaw + np.pi / 2)),
+    }
+
+
+def _oncoming(recording: Recording, seconds: Floats, meeting: int) -> tuple[Floats, Floats]:
+    """Times and places of an actor that comes the ego's way backwards, as fast as the ego came.
+
+    Beyond the end of the recording the way goes on straight; it begins so far ahead that it does not appear from
+    nothing.
+    """
+    times = seconds[START_FRAME] - 1.0 + np.arange(0.0, DURATION_S + 3.0)
+    asked = 2 * seconds[meeting] - times
+    places = np.column_stack([np.interp(asked, seconds, column) for column in recording.poses[:, :3, 3].T])
+    last = (recording.poses[-1, :3, 3] - recording.poses[-2, :3, 3]) / STEP_S
+    return times, places + np.maximum(asked - seconds[-1], 0.0)[:, None] * last
+
+
+def _scenario(cars: tuple[str, ...], times: Floats, positions: Floats, yaw: float, jitter: Jitter) -> Scenario:
+    target = ScenarioActor(
+        mode="override",
+        uuids=cars,
+        drawn=True,
+        is_target=True,
+        times=times,
+        positions=positions,
+        initial_yaw=yaw,
+        jitter=jitter,
+    )
+    return Scenario(START_FRAME, PRIMING_STEPS, DURATION_S, start_jitter=1, actors=(target,))
+
+
+_POSE: Final[dict[str, Kind]] = {
+    "utime": CAN_BUS["pose"]["utime"],
+    **CAN_BUS_POSE,
+    **{name: CAN_BUS["pose"][name] for name in ("accel", "rotation_rate", "vel")},
+}
+"""Fields of a CAN row, in its order."""
+_WHEEL: Final[dict[str, Kind]] = {
+    "utime": CAN_BUS["pose"]["utime"],
+    "steer_corrected": CAN_BUS["steeranglefeedback"]["value"],
+}
+
+
+def recording_of(scene: Scene, root: Path, switches: Switches) -> Recording:
+    """A scene as the engine reads it, with the CAN bus below the root of its data set, which it must have."""
+    times = scene.timestamps_us[scene.keyframes]
+    motion, wheel = _messages(root, scene.name, "pose", _POSE), _messages(root, scene.name, "zoe_veh_info", _WHEEL)
+    ego = scene.ego
+    poses = [transform_matrix(ego.rotation[frame], ego.position[frame]) for frame in scene.keyframes]
+    return Recording(
+        times=times,
+        poses=np.array(poses),
+        canbus=at_frames(times, motion.times_us, motion.values),
+        steering_wheel=steering_at_frames(times, wheel.times_us, wheel.values[:, 0]),
+        actors=actors_of(annotations_of(scene), times, switches),
+    )
+
+
+def has_can_bus(scene: str, root: Path) -> bool:
+    """Whether a data set has what the engine reads of the CAN bus of a scene."""
+    return all((root / "can_bus" / f"{scene}_{message}.json").is_file() for message in ("pose", "zoe_veh_info"))
+
+
+def _messages(root: Path, scene: str, message: str, fields: dict[str, Kind]) -> CanMessages:
+    path = root / "can_bus" / f"{scene}_{message}.json"
+    found = CanMessages.read(path, fields)
+    if found is None:
+        raise InputError(
+            f"NeuroNCAP's engine starts its car from the CAN bus, and there is nothing in {path}; get the CAN bus "
+            "expansion, or leave the scene out"
+        )
+    return found
+
+
+def annotations_of(scene: Scene) -> Annotations:
+    """Annotations keyframe by keyframe, each in the data set's order."""
+    known = scene.annotations
+    frame, agent = np.nonzero(known.valid.T)
+    size: Floats = known.size[agent, frame][:, [1, 0, 2]]
+    return Annotations(
+        frame=frame,
+        instance=agent,
+        translation=known.position[agent, frame],
+        rotation=known.rotation[agent, frame],
+        size=size,
+        tokens=scene.agents.ids,
+        categories=scene.agents.categories,
+    )

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.closed_loop.recorded import recorded_motion
+from benchmark.closed_loop.default_engine import recorded_motion
 from benchmark.closed_loop.riding import (
     TICK_US,
     Motion,
@@ -21,9 +21,8 @@ from benchmark.closed_loop.riding import (
     UndrivablePlanError,
     require_room,
 )
-from benchmark.extensions.neuroncap.actors import Actor, Integers
+from benchmark.extensions.neuroncap.actors import Actor, Integers, heading_of
 from benchmark.extensions.neuroncap.contact import box_of
-from benchmark.extensions.neuroncap.from_data import annotations_of, has_can_bus, recording_of
 from benchmark.extensions.neuroncap.loop import (
     Engine,
     State,
@@ -34,10 +33,15 @@ from benchmark.extensions.neuroncap.loop import (
     goes_on,
     step,
 )
-from benchmark.extensions.neuroncap.own_scenarios import own_scenarios
 from benchmark.extensions.neuroncap.plan_path import SUBSTEP_US, UnusablePlanError
-from benchmark.extensions.neuroncap.poses import heading_of
-from benchmark.extensions.neuroncap.recording import Recording, actors_of
+from benchmark.extensions.neuroncap.recording import (
+    Recording,
+    actors_of,
+    annotations_of,
+    has_can_bus,
+    own_scenarios,
+    recording_of,
+)
 from benchmark.extensions.neuroncap.scenarios import Scenario, official_scenarios
 from benchmark.extensions.neuroncap.score import reference_speed, score_of
 from benchmark.extensions.neuroncap.staging import Cast, staged
@@ -46,7 +50,7 @@ from benchmark.interactions.tracks import Tracks
 from benchmark.pdm.motion import headed
 from benchmark.planning import Command, Plan
 from benchmark.records.drive_schema import OWN, RECORDED, NeuroncapScore
-from benchmark.records.neuroncap_switches import Switches
+from benchmark.records.neuroncap_aggregate import Switches
 from benchmark.scene import Scene
 
 _ACCELERATION, _RATE, _VELOCITY = slice(7, 10), slice(10, 13), slice(13, 16)

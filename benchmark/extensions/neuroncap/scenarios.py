@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from benchmark.errors import InputError, did_you_mean
 from benchmark.geometry import Floats
-from benchmark.untrusted.json_text import read_json
+from benchmark.untrusted.text_files import read_json
 
 OFFICIAL_FILE: Final = Path(__file__).parent / "assets" / "official_scenarios.json"
 STEP_S: Final = 0.5

@@ -11,7 +11,7 @@ from benchmark.extensions.neuroncap.actors import Actor
 from benchmark.extensions.neuroncap.loop import Engine, World
 from benchmark.extensions.neuroncap.recording import Recording
 from benchmark.extensions.neuroncap.scenarios import STEP_S
-from benchmark.records.neuroncap_switches import Switches
+from benchmark.records.neuroncap_aggregate import Switches
 
 WITHOUT_CONTACT: Final = 5.0
 _BEST_CONTACT: Final = 4.0

@@ -11,16 +11,15 @@ import torch
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
 from benchmark.extensions.quality.definition import Definition, needed_for
-from benchmark.extensions.quality.pretrained import transformers_version
 from benchmark.extensions.quality.scoring import Networks, image_file, load_networks, score_scene
+from benchmark.extensions.quality.segmentation import transformers_version
 from benchmark.machine.devices import device_of, device_of_worker
 from benchmark.machine.several_devices import device_in_turn, device_names, workers_for
 from benchmark.machine.storage import content_key, file_name, only_writer
 from benchmark.machine.workers import LocalProcesses, default_workers, worker_number
-from benchmark.records.quality import QualityRecord, write_quality
-from benchmark.records.quality_schema import QUALITY_SCHEMA, SceneRows, WeightsFacts
+from benchmark.records.quality import QUALITY_SCHEMA, QualityRecord, SceneRows, WeightsFacts, write_quality
 from benchmark.report.words import counted
-from benchmark.runs.judges import JudgedScenes, described
+from benchmark.runs.judging import JudgedScenes, described
 from benchmark.runs.scene_work import reopening
 from benchmark.runs.units import FinishedShard, ResultStore, Shard, run_units
 from benchmark.weights.folders import content_hash, folder_of

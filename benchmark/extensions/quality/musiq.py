@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmark.errors import InputError
-from benchmark.weights.foreign import read_checkpoint
+from benchmark.weights.folders import read_checkpoint
 
 PATCH_PX: Final = 32
 LONGER_SIDES_PX: Final = (224, 384)

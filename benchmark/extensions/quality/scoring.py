@@ -1,32 +1,163 @@
-"""One scene, scored: every subject of every camera, and the frames as wholes."""
+"""One scene, scored: every subject of every camera, and the frames as wholes.
+
+Imaging quality: MUSIQ's score of pictures, 0 to 1, prepared as VBench prepares frames.
+
+Subject consistency: how alike DINO finds a subject's appearances, by VBench's formula.
+"""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
 
 from benchmark.errors import InputError
-from benchmark.extensions.quality.consistency import SubjectFeatures, similarities
-from benchmark.extensions.quality.cut_masks import Mask
 from benchmark.extensions.quality.definition import Definition
-from benchmark.extensions.quality.imaging import ImagingQuality
-from benchmark.extensions.quality.masks import BoxMasks, CameraVideo, FrameMasks, MaskMaker, TrackedMasks
-from benchmark.extensions.quality.projection import boxes_in_view, reduced
+from benchmark.extensions.quality.masks import (
+    BoxMasks,
+    CameraVideo,
+    FrameMasks,
+    Mask,
+    MaskMaker,
+    TrackedMasks,
+    boxes_in_view,
+    reduced,
+)
+from benchmark.extensions.quality.musiq import Musiq, multiscale_patches
+from benchmark.extensions.quality.segmentation import load_pretrained
+from benchmark.geometry import Floats
 from benchmark.machine.devices import single_precision
-from benchmark.records.quality_schema import SceneRows, SubjectRow, Sum, VideoRow
-from benchmark.untrusted.pictures import read_picture
+from benchmark.records.quality import SceneRows, SubjectRow, Sum, VideoRow
+from benchmark.untrusted.wire_images import read_picture
 from benchmark.weights.catalogue import DINO, GROUNDING_DINO, MUSIQ, SAM2
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
     from benchmark.planning import CameraView
     from benchmark.scene import Scene
+
+_MEAN: Final = (0.485, 0.456, 0.406)
+_DEVIATION: Final = (0.229, 0.224, 0.225)
+"""Pixel values that DINO was trained with, of 1."""
+
+
+class SubjectFeatures:
+    """DINO's features of masked subjects, each brought to a square of ``crop_px``.
+
+    Args:
+        folder: Weights of ``facebook/dino-vitb16``.
+        batch: Subjects that go through the network together.
+    """
+
+    def __init__(self, folder: Path, device: torch.device, crop_px: int, batch: int) -> None:
+        self._network: Any = load_pretrained("ViTModel", folder, device, add_pooling_layer=False)
+        self._folder, self._device, self._crop_px, self._batch = folder, device, crop_px, batch
+        patch = self._network.config.patch_size
+        if crop_px % patch:
+            raise InputError(f"crops of {crop_px} pixels cannot be cut into the patches of {patch} that {folder} wants")
+
+    @torch.inference_mode()
+    def features(self, appearances: Sequence[tuple[NDArray[np.uint8], Mask]]) -> Floats:
+        """(A, D) features of unit length of A appearances, each an image and the mask in it."""
+        found = []
+        for start in range(0, len(appearances), self._batch):
+            squares = [subject_square(*appearance, self._crop_px) for appearance in appearances[start:][: self._batch]]
+            pixels = torch.stack(squares).to(self._device)
+            states = self._network(pixel_values=pixels, interpolate_pos_encoding=True).last_hidden_state
+            found.append(functional.normalize(states[:, 0].double(), dim=-1).cpu())
+        features = np.asarray(torch.cat(found)) if found else np.zeros((0, 0))
+        if not np.isfinite(features).all():
+            raise InputError(f"the weights in {self._folder} give features that are no numbers; get them again")
+        return features
+
+
+def similarities(features: Floats) -> Floats:
+    """VBench's value of each appearance after the first.
+
+    Args:
+        features: (A, D) of unit length, one subject's appearances in time order.
+
+    Returns:
+        (A - 1,) mean of the cosines with the appearance before and with the first one, negative cosines as zero.
+            Empty for a single appearance: there is nothing that it could be consistent with.
+    """
+    if len(features) < 2:
+        return np.zeros(0)
+    with_first = np.einsum("ad,d->a", features[1:], features[0])
+    with_previous = np.einsum("ad,ad->a", features[1:], features[:-1])
+    return np.asarray((np.maximum(with_first, 0.0) + np.maximum(with_previous, 0.0)) / 2)
+
+
+def subject_square(image: NDArray[np.uint8], mask: Mask, side_px: int) -> Tensor:
+    """A subject alone, in the middle of a (3, side, side) square, as DINO wants it.
+
+    The image is (height, width, 3) RGB.
+
+    The background has the mean colour, which is zero for the network. The rectangle of the mask is padded to a square,
+    so that shapes keep their proportions, and resized bilinearly without smoothing.
+    """
+    mean = torch.tensor(_MEAN)[:, None, None]
+    found = torch.tensor(mask.cut(image), dtype=torch.float32).permute(2, 0, 1)
+    found = torch.where(torch.tensor(mask.pixels)[None], found, 255 * mean)
+    height, width = found.shape[1:]
+    side = max(height, width)
+    top, left = (side - height) // 2, (side - width) // 2
+    square = (255 * mean).expand(3, side, side).clone()
+    square[:, top : top + height, left : left + width] = found
+    resized = functional.interpolate(square[None], (side_px, side_px), mode="bilinear", align_corners=False)[0]
+    return (resized / 255 - mean) / torch.tensor(_DEVIATION)[:, None, None]
+
+
+_FULL_SCORE: Final = 100.0
+"""VBench divides by it."""
+
+
+class ImagingQuality:
+    """MUSIQ's scores of pictures.
+
+    Args:
+        longer_px: Larger pictures are brought down to this longer side.
+        batch: Pictures that go through the network together.
+    """
+
+    def __init__(self, weights: Path, device: torch.device, longer_px: int, batch: int) -> None:
+        self._network = Musiq.load(weights).to(device)
+        self._weights, self._device, self._longer_px, self._batch = weights, device, longer_px, batch
+
+    @torch.inference_mode()
+    def scores(self, pictures: Sequence[NDArray[np.uint8]]) -> list[float]:
+        """Score (height, width, 3) RGB pictures of any sizes: about 0 (bad) to 1 (good) each."""
+        found: list[float] = []
+        grid = self._network.config.grid
+        for start in range(0, len(pictures), self._batch):
+            some = [prepared(picture, self._longer_px).to(self._device) for picture in pictures[start:][: self._batch]]
+            scores = self._network([multiscale_patches(picture, grid) for picture in some])
+            found += (scores.double() / _FULL_SCORE).tolist()
+        if not np.isfinite(found).all():
+            raise InputError(f"the weights in {self._weights} give scores that are no numbers; get them again")
+        return found
+
+
+def prepared(picture: NDArray[np.uint8], longer_px: int) -> Tensor:
+    """A (height, width, 3) RGB picture as MUSIQ wants it, (3, height, width).
+
+    Above a longer side it is brought down bilinearly without smoothing, rounded to 8 bits, then scaled to -1 to 1.
+    """
+    found = torch.tensor(picture, dtype=torch.float32).permute(2, 0, 1)
+    height, width = found.shape[1:]
+    if max(height, width) > longer_px:
+        scale = longer_px / max(height, width)
+        size = max(int(scale * height), 1), max(int(scale * width), 1)
+        found = functional.interpolate(found[None], size, mode="bilinear", align_corners=False)[0].round()
+    return found / 255 * 2 - 1
+
 
 _TURNED: Final = 0.02
 """An image whose proportions differ by more than this from its camera's is not that camera's."""
@@ -45,8 +176,7 @@ def load_networks(definition: Definition, folders: Mapping[str, Path], place: to
     """Load the source of masks, DINO and MUSIQ of a definition, with weights by name (`needed_for`)."""
     masks: MaskMaker = BoxMasks(definition)
     if definition.masks != "boxes":
-        from benchmark.extensions.quality.detection import Detector
-        from benchmark.extensions.quality.segmentation import Segmenter
+        from benchmark.extensions.quality.segmentation import Detector, Segmenter
 
         detector = None
         if definition.masks == "grounded-sam2":

@@ -2,6 +2,10 @@
 
 The library's own preparation of images needs torchvision, so that it stands here: resize to the network's square,
 ImageNet's mean and deviation, boxes scaled alike.
+
+Grounding DINO from transformers: boxes around what a text names.
+
+Networks of the transformers library that video quality is measured with.
 """
 
 from collections.abc import Sequence
@@ -14,8 +18,27 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from benchmark.extensions.quality.pretrained import load_pretrained
 from benchmark.geometry import Bools
+from benchmark.weights.pretrained import Library
+
+_TRANSFORMERS: Final = Library("transformers", extra="quality", needed_by="video quality")
+
+
+def load_pretrained(name: str, folder: Path, device: torch.device, **settings: Any) -> Any:
+    """A network of transformers, in evaluation mode and single precision, or a processor, with the files of a folder.
+
+    Args:
+        name: Class of transformers.
+        settings: Further arguments of ``from_pretrained``.
+    """
+    found = _TRANSFORMERS.load(name, folder, **settings)
+    return found.to(device) if isinstance(found, torch.nn.Module) else found
+
+
+def transformers_version() -> str:
+    """Version of transformers; raises `InputError` where it is not installed."""
+    return _TRANSFORMERS.version()
+
 
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom, pixels."""
@@ -100,3 +123,43 @@ def prepared_frame(frame: NDArray[np.uint8], side_px: int) -> Tensor:
     resized = functional.interpolate(pixels, (side_px, side_px), mode="bilinear", antialias=True)[0].round()
     mean, deviation = (torch.tensor(values)[:, None, None] for values in (_MEAN, _DEVIATION))
     return (resized / 255 - mean) / deviation
+
+
+class Detector:
+    """Grounding DINO with its weights and its own processor.
+
+    Args:
+        folder: Weights of ``IDEA-Research/grounding-dino-base``, with tokenizer and image processor.
+        prompt: What to look for, in lower case with a full stop.
+    """
+
+    def __init__(
+        self, folder: Path, device: torch.device, prompt: str, box_threshold: float, text_threshold: float
+    ) -> None:
+        self._processor: Any = load_pretrained("GroundingDinoProcessor", folder, device)
+        self._network: Any = load_pretrained("GroundingDinoForObjectDetection", folder, device)
+        self._device, self._prompt = device, prompt
+        self._box_threshold, self._text_threshold = box_threshold, text_threshold
+
+    @torch.inference_mode()
+    def boxes(self, image: NDArray[np.uint8]) -> list[Box]:
+        """Boxes of the prompt inside a (height, width, 3) RGB image, the surest first."""
+        from PIL import Image
+
+        height, width = image.shape[:2]
+        inputs = self._processor(images=Image.fromarray(image), text=self._prompt, return_tensors="pt").to(self._device)
+        found = self._processor.post_process_grounded_object_detection(
+            self._network(**inputs),
+            inputs["input_ids"],
+            threshold=self._box_threshold,
+            text_threshold=self._text_threshold,
+            target_sizes=[(height, width)],
+        )[0]
+        order = torch.argsort(found["scores"], descending=True, stable=True).tolist()
+        boxes = found["boxes"].cpu().double().numpy()[order]
+        boxes = np.clip(boxes.reshape(-1, 2, 2), 0.0, (width, height)).reshape(-1, 4)
+        return [
+            (float(left), float(top), float(right), float(bottom))
+            for left, top, right, bottom in boxes
+            if right > left and bottom > top
+        ]

@@ -104,8 +104,8 @@ def _planner_of(model: str, checkpoint: Path | None, data: str, expected: Path |
 
 def _as_published(name: str, *, plain: bool) -> tuple[str, ...]:
     """Everything that the model does as in its published run, unless that is not wanted or there is nothing."""
-    from adapters.as_published import ALL, options_of
     from adapters.models import MODELS
+    from adapters.planner import ALL, options_of
 
     network = MODELS[name].network if name in MODELS else None
     if plain or network is None or not network.as_published:

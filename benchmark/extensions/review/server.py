@@ -17,8 +17,8 @@ from typing import Any, Final
 
 from benchmark.errors import InputError
 from benchmark.extensions.review.inspection import Inspection
-from benchmark.untrusted.json_text import parse_json
-from benchmark.untrusted.limits import VERDICTS
+from benchmark.untrusted.files import VERDICTS
+from benchmark.untrusted.text_files import parse_json
 
 ADDRESS: Final = "127.0.0.1"
 _POST_BYTES: Final = 16 * 1024

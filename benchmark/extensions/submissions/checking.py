@@ -3,25 +3,266 @@
 A record holds the plans, so nothing in it has to be believed: hashes, coverage and samples are compared with the data
 set, every plan is judged or driven anew, and every number is summed up anew. What cannot be checked from outside, that
 the named model made the plans from the images, is said as what it is.
+
+Who planned: what this version knows of its own planners, and what stays a declaration of whoever submits.
+
+What a record says of itself, run or drives, beside its own rows and the data set.
+
+Submitted plans beside the recorded future that their planner must not have seen (`benchmark.metrics.leaks`).
 """
 
-from collections.abc import Callable, Iterator, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
+from benchmark.closed_loop.courses import recorded_poses
+from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
+from benchmark.datasets.judged import stored_realism
+from benchmark.datasets.scene_facts import frozen_split_of
 from benchmark.errors import InputError
-from benchmark.extensions.submissions.claims import claims_of, split_findings
-from benchmark.extensions.submissions.findings import Finding, Level, Said
-from benchmark.extensions.submissions.identity import OursLike, planner_findings
-from benchmark.extensions.submissions.leaked_futures import leak_findings
-from benchmark.extensions.submissions.recomputed import drives_anew, protocols_of, run_anew
+from benchmark.extensions.submissions.recomputed import Finding, Level, Said, drives_anew, protocols_of, run_anew
+from benchmark.geometry import Bools, Floats, to_local, wrap_angle
+from benchmark.metrics.leaks import LeakFigures, Moment, leak_figures
+from benchmark.planning import Plan, PlanFrame
+from benchmark.protocols import PROTOCOLS, protocol
+from benchmark.records.attempts import generated_facts
+from benchmark.records.drive_schema import DriveRow
 from benchmark.records.drives import DRIVE_FILE, DriveRecord, load_drives
+from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord, load_record
-from benchmark.records.run_schema import PlannerFacts, RecordFacts
+from benchmark.records.run_schema import PlannerFacts, RecordFacts, RunFacts, SceneFacts
+from benchmark.report.words import counted
+from benchmark.runs.judging import plan_of
 from benchmark.runs.rescoring import Opened, opened_as, record_directories
+from benchmark.scene import Scene
+from benchmark.truth import SampleTruth
+from benchmark.untrusted.files import one_line
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
+
+_FORWARD: Final = np.array([0.0, 1.0])
+"""Of the lidar's frame."""
+NEAR_M: Final = 0.5
+"""A driven car that is no farther from where the recorded one was then may be compared with its future."""
+NEAR_RAD: Final = 0.17
+"""The same of its heading."""
+_PLANNED_US: Final = round(1e6 * PLAN_STEP_S) * np.arange(1, PLAN_STEPS + 1)
+_BEFORE_US: Final = round(1e6 * PLAN_STEP_S) * np.array([-2, -1, 0])
+
+
+def leak_findings(record: RunRecord | DriveRecord, data: "DataSet") -> Iterator[Said]:
+    """Signs that plans knew the recorded future, one finding at most; none of privileged planners."""
+    facts = record.run if isinstance(record, RunRecord) else record.facts
+    if facts.planner.privileged:
+        return
+    if said := figures_of(record, data).suspicions:
+        yield (
+            Level.SUSPICIOUS,
+            f"{'; '.join(said)}. It proves nothing: ask how it plans (docs/extensions/submissions.md)",
+        )
+
+
+def figures_of(record: RunRecord | DriveRecord, data: "DataSet") -> LeakFigures:
+    """Figures that compare the plans of a record with the recorded future."""
+    if isinstance(record, DriveRecord):
+        return leak_figures([each for row in record.rows for each in _moments_of_drive(row, data.scene(row.scene))])
+    scenes = groupby(record.rows, key=lambda row: row.scene)
+    return leak_figures(
+        [each for name, rows in scenes for each in moments_of_run(list(rows), data.truth(name)).values()]
+    )
+
+
+def moments_of_run(rows: Sequence[SampleRow], truths: Sequence[SampleTruth]) -> dict[int, Moment]:
+    """Moments of one scene of a run, by number: a plan, a recorded second before and 3 s after."""
+    steps = [None if row.recorded_future[0] is None else np.array(row.recorded_future[0][:2], float) for row in rows]
+    speeds: dict[int, tuple[float, float]] = {}
+    for index, row in enumerate(rows):
+        before, now = (steps[index - 2], steps[index - 1]) if index >= 2 else (None, None)
+        # Speeds and what is planned are compared at steps of half a second.
+        regular = all(truth.timed is None for truth in truths[max(index - 2, 0) : index + 1])
+        if row.plan is not None and row.complete and before is not None and now is not None and regular:
+            speeds[index] = (float(np.hypot(*before)) / PLAN_STEP_S, float(np.hypot(*now)) / PLAN_STEP_S)
+    dangerous = _dangerous([truths[index] for index in speeds], [now for _, now in speeds.values()])
+    found = {}
+    for (index, speed), danger in zip(speeds.items(), dangerous):
+        row = rows[index]
+        assert row.plan is not None, "chosen above"
+        planned = plan_of(row.plan.model_dump()).judged.waypoints_in_lidar(row.lidar_ahead_m)
+        recorded = np.array(row.recorded_future, float)[:, :2]
+        found[index] = Moment(planned, recorded, _FORWARD, speed, bool(danger))
+    return found
+
+
+def _dangerous(truths: Sequence[SampleTruth], speeds: Sequence[float]) -> Bools:
+    """(N,) whether a car that keeps its speed and direction touches an object within 3 s."""
+    if not truths:
+        return np.zeros(0, bool)
+    times = PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
+    kept = np.array(speeds)[:, None, None] * times[:, None] * _FORWARD
+    return np.asarray(protocol("exact").evaluate(truths, kept).collision.any(axis=1))
+
+
+def _moments_of_drive(row: DriveRow, scene: Scene) -> list[Moment]:
+    """Instants of a drive at which the car was where the recorded one was, long enough before the recording ends.
+
+    None of them counts as dangerous: the actions of others in a drive depend on the drive.
+    """
+    found = []
+    times = np.array(row.ticks.time_us[row.primed :], np.int64)
+    first, last = int(scene.timestamps_us[0]), int(scene.timestamps_us[-1])
+    ahead_m = float(scene.lidar.translation[0])
+    for time, state, plan in zip(times, row.ticks.ego[row.primed :], row.plans[row.primed :]):
+        if time + _PLANNED_US[-1] > last or time + _BEFORE_US[0] < first:
+            continue
+        pose = np.array(state[:3])
+        poses = recorded_poses(scene, time + np.concatenate([_BEFORE_US, _PLANNED_US]))
+        now = poses[len(_BEFORE_US) - 1]
+        if np.hypot(*(pose - now)[:2]) > NEAR_M or abs(float(wrap_angle(pose[2] - now[2]))) > NEAR_RAD:
+            continue
+        before, speed = np.hypot(*np.diff(poses[: len(_BEFORE_US), :2], axis=0).T) / PLAN_STEP_S
+        planned = Plan(np.array(plan.waypoints, np.float64), PlanFrame(plan.frame)).judged.waypoints_in_lidar(ahead_m)
+        recorded = _lidar_of(poses[len(_BEFORE_US) :], pose, ahead_m)
+        found.append(Moment(planned, recorded, _FORWARD, (float(before), float(speed)), False))
+    return found
+
+
+def _lidar_of(poses: Floats, seen_from: Floats, ahead_m: float) -> Floats:
+    """(N, 2) the lidar's origin at poses of the rear axle, in the lidar's frame (x right, y forward) at one of them."""
+    heading = np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
+    local = to_local(poses[:, :2] + ahead_m * heading, seen_from)
+    return np.stack([-local[:, 1], local[:, 0] - ahead_m], axis=1)
+
+
+def claims_of(facts: RecordFacts, failed: int, units: int, unit: str, data_name: str) -> Iterator[Said]:
+    """Findings that need no data set.
+
+    Args:
+        failed: Rows that have no plan, or whose drive failed.
+        units: Rows.
+    """
+    if facts.data.name != data_name:
+        yield (
+            Level.ERROR,
+            f"is of the data set {one_line(facts.data.name, 80)}, not {data_name}; open that one with --data",
+        )
+    if failed:
+        yield Level.ERROR, f"has no plan for {failed} of {counted(units, unit)}; the errors are in its rows"
+    if (facts.status == "complete") != (failed == 0):
+        yield Level.ERROR, f"says that it is {facts.status}, and {failed} of {counted(units, unit)} failed"
+
+
+def split_findings(facts: RecordFacts, data: "DataSet") -> Iterator[Said]:
+    """Check that a record ran on the split that the data set has, and describes the data set as it describes itself."""
+    scenes = list(data.scene_names(facts.split))
+    if sorted(facts.scenes) != sorted(scenes):
+        yield (
+            Level.ERROR,
+            f"ran on {len(set(facts.scenes) & set(scenes))} of {counted(len(scenes), 'scene')} of {facts.split}; "
+            "run it without --scenes and --limit",
+        )
+    if facts.scenes_in_split != len(scenes):
+        yield (
+            Level.ERROR,
+            f"says that {facts.split} has {counted(facts.scenes_in_split, 'scene')}, {data.root} has {len(scenes)}",
+        )
+    if others := _other_facts(facts, data.scene_facts(facts.scenes)):
+        yield Level.ERROR, f"says of {others[0]} what the data set does not say; run challenger-bench rescore"
+    provenance = data.provenance()
+    pairs: list[tuple[str, object, object]] = [
+        ("frozen split", facts.frozen_split, frozen_split_of(provenance)),
+        ("search", facts.generated, generated_facts(provenance)),
+    ]
+    realism = stored_realism(data.root, data.version)
+    if isinstance(facts, RunFacts) and realism is not None:
+        pairs.append(("realism", facts.realism, realism))
+    for name, said, here in pairs:
+        # Older records say nothing.
+        if said is not None and said != here:
+            yield Level.ERROR, f"says of the scenes' {name} what {data.root} does not say; run it again"
+
+
+_COUNTED_ELSEWHERE: Final = ("judgement", "truth")
+
+
+def _other_facts(facts: RecordFacts, found: Mapping[str, SceneFacts]) -> Sequence[str]:
+    """Scenes of which a record says something else than the data set; what either does not say is no fault."""
+
+    def other(said: SceneFacts, here: SceneFacts) -> bool:
+        # Scenes need not be judged, and their truth is counted where the plans are judged anew.
+        asked = ((name, value) for name, value in said if name not in _COUNTED_ELSEWHERE or getattr(here, name))
+        return any(value is not None and value != getattr(here, name) for name, value in asked)
+
+    return [name for name, said in facts.scene_facts.items() if name in found and other(said, found[name])]
+
+
+OursLike = Callable[[PlannerFacts], PlannerFacts | None]
+"""The planner of this program that a submitted one is by its code, else the one that it is called like, else none."""
+_SHA256: Final = re.compile(r"[0-9a-f]{64}")
+_OWN_WEIGHTS: Final = "checkpoint_sha256"
+"""Setting of a planner that was given another file than its own."""
+
+
+def planner_findings(facts: RecordFacts, ours_like: OursLike) -> Iterator[Said]:
+    """Compare a record's claims about its planner with the planner itself."""
+    planner = facts.planner
+    for what, claimed in (("weights", planner.weights_sha256), ("code", planner.code_sha256)):
+        if claimed is not None and not _SHA256.fullmatch(claimed):
+            yield Level.ERROR, f"names {what} {claimed[:80]!r}, which is no SHA-256 (64 hexadecimal digits)"
+    if planner.native_protocol is not None and planner.native_protocol not in PROTOCOLS:
+        yield Level.ERROR, f"names a protocol of its own, {planner.native_protocol!r}, which this version does not know"
+    if planner.weights_sha256 is None and planner.code_sha256 is None:
+        yield Level.NOTE, "names neither weights nor code (plans from a file): nobody can tell which model planned"
+    if planner.privileged:
+        yield Level.NOTE, "is privileged: the planner saw boxes, the map or the recorded future, and tables say so"
+    source = facts.environment.get("source")
+    if isinstance(source, dict) and source.get("dirty"):
+        yield Level.NOTE, "was made with uncommitted changes to challenger-bench"
+    ours = ours_like(planner)
+    if ours is not None and ours.code_sha256 == planner.code_sha256:
+        yield from _not_as_ours(planner, ours)
+    else:
+        yield Level.NOTE, _declared(planner, ours)
+
+
+def _not_as_ours(planner: PlannerFacts, ours: PlannerFacts) -> Iterator[Said]:
+    """Where a planner with the code of ours says of itself what ours does not."""
+    if ours.name != planner.name:
+        yield Level.NOTE, f"has the code of {ours.name}, whatever it is called"
+    for field in ("privileged", "native_protocol", "miniature", "published_as"):
+        said, known = getattr(planner, field), getattr(ours, field)
+        if said != known:
+            yield (
+                Level.ERROR,
+                f"says {field.replace('_', ' ')}: {said}, and {ours.name}, whose code it has, is {known}; submit what "
+                "eval wrote",
+            )
+    if _OWN_WEIGHTS in planner.settings:
+        yield Level.NOTE, f"ran {ours.name} with weights of its own, of which only the hash is known"
+    elif planner.weights_sha256 != ours.weights_sha256:
+        yield (
+            Level.ERROR,
+            f"names other weights ({_short(planner.weights_sha256)}) than {ours.name} has "
+            f"({_short(ours.weights_sha256)}); with your own weights the record says so (eval --checkpoint)",
+        )
+
+
+def _declared(planner: PlannerFacts, ours: PlannerFacts | None) -> str:
+    called = "" if ours is None else f"is called {ours.name} and has not this version's code of it; "
+    native = planner.native_protocol or "none"
+    return (
+        f"{called}declares privileged: {'yes' if planner.privileged else 'no'}, its own protocol: {native}, weights: "
+        f"{_short(planner.weights_sha256)}, code: {_short(planner.code_sha256)}; nothing here can show it"
+    )
+
+
+def _short(sha256: str | None) -> str:
+    return "none" if sha256 is None else sha256[:12]
+
 
 Record = RunRecord | DriveRecord
 _LABELS: Final = {"published_as", "miniature", "wants"}

@@ -36,7 +36,7 @@ def submit_check_command(options: SubmitCheckOptions) -> None:
     data.require()
     from adapters.known_planners import own_planner_like
     from benchmark.extensions.submissions.checking import check_submission, facts_of_record
-    from benchmark.extensions.submissions.findings import Level
+    from benchmark.extensions.submissions.recomputed import Level
     from benchmark.records.run import RunRecord
 
     source = data.open()

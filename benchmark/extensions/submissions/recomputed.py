@@ -1,21 +1,25 @@
-"""What the plans of a submitted record give, computed anew, against what the record says, field by field."""
+"""What the plans of a submitted record give, computed anew, against what the record says, field by field.
+
+What a check of a submission finds.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
+from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import BaseModel
 
 from benchmark.closed_loop.engines import rides_as
 from benchmark.closed_loop.scoring import VERSION as DRIVE_SCORING
-from benchmark.datasets.annotation_counts import AnnotationCount
+from benchmark.datasets.annotated import AnnotationCount
 from benchmark.datasets.scene_facts import with_truth
 from benchmark.errors import InputError
-from benchmark.extensions.submissions.findings import Level, Said
 from benchmark.pdm.definition import DEFINITION, VERSION
-from benchmark.pdm.totals import DrivenPlan
+from benchmark.pdm.scoring import DrivenPlan
 from benchmark.protocols import PROTOCOLS
-from benchmark.protocols.touched import ADVERSARY_S, HIT_ADVERSARY, TOUCHED, TOUCHED_ADVERSARY
+from benchmark.protocols.raster import ADVERSARY_S, HIT_ADVERSARY, TOUCHED, TOUCHED_ADVERSARY
 from benchmark.records.drives import DriveRecord, columns_of
 from benchmark.records.drives import summarise as summarise_drives
 from benchmark.records.row_schema import OutcomeRow, SampleRow
@@ -23,13 +27,48 @@ from benchmark.records.run import RunRecord, summarise
 from benchmark.records.run_schema import Summary, TruthFacts
 from benchmark.report.words import counted
 from benchmark.runs.drive_rows import with_labels
-from benchmark.runs.reading import SceneReading, truths_of
 from benchmark.runs.redriving import driven_again
-from benchmark.runs.rescoring import require_same_data, rows_judged_anew
-from benchmark.runs.vocabulary import unjudged
+from benchmark.runs.rescoring import require_same_data, rows_judged_anew, unjudged
+from benchmark.runs.scene_work import SceneReading, truths_of
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
+
+
+class Level(StrEnum):
+    """Meaning of a finding.
+
+    An error keeps a record out. ``suspicious`` marks a behaviour that honest planners were never seen to show, and
+    proves nothing. A note is for the reader.
+    """
+
+    ERROR = "error"
+    SUSPICIOUS = "suspicious"
+    NOTE = "note"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One fault of a submission, or a remark on it.
+
+    Attributes:
+        directory: Of the record, or of the submission.
+        level: Whether it keeps the record out.
+        sentence: The fault, and its remedy.
+    """
+
+    directory: Path
+    level: Level
+    sentence: str
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return asdict(self) | {"directory": str(self.directory)}
+
+
+Said = tuple[Level, str]
+"""A finding about a record whose directory is known."""
+
 
 SAME_M_S: Final = 0.01
 """Speeds that are this close are the same: processors differ in the last bits of a fit."""

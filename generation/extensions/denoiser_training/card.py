@@ -9,7 +9,7 @@ from torch import Tensor
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256, write_bytes
 from benchmark.weights.tensors import read_tensors
-from generation.diffusion.bank import bank_beside
+from generation.diffusion.checkpoint import bank_beside
 from generation.extensions.denoiser_training.loop import HELD_OUT_SOURCES
 from generation.extensions.denoiser_training.track_sources import find_track_sources
 from generation.extensions.denoiser_training.tracks import MAX_ROUGHNESS

@@ -13,11 +13,11 @@ from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import content_key, content_seed, write_json_lines
-from benchmark.weights.training_run import TrainingRun, read_run, write_run
+from benchmark.weights.tensors import TrainingRun, read_run, write_run
 from generation.diffusion.checkpoint import save_denoiser
 from generation.diffusion.denoiser import PACKAGED, DenoiserConfig, TrajectoryDenoiser
 from generation.diffusion.network_calls import device_of
-from generation.diffusion.residual_network import present_features
+from generation.diffusion.preconditioning import present_features
 from generation.diffusion.schedule import ALPHA_BARS, STEPS
 from generation.extensions.denoiser_training.track_sources import find_track_sources
 from generation.extensions.denoiser_training.tracks import Windows

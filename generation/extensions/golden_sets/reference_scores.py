@@ -3,19 +3,23 @@
 The golden numbers are single precision, and here everything is double. So verdicts may differ where a point lies on a
 border of the raster, or a box touches, to within what single precision resolves; these are counted and left out, and
 any other difference is an error. Sums are held to what single precision leaves of them.
+
+Inputs of one golden scoring file: candidates, what is around them, and the drivable raster.
+
+Where a verdict hangs on the last bits, so that two right implementations may differ.
 """
 
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats, boxes_overlap
+from benchmark.road_map import DrivableRaster
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays
-from generation.extensions.golden_sets.scored_frame import golden_raster
-from generation.extensions.golden_sets.ties import compare_but_ties, on_raster_tie
-from generation.search.hyperparameters import HyperParameters
+from generation.search.hyperparameters import CollisionReading, HyperParameters
 from generation.search.reference_scoring import (
     INFLATION,
     SOON_POSES,
@@ -26,6 +30,115 @@ from generation.search.reference_scoring import (
     reference_terms,
 )
 from generation.search.scoring import Surroundings, final_scores
+
+TIE: Final = 1e-9
+"""Cells from a half-integer raster coordinate, or metres from touching."""
+RANK_TIE: Final = 1e-9
+"""Final scores nearer than this may change places."""
+
+
+def on_raster_tie(points: Floats, global_to_index: Floats, tie: float = TIE) -> Bools:
+    """Whether points lie on the border between two cells, so that rounding decides which one they are in.
+
+    ``points`` are (..., 2) global metres, ``global_to_index`` a (2, 3) affine map to raster coordinates, which are
+    rounded to the nearest integer; ``tie`` is in cells.
+    """
+    coordinate = points @ global_to_index[:, :2].T + global_to_index[:, 2]
+    from_border = np.abs(coordinate - np.floor(coordinate) - 0.5)
+    return np.asarray((from_border <= tie).any(axis=-1))
+
+
+def touching_tie(box: Floats, others: Floats, reading: CollisionReading) -> bool:
+    """Whether the verdict on one (5,) box with all limits `TIE` wider differs from the one with them `TIE` narrower.
+
+    ``others`` are the (M, 5) boxes that are present.
+    """
+    return _collides(box, others, reading, TIE) and not _collides(box, others, reading, -TIE)
+
+
+def _collides(box: Floats, others: Floats, reading: CollisionReading, slack_m: float) -> bool:
+    """The verdict on one box, every limit moved by ``slack_m``."""
+    own = box.copy()
+    own[2:4] += 2.0 * slack_m
+    overlap = boxes_overlap(own, others)
+    if reading is CollisionReading.GEOMETRY:
+        return bool(overlap.any())
+    share = 1.0 if reading is CollisionReading.LITERAL else 0.5
+    distance = np.hypot(others[:, 0] - box[0], others[:, 1] - box[1])
+    near = share * (box[2:4].min() + others[:, 2:4].min(axis=1)) + slack_m
+    far = share * (box[2:4].max() + others[:, 2:4].max(axis=1)) + slack_m
+    return bool(((distance < near) | ((distance <= far) & overlap)).any())
+
+
+def out_of_order(ours: Floats, golden: Floats, tie: float) -> NDArray[np.bool_]:
+    """Candidates, (B,), that stand behind one that they should be ahead of.
+
+    True where some candidate whose golden score is lower by more than ``tie`` does not score lower.
+    """
+    order = np.argsort(golden, kind="stable")
+    ours, golden = ours[order], golden[order]
+    highest_so_far = np.concatenate([[-np.inf], np.maximum.accumulate(ours)])
+    clearly_lower = np.searchsorted(golden, golden - tie)
+    wrong = np.zeros(len(order), np.bool_)
+    wrong[order] = ~(highest_so_far[clearly_lower] < ours)
+    return wrong
+
+
+def compare_but_ties(
+    comparison: Comparison, quantity: str, differs: Bools, tie: Bools, excused: dict[str, int]
+) -> None:
+    """Count the verdicts that differ and have no tie to excuse it; ``excused`` counts the others, by quantity."""
+    comparison.verdicts(quantity, (differs & ~tie)[~tie])
+    excused[quantity] = excused.get(quantity, 0) + int(np.count_nonzero(tie))
+
+
+SCORED: Final = slice(1, 13)
+"""Frames after the planning frame that the paper scores."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScoredFrame:
+    """Inputs of the score of a file's candidates; B candidates, S frames.
+
+    Attributes:
+        center: (B, S, 3) poses of the candidates' box centres.
+        size: (2,) length and width.
+        boxes: (B, S, 5) the candidates as boxes.
+        affine: (2, 3) from global metres to raster coordinates, as the file has it.
+    """
+
+    center: Floats
+    size: Floats
+    boxes: Floats
+    around: Surroundings
+    affine: Floats
+
+
+def read_scored_frame(stored: GoldenArrays) -> ScoredFrame:
+    """Inputs of the score of one file, at the scored frames only."""
+    center, valid = stored.floats("candidates", None, None, 3)[:, SCORED], stored.verdicts("valid", None, None)
+    width, length = stored.floats("adv_width_length", 2)
+    boxes = stored.floats("boxes_x_y_heading_width_length", *valid.shape, 5)[SCORED][..., [0, 1, 4, 3, 2]]
+    ego = boxes[:, int(stored.integers("ego_index")), :2]
+    affine = stored.floats("raster_affine_global_to_index", 2, 3)
+    around = Surroundings(boxes, valid[SCORED], ego, golden_raster(stored, affine))
+    size = np.array([length, width])
+    own = np.concatenate([center[..., :2], np.broadcast_to(size, (*center.shape[:2], 2)), center[..., 2:]], axis=-1)
+    return ScoredFrame(center, size, own, around, affine)
+
+
+def golden_raster(stored: GoldenArrays, affine: Floats) -> DrivableRaster:
+    """The raster of a file, with the pose and the cell size that its (2, 3) affine map from global metres says."""
+    cells = stored.verdicts("raster", None, None)
+    count = len(cells)
+    scale = float(np.hypot(*affine[1, :2]))
+    turned = np.array([[affine[1, 1], -affine[1, 0]], affine[1, :2]])
+    if cells.shape != (count, count) or np.abs(affine[:, :2] - turned).max() > 1e-9 * scale:
+        raise ValueError("its raster is not square, or its map is more than a turn, a shift and one scale")
+    origin = np.linalg.solve(affine[:, :2], count / 2 - affine[:, 2])
+    yaw = np.arctan2(affine[1, 1], affine[1, 0])
+    return DrivableRaster(cells, np.array([*origin, yaw]), 1.0 / scale)
+
 
 _ROAD, _COLLISION, _CHALLENGE = 2e-6, 1.4e-6, 2e-5
 FINAL_TOLERANCE: Final = 5 * _ROAD + 10 * _COLLISION + _CHALLENGE

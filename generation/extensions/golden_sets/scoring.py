@@ -11,13 +11,16 @@ from benchmark.report.words import counted
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays, GoldenFolder, GoldenSet
 from generation.extensions.golden_sets.built_in import BUILT_IN
-from generation.extensions.golden_sets.reference_scores import QUANTITIES, compare_reference, has_reference_scores
-from generation.extensions.golden_sets.scored_frame import ScoredFrame, read_scored_frame
-from generation.extensions.golden_sets.ties import (
+from generation.extensions.golden_sets.reference_scores import (
+    QUANTITIES,
     RANK_TIE,
+    ScoredFrame,
     compare_but_ties,
+    compare_reference,
+    has_reference_scores,
     on_raster_tie,
     out_of_order,
+    read_scored_frame,
     touching_tie,
 )
 from generation.search.hyperparameters import CollisionReading, HyperParameters

@@ -9,9 +9,9 @@ import torch
 from benchmark.machine.devices import device_of
 from benchmark.machine.ray_cluster import RayCluster
 from benchmark.machine.workers import Executor, LocalProcesses
-from generation.extensions.magicdrive.image_geometry import ImageGeometry, OutputSize
 from generation.extensions.magicdrive.prompt import PromptLook
 from generation.extensions.magicdrive.renderer import MagicDriveRenderer, RenderSettings
+from generation.extensions.magicdrive.sensor_frames import ImageGeometry, OutputSize
 from generation.extensions.magicdrive.weights import NetworkFiles
 
 

@@ -7,8 +7,15 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from generation.extensions.magicdrive.config import MagicDriveConfig
-from generation.extensions.magicdrive.layers import Mlp, RotaryFrequencies, SelfAttention, modulated, parted
-from generation.extensions.magicdrive.position import FOURIER_CHANNELS, fourier
+from generation.extensions.magicdrive.layers import (
+    FOURIER_CHANNELS,
+    Mlp,
+    RotaryFrequencies,
+    SelfAttention,
+    fourier,
+    modulated,
+    parted,
+)
 
 CLASSES: Final = 10
 CORNERS: Final = 8

@@ -13,7 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from generation.extensions.magicdrive.blocks import Block
+from generation.extensions.magicdrive.blocks import Block, ConditionTokens
 from generation.extensions.magicdrive.conditions import Conditions
 from generation.extensions.magicdrive.config import MagicDriveConfig
 from generation.extensions.magicdrive.encoders import (
@@ -24,10 +24,19 @@ from generation.extensions.magicdrive.encoders import (
     MapTimeEncoder,
     TextEncoder,
 )
-from generation.extensions.magicdrive.latents import LatentSize, packed_views, unpacked_views, unpatched
-from generation.extensions.magicdrive.layers import RotaryFrequencies, Rotation, modulated, rounded_to_bfloat16
-from generation.extensions.magicdrive.position import PatchEmbedding, ScalarEmbedding, grid_embedding
-from generation.extensions.magicdrive.tokens import ConditionTokens
+from generation.extensions.magicdrive.layers import (
+    LatentSize,
+    PatchEmbedding,
+    RotaryFrequencies,
+    Rotation,
+    ScalarEmbedding,
+    grid_embedding,
+    modulated,
+    packed_views,
+    rounded_to_bfloat16,
+    unpacked_views,
+    unpatched,
+)
 
 
 @dataclass(frozen=True, slots=True)

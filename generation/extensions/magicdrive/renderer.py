@@ -2,6 +2,8 @@
 
 The main path, from the top: conditions of the whole scene, words through the text encoder, noise to latents by the
 transformer, latents to pictures by the decoder. What takes long is kept on disk, so that a killed command goes on.
+
+Words to hidden states: T5 v1.1 XXL, which is loaded for the words of a scene and let go of again (section 4.1).
 """
 
 import gc
@@ -10,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -22,23 +24,57 @@ from benchmark.machine.devices import device_of, device_of_worker
 from benchmark.machine.storage import content_key, content_seed, file_name, writing_to
 from benchmark.machine.workers import worker_number
 from benchmark.scene import Camera, EgoTrack, Scene
-from generation.extensions.magicdrive.autoencoder import VideoDecoder
-from generation.extensions.magicdrive.checkpoint import load_official
+from benchmark.weights.pretrained import Library
+from generation.extensions.magicdrive.checkpoint import VideoDecoder, load_official
 from generation.extensions.magicdrive.clip import MOST_FRAMES, Clip, clip_of, padded_frames, published_length
-from generation.extensions.magicdrive.conditions import MODEL_CAMERAS, TextStates
+from generation.extensions.magicdrive.conditions import MODEL_CAMERAS, TEXT_TOKENS, TextStates
 from generation.extensions.magicdrive.config import MagicDriveConfig
 from generation.extensions.magicdrive.estimate import RenderingEstimate, measured_speed, rendering_stages
-from generation.extensions.magicdrive.image_geometry import ImageGeometry
-from generation.extensions.magicdrive.kept_tensors import keep_tensor, kept_tensor
-from generation.extensions.magicdrive.latents import unpacked_views
+from generation.extensions.magicdrive.layers import unpacked_views
 from generation.extensions.magicdrive.model import MagicDriveDiT
 from generation.extensions.magicdrive.prompt import PromptLook, prompt_of
-from generation.extensions.magicdrive.sampling import SamplingOptions, SamplingState, first_state, sample
-from generation.extensions.magicdrive.sensor_frames import camera_tracks, model_order
-from generation.extensions.magicdrive.text import T5TextEncoder
+from generation.extensions.magicdrive.sampling import (
+    SamplingOptions,
+    SamplingState,
+    first_state,
+    keep_tensor,
+    kept_tensor,
+    sample,
+)
+from generation.extensions.magicdrive.sensor_frames import ImageGeometry, camera_tracks, model_order
 from generation.extensions.magicdrive.weights import NetworkFiles
 from generation.nuscenes_writer.plan import digest
 from generation.render.contract import Images, require_frames
+
+TRANSFORMERS: Final = Library("transformers", extra="render", needed_by="the renderer magicdrive")
+
+
+class T5TextEncoder:
+    """The published text encoder, in single precision as the published scripts use it."""
+
+    def __init__(self, folder: Path, device: torch.device, tokens: int = TEXT_TOKENS) -> None:
+        """Load the encoder: configuration, weights and vocabulary; needs transformers.
+
+        ``tokens`` is the length to which prompts are padded or cut.
+        """
+        self._tokens, self._device = tokens, device
+        self._tokenizer: Any = TRANSFORMERS.load("AutoTokenizer", folder)
+        self._network: Any = TRANSFORMERS.load("T5EncoderModel", folder, use_safetensors=False).to(device)
+
+    @torch.no_grad()
+    def encode(self, prompt: str) -> TextStates:
+        """Hidden states of a prompt as it is, padded or cut, and which of them belong to words, on the processor."""
+        words = self._tokenizer(
+            prompt,
+            max_length=self._tokens,
+            padding="max_length",
+            truncation=True,
+            return_attention_mask=True,
+            return_tensors="pt",
+        ).to(self._device)
+        hidden = self._network(input_ids=words["input_ids"], attention_mask=words["attention_mask"])
+        return TextStates(hidden.last_hidden_state[0].float().cpu(), words["attention_mask"][0].bool().cpu())
+
 
 RENDERER_VERSION: Final = 1
 _KEEP_EVERY_STEPS: Final = 5

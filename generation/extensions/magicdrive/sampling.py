@@ -1,20 +1,146 @@
-"""From noise to latents: rectified flow with guidance (section 8 of the specification)."""
+"""From noise to latents: rectified flow with guidance (section 8 of the specification).
 
+Classifier-free guidance: one branch is told everything, one is not, and the sampler follows their difference.
+
+Tensors between stages of a long computation, kept so that it can go on where it was killed.
+"""
+
+import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, Literal, Self
 
 import torch
 from torch import Tensor
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_seed
-from generation.extensions.magicdrive.conditions import Conditions
-from generation.extensions.magicdrive.guidance import GuidanceMode, GuidedModel
-from generation.extensions.magicdrive.kept_tensors import keep_tensor, kept_tensor
+from benchmark.weights.tensors import read_tensors, write_tensors
+from generation.extensions.magicdrive.conditions import Conditions, TextStates
 from generation.extensions.magicdrive.layers import rounded_to_bfloat16
-from generation.extensions.magicdrive.model import MagicDriveDiT
+from generation.extensions.magicdrive.model import Encoded, MagicDriveDiT
+
+_NAME: Final = "tensor"
+
+
+def keep_tensor(path: Path, key: str, tensor: Tensor, facts: dict[str, Any] | None = None) -> None:
+    """Write a tensor, whole or not at all, as .safetensors.
+
+    ``key`` is the content key of everything that the tensor depends on; ``facts`` are its plain values.
+    """
+    found = tensor.detach().cpu().contiguous()
+    write_tensors(path, {_NAME: found}, {"facts": facts or {}, "key": key, "sha256": _sha256(found)})
+
+
+def kept_tensor(path: Path, key: str) -> tuple[Tensor, dict[str, Any]] | None:
+    """Read a tensor that was kept, on the processor, and its plain values.
+
+    ``None`` if it is absent, damaged or of something else than ``key``, to be made again.
+    """
+    try:
+        tensors, said = read_tensors(path)
+    except InputError:
+        return None
+    tensor = tensors.get(_NAME)
+    if tensor is None or said.get("key") != key or said.get("sha256") != _sha256(tensor):
+        return None
+    return tensor, said["facts"]
+
+
+def _sha256(tensor: Tensor) -> str:
+    plain = tensor.view(torch.uint8) if tensor.dtype is torch.bfloat16 else tensor
+    return hashlib.sha256(plain.numpy().tobytes()).hexdigest()
+
+
+GuidanceMode = Literal["rflow-slice", "rflow"]
+
+
+def null_conditions(model: MagicDriveDiT, conditions: Conditions, *, keep_map: bool) -> Conditions:
+    """Conditions of the null branch (section 8): size and frame rate, and a negative prompt if there is one.
+
+    There is one empty box, which stands for all of them; prompt, camera and ego motion are the learned null ones of
+    ``model``.
+    """
+    views, frames = conditions.views, conditions.frames
+    text, negative = conditions.text, conditions.negative_text
+    hidden = model.y_embedder.y_embedding if negative is None else negative.hidden
+    ego = conditions.rel_pos.clone()
+    ego[:, :3] = model.frame_embedder.uncond_cam
+    return replace(
+        conditions,
+        bboxes=conditions.bboxes.new_zeros(1, frames, 1, 8, 3),
+        classes=conditions.classes.new_zeros(1, frames, 1),
+        masks=conditions.masks.new_zeros(views, frames, 1),
+        box_latent=conditions.box_latent.new_zeros(1, conditions.box_latent.shape[1]),
+        cams=model.camera_embedder.uncond_cam.to(conditions.cams.dtype).expand_as(conditions.cams),
+        rel_pos=ego,
+        maps=conditions.maps if keep_map else torch.zeros_like(conditions.maps),
+        # As published, as many tokens as the prompt has, whatever the length of the negative one.
+        text=TextStates(hidden, text.mask),
+        negative_text=None,
+    )
+
+
+class GuidedModel:
+    """A network with the conditions of one clip."""
+
+    def __init__(
+        self, model: MagicDriveDiT, conditional: Encoded, unconditional: Encoded, scale: float, *, together: bool
+    ) -> None:
+        """Take branches that are encoded already.
+
+        A scale of 1 is the first branch alone; both ``together`` as one batch take twice the memory.
+        """
+        self._model, self._scale = model, scale
+        self._branches = (Encoded.batched([conditional, unconditional]),) if together else (conditional, unconditional)
+
+    @classmethod
+    def of(
+        cls,
+        model: MagicDriveDiT,
+        conditions: Conditions,
+        *,
+        mode: GuidanceMode = "rflow-slice",
+        scale: float = 2.0,
+        together: bool = False,
+        keep_keys_values: bool = False,
+        rows_multiple: int | None = None,
+    ) -> Self:
+        """Encode both branches.
+
+        Args:
+            mode: ``rflow-slice`` takes the map away from the null branch, ``rflow`` leaves it there.
+            together: Whether both branches are one batch, which takes twice the memory.
+            keep_keys_values: Whether to keep what the blocks make of the conditions, for speed; not with ``together``.
+            rows_multiple: To what rows of tokens are padded; as the configuration says by default.
+        """
+        keep = keep_keys_values and not together
+        null = null_conditions(model, conditions, keep_map=mode == "rflow")
+        return cls(
+            model,
+            model.encode(conditions, rows_multiple=rows_multiple, keep_keys_values=keep),
+            model.encode(null, box_repeats=conditions.boxes, rows_multiple=rows_multiple, keep_keys_values=keep),
+            scale,
+            together=together,
+        )
+
+    def branches(self, latent: Tensor, timestep: Tensor, given: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Velocities of both branches; arguments as in `MagicDriveDiT.forward` with a batch of one."""
+        if len(self._branches) == 1:
+            twice = None if given is None else given.expand(2, -1)
+            inputs = latent.expand(2, *latent.shape[1:]), timestep.expand(2)
+            both = self._model(*inputs, self._branches[0], twice).chunk(2)
+        else:
+            both = tuple(self._model(latent, timestep, encoded, given) for encoded in self._branches)
+        conditional, unconditional = both
+        return conditional, unconditional
+
+    def velocity(self, latent: Tensor, timestep: Tensor, given: Tensor | None = None) -> Tensor:
+        """The velocity to follow, (1, 96, t, h, w) in single precision."""
+        conditional, unconditional = self.branches(latent, timestep, given)
+        return unconditional + self._scale * (conditional - unconditional)
+
 
 PURE_NOISE: Final = 1000.0
 """Timestep at which there is nothing but noise; at 0 there is none."""
@@ -121,7 +247,7 @@ def sample(
 ) -> Tensor:
     """Sample the latents of one clip from `first_state`, or from a state that was saved after a step.
 
-    (1, 96, t, h, w) float32 on the network's device (`generation.extensions.magicdrive.latents.unpacked_views`
+    (1, 96, t, h, w) float32 on the network's device (`generation.extensions.magicdrive.layers.unpacked_views`
     takes the views apart). ``on_step`` is called after each step. Velocities that are not finite are refused.
     """
     options = options or SamplingOptions()

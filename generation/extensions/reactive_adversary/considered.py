@@ -11,8 +11,7 @@ from benchmark.records.considered import ConsideredFrame, Did
 from benchmark.scene import Scene
 from benchmark.scene_pages.motion import origin_of
 from generation.search.hyperparameters import HyperParameters
-from generation.search.refinement import Refinement
-from generation.search.rounds import rounds_of
+from generation.search.refinement import Refinement, rounds_of
 
 
 def considered_frame(

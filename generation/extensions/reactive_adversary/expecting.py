@@ -6,8 +6,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.closed_loop.contract import Moment
-from benchmark.closed_loop.plans_in_force import PlanInForce, held_waypoints
+from benchmark.closed_loop.contract import Moment, PlanInForce, held_waypoints
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, PLAN_STEP_S
 from benchmark.geometry import Floats, quaternion_from_yaw, to_global, wrap_angle
 from benchmark.scene import EgoTrack, Scene

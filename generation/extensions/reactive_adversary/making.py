@@ -8,13 +8,12 @@ import numpy as np
 
 from benchmark.closed_loop.contract import AgentPolicy
 from benchmark.errors import InputError
-from benchmark.machine.last_made import LastMade
+from benchmark.machine.kept_arrays import LastMade
 from benchmark.scene import Scene
 from generation.extensions.reactive_adversary.policy import Adversary
 from generation.extensions.reactive_adversary.settings import AdversarySettings
-from generation.search.candidates import launch_frame, nearness
+from generation.search.candidates import eligibility_of, launch_frame, nearness
 from generation.search.definition import PackagedPrior, PriorFactory
-from generation.search.eligibility import eligibility_of
 from generation.search.hyperparameters import HyperParameters
 
 

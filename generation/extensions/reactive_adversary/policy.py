@@ -21,10 +21,16 @@ from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleStat
 from benchmark.geometry import Floats, to_local
 from benchmark.machine.storage import content_seed
 from benchmark.scene import Scene
-from generation.extensions.reactive_adversary.against import PlanningAgainst, ego_speed
-from generation.extensions.reactive_adversary.allowed import AHEAD_FRAMES, BRAKING_M_S2, Surrounded, braked, in_order
-from generation.extensions.reactive_adversary.answering import Answering, with_expected_others
-from generation.extensions.reactive_adversary.careful import CarefulAhead, careful_ahead
+from generation.extensions.reactive_adversary.allowed import (
+    AHEAD_FRAMES,
+    BRAKING_M_S2,
+    Answering,
+    Surrounded,
+    braked,
+    in_order,
+    with_expected_others,
+)
+from generation.extensions.reactive_adversary.careful import CarefulAhead, PlanningAgainst, careful_ahead, ego_speed
 from generation.extensions.reactive_adversary.considered import considered_frame
 from generation.extensions.reactive_adversary.expecting import Seen, expected_ego
 from generation.extensions.reactive_adversary.settings import LONGEST_FRAMES, AdversarySettings, Knows

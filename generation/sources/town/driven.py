@@ -14,16 +14,14 @@ from typing import Final
 import numpy as np
 
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME, PLAN_STEPS
-from benchmark.dynamics.bicycle import DriverLimits
-from benchmark.dynamics.driver_limits import broken_limit
+from benchmark.dynamics.bicycle import DriverLimits, broken_limit
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, to_local, wrap_angle
 from benchmark.planning import Command
 from benchmark.records.drive_schema import DriveRow
 from generation.sources.rig import default_lidar
-from generation.sources.town.beside import beside_path, curvature_at, quintic
 from generation.sources.town.curves import between_grid
-from generation.sources.town.off_path import PlannedEgo
+from generation.sources.town.off_path import PlannedEgo, beside_path, curvature_at, quintic
 from generation.sources.town.paths import EGO_BODY, STATION_M, body_boxes
 from generation.sources.town.speed import FRAMES
 from generation.sources.town.world import Track, World

@@ -7,8 +7,7 @@ from shapely.geometry import LineString, Point, Polygon
 from benchmark.geometry import Floats, to_global, wrap_angle
 from benchmark.road_map import as_multipolygon
 from generation.sources.town.curves import headings, joined, resampled, turn, unit
-from generation.sources.town.layout import Node
-from generation.sources.town.network import LANE_WIDTH_M, Arm, Draft, Role, StandingPlace, TownLane, strip
+from generation.sources.town.network import LANE_WIDTH_M, Arm, Draft, Node, Role, StandingPlace, TownLane, strip
 
 RING_RADIUS_M = 15.0
 RING_WIDTH_M = 5.0

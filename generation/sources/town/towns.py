@@ -1,4 +1,7 @@
-"""Whole towns: layout, roads, junctions and surfaces put together; one per location, kept for the process."""
+"""Whole towns: layout, roads, junctions and surfaces put together; one per location, kept for the process.
+
+From road references to lanes, paint, crossings, parking strips and pavements.
+"""
 
 from functools import lru_cache
 
@@ -7,21 +10,184 @@ import shapely
 from shapely.geometry import LineString, Polygon
 
 from benchmark.constants import OFFICIAL_LOCATIONS
+from benchmark.geometry import Floats, wrap_angle
 from benchmark.machine.storage import content_seed
-from benchmark.road_map import RoadMap, as_multipolygon
+from benchmark.road_map import Divider, DividerKind, RoadMap, as_multipolygon
+from generation.sources.town.curves import at_lengths, cut, headings, lengths_along, offset, resampled
 from generation.sources.town.junctions import build_car_park, build_crossing, build_roundabout
-from generation.sources.town.layout import CANVAS_M, PLANS, Layout, NodeKind, make_layout
 from generation.sources.town.network import (
+    CANVAS_M,
     LANE_WIDTH_M,
     PARKING_WIDTH_M,
+    PLANS,
     WALKWAY_WIDTH_M,
     Arm,
     Draft,
+    Layout,
+    NodeKind,
+    Road,
+    Role,
+    StandingPlace,
     Town,
+    TownLane,
     linked_lanes,
+    make_layout,
     map_lanes,
+    strip,
 )
-from generation.sources.town.roads import build_road, half_width, trim_lengths
+
+KERB_RADIUS_M = 8.5
+ACCESS_KERB_RADIUS_M = 6.0
+ROUNDABOUT_TRIM_M = 31.0
+_STATION_M = 2.0
+_CROSSING_M = (1.5, 5.0)
+_STOP_LINE_M = (6.2, 6.8)
+_SOLID_BEFORE_JUNCTION_M = 24.0
+_PARKING_CLEAR_M = 16.0
+_SLOT_M = 6.2
+_DOUBLE_LINE_M = 0.14
+
+
+def half_width(road: Road) -> float:
+    """Half the width of the lanes of a road, metres, without parking strips."""
+    return road.lanes * LANE_WIDTH_M
+
+
+def heading_from(road: Road, node: str) -> float:
+    """Heading of a road away from one of its nodes."""
+    tangent = headings(road.reference)
+    return float(tangent[0]) if road.ends[0] == node else float(tangent[-1] + np.pi)
+
+
+def trim_lengths(layout: Layout) -> dict[tuple[str, str], float]:
+    """Metres by (road, node) from a node to the beginning of a road there: enough for kerbs of the usual radius."""
+    trims: dict[tuple[str, str], float] = {}
+    for node in layout.nodes.values():
+        roads = [road for road in layout.roads.values() if node.name in road.ends]
+        for road in roads:
+            trims[road.name, node.name] = 0.0
+            if node.kind is NodeKind.ROUNDABOUT:
+                trims[road.name, node.name] = ROUNDABOUT_TRIM_M
+            elif node.kind is NodeKind.CROSSING:
+                own = heading_from(road, node.name)
+                for other in roads:
+                    angle = abs(float(wrap_angle(np.array(heading_from(other, node.name) - own))))
+                    if other.name == road.name or angle > np.deg2rad(140.0):
+                        continue
+                    needed = (half_width(other) + _kerb_radius(road, other)) / np.sin(angle) + 1.0
+                    trims[road.name, node.name] = max(trims[road.name, node.name], float(needed))
+    return trims
+
+
+def _kerb_radius(road: Road, other: Road) -> float:
+    slow = min(road.speed_mps, other.speed_mps)
+    return ACCESS_KERB_RADIUS_M if slow < 8.0 else KERB_RADIUS_M
+
+
+def build_road(draft: Draft, layout: Layout, road: Road, trims: dict[tuple[str, str], float]) -> tuple[Arm, Arm]:
+    """Add one road to the draft; gives its arms at its start and at its end.
+
+    ``trims`` are the `trim_lengths` of the graph.
+    """
+    total = float(lengths_along(road.reference)[-1])
+    line = cut(road.reference, trims[road.name, road.ends[0]], total - trims[road.name, road.ends[1]], _STATION_M)
+    forward, backward = _lanes(draft, road, line)
+    parking = _parking_width(road, line)
+    side = half_width(road) + parking
+    draft.surfaces[road.name] = strip(offset(line, -side), offset(line, side))
+    _dividers(draft, layout, road, line)
+    busy = [layout.nodes[end].kind in (NodeKind.CROSSING, NodeKind.ROUNDABOUT) for end in road.ends]
+    for at_end in (False, True):
+        if busy[at_end] and road.speed_mps >= 8.0:
+            _crossing(draft, road, line[::-1] if at_end else line, at_end)
+    if road.kerb_parking:
+        _standing_places(draft, road, line)
+    walk = resampled(line, 1.0)
+    middle = half_width(road) + np.interp(lengths_along(walk), lengths_along(line), parking) + 0.5 * WALKWAY_WIDTH_M
+    draft.walks += [offset(walk, -middle), offset(walk, middle)[::-1]]
+    start, end = road.ends
+    return (
+        Arm(road.name, heading_from(road, start), incoming=backward, outgoing=forward),
+        Arm(road.name, heading_from(road, end), incoming=forward, outgoing=backward),
+    )
+
+
+def _lanes(draft: Draft, road: Road, line: Floats) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    names = []
+    for direction, side in (("f", -1.0), ("b", 1.0)):
+        siblings = tuple(f"{road.name}/{direction}{index}" for index in range(road.lanes))
+        for index, name in enumerate(siblings):
+            edges = [offset(line, side * (index + edge) * LANE_WIDTH_M) for edge in (0.0, 0.5, 1.0)]
+            center = edges[1] if direction == "f" else edges[1][::-1]
+            surface = strip(edges[0], edges[2])
+            draft.lanes[name] = TownLane(name, center, Role.ROAD, road.name, index, siblings, road.speed_mps, surface)
+        names.append(siblings)
+    return names[0], names[1]
+
+
+def _parking_width(road: Road, line: Floats) -> Floats:
+    """(M,) width of the parking strip at each station: zero near the ends, with tapers."""
+    along = lengths_along(line)
+    if not road.kerb_parking:
+        return np.zeros(len(line))
+    inside = np.minimum(along, along[-1] - along) - _PARKING_CLEAR_M
+    return np.asarray(PARKING_WIDTH_M * np.clip(inside / 3.0, 0.0, 1.0))
+
+
+def _standing_places(draft: Draft, road: Road, line: Floats) -> None:
+    along = lengths_along(line)
+    first = _PARKING_CLEAR_M + 3.5
+    count = int((along[-1] - 2 * first) // _SLOT_M)
+    where = first + (np.arange(count) + 0.5) * _SLOT_M
+    for side in (-1.0, 1.0):
+        row = offset(line, side * (half_width(road) + 0.5 * PARKING_WIDTH_M))
+        yaw = np.interp(where, along, headings(line)) + (0.0 if side < 0 else np.pi)
+        for point, heading in zip(at_lengths(row, where * lengths_along(row)[-1] / along[-1]), yaw):
+            draft.standing.append(StandingPlace(np.array([point[0], point[1], heading]), in_car_park=False))
+
+
+def _dividers(draft: Draft, layout: Layout, road: Road, line: Floats) -> None:
+    """Between directions a yellow line, doubled on four-lane roads; between lanes dashes, solid before junctions."""
+    along = lengths_along(line)
+    paint = [5.6 if layout.nodes[end].kind in (NodeKind.CROSSING, NodeKind.ROUNDABOUT) else 0.0 for end in road.ends]
+    if road.speed_mps < 8.0:
+        paint = [0.0, 0.0]
+    begin, end = paint[0], float(along[-1]) - paint[1]
+
+    def add(tag: str, lateral: float, start: float, stop: float, kind: DividerKind, between_directions: bool) -> None:
+        if stop - start > 2.0:
+            part = cut(offset(line, lateral), start, stop, _STATION_M)
+            draft.dividers.append(Divider(f"{draft.prefix}{road.name}/{tag}", part, kind, between_directions))
+
+    if road.lanes > 1:
+        add("middle-r", -_DOUBLE_LINE_M, begin, end, DividerKind.SOLID_YELLOW, True)
+        add("middle-l", _DOUBLE_LINE_M, begin, end, DividerKind.SOLID_YELLOW, True)
+    else:
+        kind = DividerKind.DASHED_YELLOW if road.kerb_parking else DividerKind.SOLID_YELLOW
+        add("middle", 0.0, begin, end, kind, True)
+    for index in range(1, road.lanes):
+        for tag, lateral in (("f", -index * LANE_WIDTH_M), ("b", index * LANE_WIDTH_M)):
+            solid_from = end - _SOLID_BEFORE_JUNCTION_M if tag == "f" else begin + _SOLID_BEFORE_JUNCTION_M
+            solid, dashed = (solid_from, end), (begin, solid_from)
+            if tag == "b":
+                solid, dashed = (begin, solid_from), (solid_from, end)
+            add(f"lane-{tag}{index}-dashed", lateral, *dashed, DividerKind.DASHED_WHITE, False)
+            add(f"lane-{tag}{index}-solid", lateral, *solid, DividerKind.SOLID_WHITE, False)
+
+
+def _crossing(draft: Draft, road: Road, line: Floats, at_end: bool) -> None:
+    """A crossing and a stop line; ``line`` leads away from the junction."""
+    side = half_width(road)
+    name = f"{draft.prefix}{road.name}/{'end' if at_end else 'start'}"
+    near = cut(line, *_CROSSING_M, 1.75)
+    draft.crossings[name] = strip(offset(near, -side), offset(near, side))
+    middle = near[len(near) // 2]
+    heading = headings(near)[len(near) // 2]
+    across = np.array([-np.sin(heading), np.cos(heading)]) * (side + 0.6 * WALKWAY_WIDTH_M)
+    draft.crossing_walks.append(np.stack([middle - across, middle + across]))
+    stop = cut(line, *_STOP_LINE_M, 0.3)
+    draft.stop_lines[name] = Polygon(np.concatenate([stop, offset(stop, side)[::-1]]))
+
 
 TOWN_VERSION = "1"
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from benchmark.metrics.disagreement import EXACT
-from benchmark.records.challenge_scores import ChallengeScores, EntryScore, Measured, PlannerOnEntry, Rank
+from benchmark.records.challenge import ChallengeScores, EntryScore, Measured, PlannerOnEntry, Rank
 from benchmark.report.cells import UNDEFINED, Cell, Origin
 from benchmark.report.table import Table, escape_markdown
 from leaderboard.frame.rows import FEW_NOTE, FEW_SCENES, marks_of, name_cell

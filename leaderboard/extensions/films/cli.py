@@ -16,10 +16,10 @@ from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
-    from benchmark.closed_loop.sensors import Sensor
+    from benchmark.closed_loop.observing import Sensor
     from benchmark.records.drive_schema import DriveRow
     from benchmark.records.drives import DriveRecord
-    from benchmark.report.lettering import Picture
+    from benchmark.report.canvas import Picture
     from leaderboard.extensions.films.film import FilmSettings
     from leaderboard.extensions.films.filming import Watch
 
@@ -143,7 +143,7 @@ def planners_shown(names: Sequence[str], records: Sequence[Path], everywhere: Pa
     """
     from adapters.checkpoints.stand_in import miniature_of
     from adapters.models import MODELS
-    from benchmark.records.inventory import recorded, said_of
+    from benchmark.records.store import recorded, said_of
 
     found = recorded(records)
     ran, shown = {each.planner for each in found}, []
@@ -221,9 +221,8 @@ def write_drive_films(
     from benchmark.runs.drive_sheets import driven_sheet
     from benchmark.runs.rescoring import replaced_categories
     from leaderboard.extensions.films.drive_film import DRIVE_FPS
-    from leaderboard.extensions.films.encoding import require_webm
     from leaderboard.extensions.films.film import FilmSettings
-    from leaderboard.extensions.films.filming import FilmFormat, write_drive_film
+    from leaderboard.extensions.films.filming import FilmFormat, require_webm, write_drive_film
 
     if form not in {each.value for each in FilmFormat}:
         raise InputError(f"there are no films of {form!r}; there are {', '.join(each.value for each in FilmFormat)}")

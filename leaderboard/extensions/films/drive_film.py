@@ -11,11 +11,10 @@ from benchmark.geometry import Floats
 from benchmark.records.considered import Did
 from benchmark.records.drives import DriveRecord
 from benchmark.report.birdseye import SceneFromAbove
-from benchmark.report.canvas import SHIFT
+from benchmark.report.canvas import SHIFT, Picture, drawable, fitted, text_width, write_text
 from benchmark.report.captions import LegendEntry, draw_entry, draw_swatch
 from benchmark.report.cells import MINIATURE_WORDS
 from benchmark.report.driven import DrivenSheet
-from benchmark.report.lettering import Picture, drawable, fitted, text_width, write_text
 from benchmark.report.overlays import Overlay
 from benchmark.report.palette import (
     ADVERSARY,
@@ -34,12 +33,12 @@ from benchmark.report.palette import (
     mixed,
     planner_style,
 )
-from leaderboard.extensions.films.cameras import CameraPictures
 from leaderboard.extensions.films.film import (
     CAMERAS_PX,
     HEIGHT_PX,
     TITLE_PX,
     WIDTH_PX,
+    CameraPictures,
     FilmLayout,
     FilmSettings,
     composed,

@@ -9,10 +9,9 @@ import numpy as np
 
 from benchmark.geometry import Bools, Floats, box_gap
 from benchmark.records.scenes import Sheet
-from benchmark.report.canvas import SHIFT, mark_at
+from benchmark.report.canvas import SHIFT, Picture, drawable, fitted, mark_at, text_width, write_text
 from benchmark.report.captions import draw_entry, draw_swatch, legend_of
 from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS, UNDEFINED
-from benchmark.report.lettering import Picture, drawable, fitted, text_width, write_text
 from benchmark.report.overlays import Overlay, Verdict, Whom
 from benchmark.report.palette import ADVERSARY, BYSTANDER, CONTACT, FAINT_INK, INK, PANEL, PAPER, RULE, Rgb, mixed
 from benchmark.report.placing import agent_box, ego_box

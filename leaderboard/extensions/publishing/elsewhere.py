@@ -1,13 +1,41 @@
-"""Whether pages work on any static host: what they load is in the folder, and nothing is asked of anybody else."""
+"""Whether pages work on any static host: what they load is in the folder, and nothing is asked of anybody else.
+
+What is found in files that are to be published.
+"""
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
 from html.parser import HTMLParser
 from pathlib import PurePosixPath
-from typing import Final
+from typing import Final, Literal
 from urllib.parse import unquote, urlsplit
 
-from leaderboard.extensions.publishing.findings import Found
+Kind = Literal["path", "host", "user", "secret", "picture", "request", "link", "name"]
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Found:
+    """One thing that should not leave the house, or that does not work elsewhere.
+
+    `file` is below the folder, ``/`` between parts; empty where it is about several. Lines count from 1; 0 where there
+    are none.
+    """
+
+    file: str
+    line: int
+    kind: Kind
+    says: str
+
+    def sentence(self) -> str:
+        """Sentence for a terminal."""
+        where = f"{self.file}:{self.line}: " if self.line else f"{self.file}: " if self.file else ""
+        return f"{self.kind}: {where}{self.says}"
+
+    def as_json(self) -> dict[str, str | int]:
+        """JSON for machines."""
+        return asdict(self)
+
 
 _LOADS: Final = {
     "script": ("src",),

@@ -17,14 +17,13 @@ import safetensors.torch
 import torch
 from torch import Tensor, nn
 
-from adapters.checkpoints.cache import cached_weights, load_weights, read_provenance
+from adapters.checkpoints.cache import cached_weights, known_weights, load_weights, read_provenance
 from adapters.checkpoints.importing import fetch_checkpoint, import_checkpoint, resolve_checkpoint
-from adapters.checkpoints.listing import known_weights
 from adapters.models import Model, Network, published_models
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256
 from benchmark.weights.catalogue import CHECKPOINTS, PublishedFile, PublishedWeights, checkpoint_of
-from benchmark.weights.foreign import read_checkpoint
+from benchmark.weights.folders import read_checkpoint
 
 
 def network(width: int = 4, layers: int = 2) -> nn.Module:

@@ -9,12 +9,13 @@ import shapely
 import torch
 from numpy.typing import ArrayLike
 
-from adapters.checkpoints.anchor_files import read_anchors, write_anchors
-from adapters.checkpoints.sightings import (
+from adapters.checkpoints.anchor_files import (
     agent_futures,
     box_centres,
     line_centres,
+    read_anchors,
     sightings_of,
+    write_anchors,
 )
 from adapters.networks.sparse.anchors import BOXES, FORECASTS, LINES, PLANS, anchors_of, with_anchors
 from adapters.networks.sparse.config import SparseConfig

@@ -2,8 +2,7 @@
 
 import torch
 
-from adapters.networks.layers.ego_motion import CAN_BUS
-from adapters.networks.layers.motion_teller import READ, USUAL, MotionTeller
+from adapters.networks.layers.ego_motion import CAN_BUS, READ, USUAL, MotionTeller
 
 
 def test_it_begins_with_nothing_to_tell_and_then_tells_speed_acceleration_and_yaw_rate_alone() -> None:

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters.planners.idm import IntelligentDriver
-from adapters.planners.obstacles import Obstacles, expected_centres, obstacles_along
+from adapters.planners.idm import IntelligentDriver, Obstacles, expected_centres, obstacles_along
 from benchmark.dynamics.lane_path import Path, straight_path
 from benchmark.geometry import Floats
 from benchmark.planning import SceneInfo

@@ -16,14 +16,12 @@ import numpy as np
 
 from adapters.result_files.contract import FileFrame
 from adapters.result_files.made_up import made_up_samples
-from adapters.result_files.samples import RecordedSamples
-from adapters.result_files.turning import turned
-from adapters.result_files.writing.dumped import DumpedPlans
+from adapters.result_files.samples import RecordedSamples, turned
 from adapters.result_files.writing.formats import WRITERS
-from adapters.result_files.writing.tensors import PickledTensor, write_pickle
+from adapters.result_files.writing.pickles import DumpedPlans, PickledTensor, write_pickle
 from benchmark.geometry import Floats
 from benchmark.planning import Plan, PlanFrame
-from benchmark.untrusted.refusals import Category
+from benchmark.untrusted.files import Category
 
 Content = Any
 Change = Callable[[Content], Content]
@@ -146,7 +144,7 @@ def _tensor(*said: Any) -> bytes:
     """A UniAD entry with a tensor of 12 numbers, of whose place anything is said."""
     from torch._utils import _rebuild_tensor_v2
 
-    from adapters.result_files.writing.tensors import _Storage
+    from adapters.result_files.writing.pickles import _Storage
 
     storage = _Storage(np.zeros(12, np.float32))
     plan = _Call(_rebuild_tensor_v2, storage, *said, False, OrderedDict())
@@ -163,7 +161,7 @@ def _inner(body: bytes) -> bytes:
 
 
 def _storage_of(count: int) -> bytes:
-    from adapters.result_files.writing.tensors import _Storage, _storage_bytes
+    from adapters.result_files.writing.pickles import _Storage, _storage_bytes
 
     whole = _storage_bytes(_Storage(np.zeros(12, np.float32)))
     return whole.replace((12).to_bytes(8, "little"), count.to_bytes(8, "little"))

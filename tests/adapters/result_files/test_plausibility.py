@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adapters.result_files.plausibility import require_plausible
+from adapters.result_files.importing import require_plausible
 from benchmark.geometry import Floats
+from benchmark.untrusted.files import RefusedFile
 from benchmark.untrusted.plan_plausibility import FEWEST, TESTS
-from benchmark.untrusted.refusals import RefusedFile
 from tests.adapters.result_files.broken_files import SAMPLES
 
 TIMES = 0.5 * np.arange(1, 7)

@@ -15,7 +15,7 @@ from adapters.result_files.samples import samples_of_data
 from adapters.result_files.writing.formats import require_writable, write_results
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
-from benchmark.untrusted.refusals import CATEGORIES, RefusedFile
+from benchmark.untrusted.files import CATEGORIES, RefusedFile
 from tests.adapters.result_files.broken_files import BROKEN, HOSTILE, SAMPLES, Broken, valid
 from tests.benchmark.cli.cli_runs import refusal
 from tests.benchmark.fake_data import FakeData

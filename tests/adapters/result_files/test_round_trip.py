@@ -16,18 +16,16 @@ from adapters.result_files.importing import ImportedPlans, import_results
 from adapters.result_files.made_up import PRECISION_M, SINGLE_M, made_up_plans, made_up_samples
 from adapters.result_files.planner import result_file_factory
 from adapters.result_files.recognition import FORMATS, recognise
-from adapters.result_files.samples import RecordedSamples, samples_of_data
-from adapters.result_files.turning import turned
-from adapters.result_files.writing.dumped import DumpedPlans
+from adapters.result_files.samples import RecordedSamples, samples_of_data, turned
 from adapters.result_files.writing.formats import WRITERS, write_results
-from adapters.result_files.writing.tensors import PickledTensor
+from adapters.result_files.writing.pickles import DumpedPlans, PickledTensor
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import Plan, PlanFrame
 from benchmark.records.run import RunRecord, load_record
 from benchmark.runs.rescoring import rescore
 from leaderboard.frame.runs import Frame
-from leaderboard.site.model_index import model_index
+from leaderboard.site.index_data import model_index
 from leaderboard.tables.collision import collision_table
 from leaderboard.tables.transfer import transfer_matrices, transfer_table
 from tests.benchmark.fake_data import FakeData, town_of_two

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.cli.streams import replace_what_cannot_be_shown
+from benchmark.cli.app import replace_what_cannot_be_shown
 from benchmark.report.cells import MINIATURE_MARK
 from leaderboard.frame import rows
 from tests.benchmark.edited_roots import small_town

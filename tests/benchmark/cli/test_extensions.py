@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import typer
 
-from benchmark.cli import extensions
-from benchmark.cli.extensions import Offered, add_commands_of_others
+from benchmark.cli import app as extensions
+from benchmark.cli.app import Offered, add_commands_of_others
 
 ROOT = Path(__file__).resolve().parents[3]
 WITHOUT = """

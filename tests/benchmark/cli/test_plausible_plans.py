@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from adapters.plan_file import WAYPOINT_COLUMNS
-from adapters.result_files.writing.tensors import write_pickle
+from adapters.result_files.writing.pickles import write_pickle
 from benchmark.datasets.roots import open_data
 from benchmark.geometry import Floats
 from benchmark.records.run import load_record

@@ -1,9 +1,9 @@
-"""The slow, obvious version of `benchmark.closed_loop.leaders`: one vehicle after the other, every point."""
+"""The slow, obvious version of `benchmark.closed_loop.idm`: one vehicle after the other, every point."""
 
 import numpy as np
 
 from benchmark.closed_loop.contract import Moment
-from benchmark.closed_loop.leaders import SIDE_MARGIN_M, SIGHT_M
+from benchmark.closed_loop.idm import SIDE_MARGIN_M, SIGHT_M
 from benchmark.dynamics.lane_path import SPACING_M, Path
 from benchmark.geometry import Floats
 from benchmark.interactions.tracks import Integers

@@ -4,8 +4,8 @@ import numpy as np
 
 from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.closed_loop.driving import Stage
+from benchmark.closed_loop.observing import NoSensor
 from benchmark.closed_loop.riding import RecordedCan, RideMaker
-from benchmark.closed_loop.sensors import NoSensor
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.scene import Scene
 from tests.benchmark.fake_data import FakeData

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmark.closed_loop.contract import Moment
-from benchmark.closed_loop.leaders import Roads, leaders
+from benchmark.closed_loop.idm import Roads, leaders
 from benchmark.dynamics.lane_path import Path
 from benchmark.geometry import Floats
 from tests.benchmark.closed_loop.slow_leaders import slow_leaders

@@ -9,8 +9,7 @@ from adapters.planners.log_replay import LogReplay
 from adapters.planners.stop import Stop
 from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.closed_loop.driving import Drive, drive
-from benchmark.closed_loop.nuplan import Progress, no_collision, nuplan_score
-from benchmark.closed_loop.scoring import DriveScores, score_drive
+from benchmark.closed_loop.scoring import DriveScores, Progress, no_collision, nuplan_score, score_drive
 from benchmark.interactions.contacts import EGO_MASS_KG, mass_kg
 from benchmark.planning import Planner
 from benchmark.records.drive_schema import NuplanTerms

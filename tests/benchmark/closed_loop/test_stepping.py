@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmark.closed_loop.contract import coasting
 from benchmark.closed_loop.courses import course_of, recorded_poses
 from benchmark.closed_loop.following import INSTANT_US, LIMITS, SUBSTEP_S, followed
-from benchmark.closed_loop.plans_in_force import coasting
 from benchmark.closed_loop.replay import Replay
 from benchmark.closed_loop.stepping import UndrivablePlanError, begin, goes_on, step, step_together
 from benchmark.closed_loop.world import STEP_US, Course, World, ego_boxes

@@ -6,7 +6,7 @@ import pytest
 
 from benchmark.datasets.fingerprint import fingerprint_of
 from benchmark.errors import InputError
-from benchmark.untrusted.limits import TABLE
+from benchmark.untrusted.files import TABLE
 from tests.benchmark.untrusted.variants import write_sparse
 
 

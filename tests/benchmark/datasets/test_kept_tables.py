@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.datasets import kept_digests, kept_tables
+from benchmark.datasets import fingerprint as kept_digests
+from benchmark.datasets import kept_tables
 from benchmark.datasets.kept_tables import kept_at
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.scene_tables import read_scene_tables

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmark.datasets.labelled import labelled_keyframes
+from benchmark.datasets.annotated import labelled_keyframes
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from shapely.geometry.polygon import orient
 
-from benchmark.datasets.roads_around import LINE_POINTS, RoadsAround, RoadSurfaces
-from benchmark.datasets.sample_truth import truth_of_scene
+from benchmark.datasets.sample_truth import LINE_POINTS, RoadsAround, RoadSurfaces, truth_of_scene
 from benchmark.geometry import to_global
 from benchmark.road_map import RoadMap, as_multipolygon
 from tests.hand_made import Car, scene_on_straight_road

@@ -14,7 +14,7 @@ from benchmark.datasets.scenarionet import find_scenarionet, read_scenarionet
 from benchmark.errors import InputError
 from benchmark.geometry import to_global
 from benchmark.road_map import DividerKind
-from benchmark.untrusted.pickles import read_pickle
+from benchmark.untrusted.children import read_pickle
 
 SHARED = Path(__file__).resolve().parents[4] / "shared"
 FILES = tuple(sorted((SHARED / "data" / "scenes").glob("sd_*.pkl")))

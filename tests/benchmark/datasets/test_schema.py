@@ -14,7 +14,7 @@ from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.scenarionet import find_scenarionet, read_scenarionet
 from benchmark.datasets.schema import LINKS, SCHEMA, FaultList, check_rows
 from benchmark.datasets.schema.check import check_tables
-from benchmark.datasets.schema.kinds import Kind, is_file_inside, is_file_name
+from benchmark.datasets.schema.tables import Kind, is_file_inside, is_file_name
 from benchmark.scene import Scene
 from generation.sources.town import town_scene
 from tests.benchmark.datasets.nuscenes_tables import TinyRoot

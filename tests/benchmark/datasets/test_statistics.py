@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from benchmark.datasets import stored_rows as reading
 from benchmark.datasets.statistics import statistics
-from benchmark.datasets.table_rows import count_rows, table_rows
+from benchmark.datasets.stored_rows import count_rows, table_rows
 from benchmark.errors import InputError
 from benchmark.published import ADV_NUSC
 from benchmark.records.statistics import TableCounts

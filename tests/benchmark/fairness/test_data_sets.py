@@ -17,8 +17,14 @@ from benchmark.datasets.judged import (
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.fairness.data_sets import generated_agents, judge_data, launches_of
-from benchmark.fairness.split_realism import OWN_TOWN_REASON, split_realism, validity_rows
-from benchmark.fairness.splits import adversarial_names, judge_split, ladder
+from benchmark.fairness.splits import (
+    OWN_TOWN_REASON,
+    adversarial_names,
+    judge_split,
+    ladder,
+    split_realism,
+    validity_rows,
+)
 from benchmark.fairness.tables import judgement_text, split_tables
 from benchmark.machine.workers import LocalProcesses
 from benchmark.records.judgement import DRIVER_NAMES

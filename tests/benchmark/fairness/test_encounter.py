@@ -5,11 +5,10 @@ import pytest
 
 from benchmark.fairness.attack import Attack, AttackSuccess, any_known, attack_success
 from benchmark.fairness.encounter import severity_of
-from benchmark.fairness.impact import impact_of
+from benchmark.fairness.scenes import impact_of
 from benchmark.interactions.driving import Rung, Situation, drive
 from benchmark.interactions.outcomes import Surroundings
-from benchmark.interactions.reaction import Driver
-from benchmark.interactions.rules import HARDEST_BRAKING
+from benchmark.interactions.reaction import HARDEST_BRAKING, Driver
 from benchmark.interactions.tracks import Tracks
 from tests.benchmark.interactions.made import CAR, SECONDS, along, boxes, ego, scene
 

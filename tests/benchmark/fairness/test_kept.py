@@ -8,7 +8,7 @@ from benchmark.datasets.judged import JUDGEMENTS_FILE
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
-from benchmark.fairness.kept_judgements import KEPT_FOLDER, judged_facts
+from benchmark.fairness.data_sets import KEPT_FOLDER, judged_facts
 from benchmark.machine.workers import LocalProcesses
 from tests.benchmark.fairness.test_data_sets import SCENES, adversarial_scenes, recorded_scenes, written
 from tests.benchmark.planners import Straight

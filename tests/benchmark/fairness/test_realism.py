@@ -7,10 +7,9 @@ import pytest
 import shapely
 
 from benchmark.fairness.ctg import Mask, Normalisation, SceneTracks, Version, deviations, histograms
-from benchmark.fairness.divergence import equal_bins, quantile_bins, w1
-from benchmark.fairness.features import FEATURES, recorded_runs, runs_of, stretches
-from benchmark.fairness.realism import realism_of
-from benchmark.fairness.road_edge import RoadEdge
+from benchmark.fairness.features import FEATURES, RoadEdge, recorded_runs, runs_of, stretches
+from benchmark.fairness.realism import equal_bins, quantile_bins, w1
+from benchmark.fairness.splits import realism_of
 from benchmark.fairness.validity import NO_MAP, faults_of, teleports
 from benchmark.geometry import Floats, box_gap
 from benchmark.interactions.tracks import Tracks

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
-from benchmark.fairness.blame import Blame
-from benchmark.fairness.scenes import TracksAtHand, judge_scene
+from benchmark.fairness.scenes import Blame, TracksAtHand, judge_scene
 from benchmark.fairness.validity import NO_MAP, NO_TRACK
 from benchmark.interactions.contacts import ContactKind
 from benchmark.records.judgement import DRIVER_NAMES, FAULT_NAMES, JudgementSummary, SceneJudgement, unsolvable

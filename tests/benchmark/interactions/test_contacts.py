@@ -16,8 +16,8 @@ from benchmark.interactions.contacts import (
     mass_kg,
     time_to_contact,
 )
+from benchmark.interactions.driving import visible
 from benchmark.interactions.ego_path import EgoPath
-from benchmark.interactions.sight import visible
 from benchmark.interactions.tracks import Tracks
 from tests.benchmark.interactions.made import SECONDS, along, boxes, ego, scene
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.machine import pages
+from benchmark.machine import metering as pages
 
 ROOT = Path(__file__).resolve().parents[3]
 FAULTS = """
 import resource, sys
 import numpy as np
-from benchmark.machine.pages import keep_pages
+from benchmark.machine.metering import keep_pages
 if sys.argv[1] == "keep" and not keep_pages():
     sys.exit(3)
 np.ones(2**23)

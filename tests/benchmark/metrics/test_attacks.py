@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from benchmark.metrics.attacks import attack_facts, attack_rates, has_adversaries, says_severity, scene_attacks
-from benchmark.metrics.judgements import split_ladders
+from benchmark.metrics.judgements import contacts_of, near_passes_of, split_ladders, spread_of
 from benchmark.metrics.rates import ratios_over_scenes
-from benchmark.metrics.severities import contacts_of, near_passes_of, spread_of
 from tests.benchmark.metrics.made_attacks import attacked
 from tests.benchmark.records.hand_made_records import CLEAN, hand_made
 

@@ -10,8 +10,7 @@ import shapely
 from shapely.geometry import MultiPolygon
 
 from benchmark.evaluation import evaluate
-from benchmark.metrics.circumstances import circumstances_of
-from benchmark.metrics.places import Place, Places, place_of
+from benchmark.metrics.places import Place, Places, circumstances_of, place_of
 from benchmark.records.row_schema import PlaceName
 from benchmark.records.run import load_record
 from benchmark.records.run_schema import LightName

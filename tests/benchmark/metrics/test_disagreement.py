@@ -15,8 +15,16 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats
-from benchmark.metrics.confusion import Confusion, confusion, sample_confusion, step_confusion
-from benchmark.metrics.disagreement import CAUSES, disagreements, ladder, objects_by_filter
+from benchmark.metrics.disagreement import (
+    CAUSES,
+    Confusion,
+    confusion,
+    disagreements,
+    ladder,
+    objects_by_filter,
+    sample_confusion,
+    step_confusion,
+)
 from benchmark.planning import Command
 from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes
 from benchmark.protocols.sparsedrive import SparseDrive

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.metrics.effect import AdversaryEffect, effect_of
-from benchmark.metrics.paired_interval import FEWEST_DIFFERING_OF_TEN, FEWEST_RECORDINGS, paired_difference
+from benchmark.metrics.rates import FEWEST_DIFFERING_OF_TEN, FEWEST_RECORDINGS, paired_difference
 from benchmark.metrics.unchanged import unchanged_record
 from benchmark.records.run import RunRecord
 from leaderboard.frame.runs import Frame

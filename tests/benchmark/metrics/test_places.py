@@ -15,8 +15,7 @@ from benchmark.constants import OFFICIAL_LOCATIONS
 from benchmark.geometry import Floats, to_global
 from benchmark.metrics.places import Place, place_of, rings
 from benchmark.road_map import Lane, RoadMap, as_multipolygon
-from generation.sources.town.layout import NodeKind
-from generation.sources.town.network import Role, Town
+from generation.sources.town.network import NodeKind, Role, Town
 from generation.sources.town.towns import build_town
 from tests.hand_made import straight_road
 

@@ -6,8 +6,8 @@ import numpy as np
 from shapely.geometry import Polygon
 
 from benchmark.geometry import Floats
-from benchmark.pdm.comfort import history_rows
-from benchmark.pdm.road import Layer, Road
+from benchmark.pdm.layers import Layer, Road
+from benchmark.pdm.motion import history_rows
 from benchmark.pdm.scoring import Surroundings, log_replay
 from benchmark.pdm.traffic import KeyFrames, at_states
 from tests.benchmark.pdm.slow_pdm import SlowObject, SlowSample

@@ -7,8 +7,16 @@ import pytest
 import shapely
 from shapely.geometry import MultiPolygon
 
-from benchmark.pdm.layers import EXTENSION_M, derived_intersections, on_route, road_of, route_of
-from benchmark.pdm.road import Layer, Road, whereabouts
+from benchmark.pdm.layers import (
+    EXTENSION_M,
+    Layer,
+    Road,
+    derived_intersections,
+    on_route,
+    road_of,
+    route_of,
+    whereabouts,
+)
 from benchmark.road_map import Lane, RoadMap
 from tests.hand_made import scene_on_straight_road, straight_road
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from benchmark.pdm.definition import STATE_COLUMNS, STATES
-from benchmark.pdm.route import OFF_LANE_M, course, offsets
+from benchmark.pdm.scoring import OFF_LANE_M, course, offsets
 
 
 def test_being_beside_the_route_is_what_the_distance_says() -> None:

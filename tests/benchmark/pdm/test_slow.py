@@ -5,9 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmark.geometry import wrap_angle
-from benchmark.pdm.comfort import disagreement, extended_comfort
 from benchmark.pdm.definition import HEADING
-from benchmark.pdm.motion import tracked
+from benchmark.pdm.motion import disagreement, extended_comfort, tracked
 from benchmark.pdm.scoring import Judged, beside, judged
 from tests.benchmark.pdm.cases import Case, crossing
 from tests.benchmark.pdm.slow_pdm import (

@@ -7,7 +7,7 @@ import shapely
 from hypothesis import strategies as st
 
 from benchmark.constants import CATEGORIES
-from benchmark.datasets.roads_around import RoadsAround, RoadSurfaces
+from benchmark.datasets.sample_truth import RoadsAround, RoadSurfaces
 from benchmark.geometry import Floats
 from benchmark.planning import Command
 from benchmark.road_map import RoadMap, as_multipolygon

@@ -14,7 +14,7 @@ from benchmark.datasets.sample_truth import truth_of_scene
 from benchmark.geometry import Floats, box_corners, box_gap, boxes_overlap, to_global, yaw_of_quaternion
 from benchmark.protocols import PROTOCOLS
 from benchmark.protocols.exact import contacts, ego_boxes
-from benchmark.records.scene_failures import scene_failures
+from benchmark.records.rows import scene_failures
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 from benchmark.waypoints import chord_headings

@@ -9,7 +9,7 @@ import shapely
 import torch
 from hypothesis import given, settings
 
-from benchmark.datasets.roads_around import RoadsAround, RoadSurfaces
+from benchmark.datasets.sample_truth import RoadsAround, RoadSurfaces
 from benchmark.protocols import PROTOCOLS, stp3
 from benchmark.road_map import RoadMap, as_multipolygon
 from tests.benchmark.protocols import slow_further_protocols as further

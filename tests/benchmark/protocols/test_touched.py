@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from benchmark.geometry import Floats
 from benchmark.protocols import PROTOCOLS
-from benchmark.protocols.touched import ADVERSARY_S, HIT_ADVERSARY, TOUCHED, TOUCHED_ADVERSARY
+from benchmark.protocols.raster import ADVERSARY_S, HIT_ADVERSARY, TOUCHED, TOUCHED_ADVERSARY
 from benchmark.truth import SampleTruth
 from tests.benchmark.protocols.protocol_cases import Traits, plan_of, sample_of, traits
 

@@ -20,9 +20,8 @@ from benchmark.machine.storage import file_sha256
 from benchmark.records import rows as stored_rows
 from benchmark.records import run
 from benchmark.records.columns import LINES, RowColumns, batch_of
-from benchmark.records.rows import Rows
+from benchmark.records.rows import Rows, scene_failures
 from benchmark.records.run import RunRecord, find_records, load_record, write_record
-from benchmark.records.scene_failures import scene_failures
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Failing
 

@@ -28,7 +28,7 @@ from benchmark.runs.planner_facts import facts_of
 from benchmark.runs.units import Shard
 from leaderboard.frame.runs import Frame
 from leaderboard.tables.contents import data_set_tables
-from leaderboard.tables.cost import cost_table
+from leaderboard.tables.runtime import cost_table
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Factory, Failing, Straight
 from tests.leaderboard.csv_rows import csv_rows

@@ -7,7 +7,7 @@ import pytest
 from benchmark.errors import InputError
 from benchmark.records.planner_versions import PLANS_SHA256, labelled
 from benchmark.records.run import RunRecord
-from leaderboard.selection import one_run_each
+from leaderboard.results import one_run_each
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 
 

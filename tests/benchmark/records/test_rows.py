@@ -15,9 +15,8 @@ from benchmark.protocols import Outcomes
 from benchmark.records import columns as columns_module
 from benchmark.records.columns import RowColumns, batch_of
 from benchmark.records.row_schema import OutcomeRow, SampleRow
-from benchmark.records.rows import Rows, columns_of, line_of
+from benchmark.records.rows import Rows, columns_of, line_of, scene_failures
 from benchmark.records.run import RunRecord, load_record, write_record
-from benchmark.records.scene_failures import scene_failures
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Failing
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made

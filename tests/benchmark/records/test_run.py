@@ -14,9 +14,9 @@ from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
 from benchmark.protocols import PROTOCOLS, STANDARD
 from benchmark.records.row_schema import CAUSES, DiagnosisRow, SampleRow
+from benchmark.records.rows import scene_failures
 from benchmark.records.run import find_records, load_record, protocol_of, summarise
 from benchmark.records.run_schema import SceneFacts
-from benchmark.records.scene_failures import scene_failures
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Straight
 

@@ -7,7 +7,7 @@ import pytest
 
 from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.records.drive_schema import DriveRow
-from benchmark.runs.compared_drives import NEAR_M, NEAR_M_S, NEAR_RAD, compared_drive
+from benchmark.runs.drive_rows import NEAR_M, NEAR_M_S, NEAR_RAD, compared_drive
 from benchmark.runs.driving import DriveSettings, drive_split
 from benchmark.runs.rescoring_drives import rescore_drives
 from benchmark.scene import Scene

@@ -11,7 +11,7 @@ from benchmark.records.planner_cost import PlannerCost, cost_path, read_cost
 from benchmark.records.record_costs import with_drive_cost
 from benchmark.runs.driving import DriveSettings, drive_planners, drive_shard, drive_split
 from benchmark.runs.units import Shard
-from leaderboard.tables.cost import drive_cost_table
+from leaderboard.tables.runtime import drive_cost_table
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Factory, Straight

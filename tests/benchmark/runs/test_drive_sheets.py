@@ -12,7 +12,7 @@ import pytest
 
 from adapters.planners.log_replay import LogReplay
 from benchmark.closed_loop.default_engine import DefaultRides
-from benchmark.closed_loop.sensors import Sensor
+from benchmark.closed_loop.observing import Sensor
 from benchmark.errors import InputError
 from benchmark.geometry import box_gap
 from benchmark.planning import CameraView

@@ -14,8 +14,8 @@ from benchmark.evaluation import EvalSettings, evaluate, evaluate_together
 from benchmark.records.caveats import Caveat
 from benchmark.records.rows import Rows
 from benchmark.records.run import load_record
+from benchmark.runs.caveats import planner_caveats
 from benchmark.runs.driving import DriveSettings, drive_split
-from benchmark.runs.input_caveats import planner_caveats
 from benchmark.runs.rescoring import rescore
 from benchmark.runs.rescoring_drives import rescore_drives
 from tests.benchmark.edited_roots import copy_of, edit, small_town, table_of

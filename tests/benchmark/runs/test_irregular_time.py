@@ -8,15 +8,14 @@ import pytest
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.schema.check import check_tables
 from benchmark.evaluation import EvalSettings, evaluate
-from benchmark.metrics.confusion import comparisons
-from benchmark.metrics.frames import samples_frame
+from benchmark.metrics.disagreement import comparisons
 from benchmark.metrics.rates import HORIZONS
-from benchmark.metrics.scores import scored
+from benchmark.metrics.scores import samples_frame, scored
 from benchmark.metrics.significance import compare_planners
 from benchmark.protocols import PROTOCOLS, STANDARD
 from benchmark.records.caveats import Caveat
+from benchmark.records.rows import scene_failures
 from benchmark.records.run import RunRecord
-from benchmark.records.scene_failures import scene_failures
 from benchmark.runs.rescoring import rescore
 from benchmark.scene import Scene
 from leaderboard.frame.runs import Frame

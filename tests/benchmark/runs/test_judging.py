@@ -9,14 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.errors import InputError
-from benchmark.metrics.circumstances import Circumstances
-from benchmark.metrics.places import Place
+from benchmark.metrics.places import Circumstances, Place
 from benchmark.planning import Forecasts, Observation, Plan, PlanFrame
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.row_schema import SampleRow
 from benchmark.runs.judging import judge_plans, plan_of
 from benchmark.runs.plan_rows import plan_scene
-from benchmark.runs.reading import SceneReading
+from benchmark.runs.scene_work import SceneReading
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 from tests.benchmark.fake_data import FakeData, town_of_two

@@ -13,18 +13,17 @@ from benchmark.datasets.roots import open_data
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.metrics.attacks import scene_attacks
-from benchmark.metrics.frames import samples_frame
-from benchmark.metrics.scores import scored
+from benchmark.metrics.scores import samples_frame, scored
 from benchmark.metrics.slices import rates_by
 from benchmark.metrics.transfer import transfer
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.drives import load_drives
+from benchmark.records.rows import scene_failures
 from benchmark.records.run import RunRecord, load_record
-from benchmark.records.scene_failures import scene_failures
 from benchmark.runs.driving import drive_split
 from benchmark.runs.rescoring import rescore, rescore_all
 from benchmark.runs.rescoring_drives import rescore_drives
-from generation.pipeline.dry_run import estimate_build
+from generation.pipeline.report import estimate_build
 from generation.pipeline.settings import BuildSettings
 from leaderboard.frame.runs import Frame
 from leaderboard.tables.collision import collision_table

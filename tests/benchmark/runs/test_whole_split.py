@@ -11,7 +11,7 @@ from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import EgoState, Observation, Plan, PlanFrame, SceneInfo
 from benchmark.runs.planner_facts import facts_of
-from benchmark.runs.whole_split import published_order
+from benchmark.runs.scene_work import published_order
 from tests.benchmark.fake_data import FakeData
 from tests.benchmark.planners import AHEAD, Straight
 from tests.hand_made import scene_on_straight_road

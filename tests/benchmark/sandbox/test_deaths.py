@@ -13,7 +13,7 @@ from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.plan_rows import plan_scene
 from benchmark.sandbox.limits import Supervision
 from benchmark.sandbox.planner import Identity, Maker, Supervised, supervised
-from benchmark.untrusted.limits import GIB
+from benchmark.untrusted.files import GIB
 from tests.benchmark.fake_data import FakeData
 from tests.benchmark.sandbox.dying import AT, WAYS
 from tests.hand_made import scene_on_straight_road

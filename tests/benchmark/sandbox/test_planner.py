@@ -35,10 +35,9 @@ from benchmark.planning import (
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.plan_rows import BrokenImageError, plan_scene
 from benchmark.runs.planner_facts import facts_of
-from benchmark.sandbox import libraries
+from benchmark.sandbox import limits as libraries
 from benchmark.sandbox.frames import Asker, MalformedError, answer
-from benchmark.sandbox.libraries import on_import_of_torch
-from benchmark.sandbox.limits import Supervision
+from benchmark.sandbox.limits import Supervision, on_import_of_torch
 from benchmark.sandbox.observed import Packing, Unpacking
 from benchmark.sandbox.pictures import Shelf, Viewer
 from benchmark.sandbox.planner import Identity, Maker, Supervised, supervised

@@ -18,9 +18,9 @@ from benchmark.planning import CameraView
 from benchmark.records.scenes import CAMERA_GRID, SheetMap
 from benchmark.road_map import Divider, DividerKind, RoadMap, as_multipolygon
 from benchmark.scene import Scene
+from benchmark.scene_pages.making import AROUND_M, road_around
 from benchmark.scene_pages.motion import agents_of, ego_of, origin_of
 from benchmark.scene_pages.pictures import adversary_edges, cut_at_borders, layout, mosaic, pictured_frames
-from benchmark.scene_pages.road import AROUND_M, road_around
 from tests.generation.nuscenes_writer.written_roots import short_scene, with_adversary
 from tests.hand_made import Car, straight_road, without_frames
 

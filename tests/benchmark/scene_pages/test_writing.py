@@ -16,10 +16,11 @@ from benchmark.machine.storage import only_writer, write_json, write_json_lines
 from benchmark.records.run_schema import DataFacts
 from benchmark.records.scenes import Sheets, StoredSheet, find_sheets, read_sheet, scene_folder
 from benchmark.records.statistics import Runtime
-from benchmark.scene_pages import making, split_sheets
+from benchmark.scene_pages import making
+from benchmark.scene_pages import writing as split_sheets
 from benchmark.scene_pages.writing import SheetSettings, plan_of, write_sheets
 from generation.nuscenes_writer.plan import STATE_FOLDER
-from generation.pipeline.profile import kept_runtime
+from generation.pipeline.estimate import kept_runtime
 from tests.benchmark.cli.cli_runs import bytes_below, challenger_bench
 from tests.benchmark.datasets.nuscenes_tables import TinyRoot
 from tests.generation.nuscenes_writer.written_roots import SIZE, short_scene, with_adversary

@@ -11,7 +11,7 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.untrusted.compressed import read_compressed_pickle, unpack_archive
-from benchmark.untrusted.limits import ARCHIVE, COMPRESSED_PICKLE
+from benchmark.untrusted.files import ARCHIVE, COMPRESSED_PICKLE
 
 
 def archive_of(path: Path, *members: tarfile.TarInfo, content: bytes = b"text") -> Path:

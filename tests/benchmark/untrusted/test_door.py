@@ -21,10 +21,10 @@ from benchmark.errors import InputError
 from benchmark.untrusted import children
 from benchmark.untrusted.answers import Unanswerable, read_answer, write_answer
 from benchmark.untrusted.child import answer
-from benchmark.untrusted.json_text import parse_json, read_json_lines
-from benchmark.untrusted.limits import JSON, MIB, PICKLE
-from benchmark.untrusted.pickles import read_pickle
-from benchmark.weights.foreign import read_checkpoint
+from benchmark.untrusted.children import read_pickle
+from benchmark.untrusted.files import JSON, MIB, PICKLE
+from benchmark.untrusted.text_files import parse_json, read_json_lines
+from benchmark.weights.folders import read_checkpoint
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -208,7 +208,7 @@ def test_the_child_ends_with_its_parent(tmp_path: Path) -> None:
     path = tmp_path / "a.pkl"
     path.write_bytes(b"\x80\x02})" + b"2\x86" * 60 + b"Ns.")
     program = (
-        "import sys; from pathlib import Path; from benchmark.untrusted.pickles import read_pickle; "
+        "import sys; from pathlib import Path; from benchmark.untrusted.children import read_pickle; "
         "read_pickle(Path(sys.argv[1]))"
     )
     parent = subprocess.Popen([sys.executable, "-c", program, str(path)], cwd=ROOT)

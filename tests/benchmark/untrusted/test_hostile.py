@@ -22,12 +22,12 @@ from benchmark.datasets.tracks import read_recorded_tracks
 from benchmark.errors import InputError
 from benchmark.untrusted.arrays import read_npz
 from benchmark.untrusted.checkpoints import read_stored
-from benchmark.untrusted.json_text import read_json, read_json_lines
-from benchmark.untrusted.limits import CHECKPOINT, MIB, NPZ, PICKLE
-from benchmark.untrusted.pickles import read_pickle
-from benchmark.untrusted.pictures import read_picture
+from benchmark.untrusted.children import read_pickle
+from benchmark.untrusted.files import CHECKPOINT, MIB, NPZ, PICKLE
+from benchmark.untrusted.text_files import read_json, read_json_lines
+from benchmark.untrusted.wire_images import read_picture
 from benchmark.verification.golden import GoldenArrays
-from benchmark.weights.foreign import read_checkpoint
+from benchmark.weights.folders import read_checkpoint
 from benchmark.weights.tensors import read_header, read_tensors
 from generation.diffusion.checkpoint import load_denoiser
 from tests.benchmark.datasets.test_scenarionet import recording

@@ -18,9 +18,9 @@ from benchmark.untrusted.plan_plausibility import (
     FEWEST_STANDING,
     MOVED_M,
     NOT_TESTABLE,
+    ComparedPlans,
     plausibility_of,
 )
-from benchmark.untrusted.plans_beside_recording import ComparedPlans
 from tests.benchmark.edited_roots import small_town
 from tests.benchmark.untrusted.misread import AHEAD_M, FRAMES, MISREAD
 

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.errors import InputError
-from benchmark.untrusted.limits import PACKAGE
-from benchmark.untrusted.packages import package_bytes, read_package
+from benchmark.untrusted.compressed import package_bytes, read_package
+from benchmark.untrusted.files import PACKAGE
 
 PARTS = st.from_regex(r"[A-Za-z0-9_][A-Za-z0-9._+-]{0,8}", fullmatch=True)
 NAMES = st.lists(PARTS, min_size=1, max_size=3).map("/".join)

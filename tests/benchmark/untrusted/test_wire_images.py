@@ -13,7 +13,7 @@ import pytest
 import torch
 from PIL import Image
 
-from benchmark.untrusted.limits import WIRE_PICTURE
+from benchmark.untrusted.files import WIRE_PICTURE
 from benchmark.untrusted.wire_images import TensorRefused, image_of
 from tests.benchmark.untrusted.mutations import BYTES
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from benchmark.errors import InputError
-from benchmark.untrusted.pickles import read_pickle
+from benchmark.untrusted.children import read_pickle
 from benchmark.weights.tensors import read_header, read_tensors, write_tensors
 
 

@@ -12,7 +12,7 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from generation.diffusion import schedule
 from generation.diffusion.denoiser import PACKAGED, DenoiserConfig, TrajectoryDenoiser
-from generation.diffusion.residual_network import present_features
+from generation.diffusion.preconditioning import present_features
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"
 OWN_GOLDEN = GOLDEN / "denoiser" / "small.npz"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmark.geometry import Floats
-from generation.diffusion.drivable_draws import Draws, most_drivable
+from generation.diffusion.kinematics import Draws, most_drivable
 
 PREVIOUS = np.array([-4.0, 0.0, 0.0])
 

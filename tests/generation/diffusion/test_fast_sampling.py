@@ -10,11 +10,17 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from benchmark.errors import InputError
-from generation.diffusion.bank import normal_noise, sample_actions
-from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser
-from generation.diffusion.fast_sampling import log_ratios, solve, solver_timesteps
+from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser, normal_noise, sample_actions
 from generation.diffusion.prior import SOLVER_CALLS
-from generation.diffusion.schedule import ALPHA_BARS, STEPS, reverse, strided_timesteps
+from generation.diffusion.schedule import (
+    ALPHA_BARS,
+    STEPS,
+    log_ratios,
+    reverse,
+    solve,
+    solver_timesteps,
+    strided_timesteps,
+)
 from tests.generation.diffusion.distances import wasserstein
 
 MEAN = 0.05

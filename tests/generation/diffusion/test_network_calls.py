@@ -8,8 +8,13 @@ from torch import Tensor
 from benchmark.geometry import Floats
 from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser
 from generation.diffusion.network_calls import NetworkCalls
-from generation.diffusion.preconditioning import GaussianPreconditioner
-from generation.diffusion.residual_network import ResidualBlock, ResidualNetwork, known_speed, present_features
+from generation.diffusion.preconditioning import (
+    GaussianPreconditioner,
+    ResidualBlock,
+    ResidualNetwork,
+    known_speed,
+    present_features,
+)
 
 SPEEDS = (0.0, 0.7, 3.0, 8.0, 30.0)
 

@@ -7,8 +7,7 @@ from torch import Tensor
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from generation.diffusion.preconditioning import ACTIONS, GaussianPreconditioner
-from generation.diffusion.residual_network import present_features
+from generation.diffusion.preconditioning import ACTIONS, GaussianPreconditioner, present_features
 
 STANDING, FAST = 0.0, 15.0
 

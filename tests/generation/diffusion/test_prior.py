@@ -13,8 +13,15 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import file_sha256
 from benchmark.weights.tensors import write_tensors
-from generation.diffusion.bank import bank_beside, read_bank, sample_actions, write_bank
-from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser, save_denoiser
+from generation.diffusion.checkpoint import (
+    PACKAGED_WEIGHTS,
+    bank_beside,
+    load_denoiser,
+    read_bank,
+    sample_actions,
+    save_denoiser,
+    write_bank,
+)
 from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
 from generation.diffusion.kinematics import motion
 from generation.diffusion.prior import SOLVER_CALLS, SamplerSettings, Samples, TrajectoryPrior, diversify

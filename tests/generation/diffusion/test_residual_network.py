@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import nn
 
-from generation.diffusion.residual_network import (
+from generation.diffusion.preconditioning import (
     LEVEL_FEATURES,
     PRESENT_FEATURES,
     ResidualNetwork,

@@ -15,10 +15,9 @@ from benchmark.geometry import Floats, quaternion_from_yaw, to_global
 from benchmark.records.attempts import Labels
 from benchmark.road_map import RoadMap, as_multipolygon
 from benchmark.scene import EgoTrack, Scene
-from generation.labels.encounters import encounter
+from generation.labels.encounters import PathFrame, encounter
 from generation.labels.labelling import describe
 from generation.labels.manoeuvres import Manoeuvre, encroachment, settled
-from generation.labels.path_frame import PathFrame
 from tests.hand_made import Car, scene_on_straight_road
 
 EGO_M_S = 8.0

@@ -14,9 +14,8 @@ from benchmark.datasets.map_layers import read_road_map
 from benchmark.geometry import Floats
 from benchmark.machine.storage import write_json
 from benchmark.road_map import DividerKind, Lane, RoadMap, as_multipolygon
-from generation.nuscenes_writer.arclines import arcline_path
-from generation.nuscenes_writer.expansion import map_expansion
-from generation.nuscenes_writer.masks import drivable_mask
+from generation.nuscenes_writer.expansion import arcline_path, map_expansion
+from generation.nuscenes_writer.maps import drivable_mask
 from generation.nuscenes_writer.road_maps import merged, pack_road_map, unpack_road_map
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 from tests.hand_made import straight_road

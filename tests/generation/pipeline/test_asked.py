@@ -13,9 +13,9 @@ from benchmark.datasets.roots import DataSet
 from benchmark.machine.workers import LocalProcesses
 from benchmark.records.attempts import Attempt, ClosestApproach, Labels, Occurrence
 from generation.labels.manoeuvres import Manoeuvre
+from generation.pipeline.selection import differing, distance
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import NothingSurvivedError, build_split
-from generation.pipeline.variants import differing, distance
 from generation.search.attempts import StoredAttempt
 from generation.search.chains import Chain, Tried
 from generation.search.definition import Unit

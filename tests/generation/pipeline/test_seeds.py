@@ -12,13 +12,13 @@ from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
 from benchmark.machine.workspace import Workspace
+from benchmark.records.attempts import is_adversarial, seed_of, seed_split
 from benchmark.records.run import RunRecord
-from benchmark.records.seed_splits import is_adversarial, seed_of, seed_split
 from generation.pipeline.split import build_split
 from generation.splits.building import build_frozen
-from generation.splits.seeds import file_of_seed, frozen_of_seed, seeds_of
+from generation.splits.packaged import file_of_seed, frozen_of_seed, seeds_of
 from leaderboard.frame.runs import Frame
-from leaderboard.tables.drawn_seeds import drawn_seeds_table
+from leaderboard.tables.contents import drawn_seeds_table
 from tests.benchmark.cli.cli_runs import challenger_bench, refusal
 from tests.generation.labels.recorded_roads import CHEAP, write_source
 from tests.generation.pipeline.test_split import few_cars

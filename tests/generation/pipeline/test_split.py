@@ -10,18 +10,18 @@ import pytest
 from benchmark.datasets.judged import JUDGEMENTS_FILE, stored_judgements, stored_realism
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
-from benchmark.fairness.split_realism import OWN_TOWN_REASON
+from benchmark.fairness.splits import OWN_TOWN_REASON
 from benchmark.machine.workers import LocalProcesses
 from benchmark.machine.workspace import is_finished
 from benchmark.protocols.exact import Exact
 from benchmark.records.attempts import read_attempts
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
-from generation.pipeline.dry_run import estimate_build
+from generation.pipeline.report import estimate_build
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import NothingSurvivedError, build_split
 from generation.search.candidates import NotTried
-from generation.search.recorded_ego import log_replay_contacts
+from generation.search.recorded_motion import log_replay_contacts
 from tests.generation.labels.recorded_roads import CHEAP, HYPER, contents, recorded, write_source
 from tests.hand_made import Car
 

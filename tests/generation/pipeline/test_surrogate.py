@@ -13,7 +13,7 @@ from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.machine.workers import LocalProcesses
 from benchmark.machine.workspace import is_finished
-from benchmark.records.scene_failures import scene_failures
+from benchmark.records.rows import scene_failures
 from benchmark.scene import Camera, Scene
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import NothingSurvivedError, build_split

@@ -7,9 +7,8 @@ import pytest
 
 from benchmark.datasets.roots import DataSet
 from benchmark.published import RUNTIME_S
-from generation.pipeline.dry_run import estimate_build
-from generation.pipeline.estimate import Estimate, duration, rendering_estimate
-from generation.pipeline.profile import mean_seconds, runtime_table
+from generation.pipeline.estimate import Estimate, duration, mean_seconds, rendering_estimate, runtime_table
+from generation.pipeline.report import estimate_build
 from generation.pipeline.split import build_split
 from generation.render.schematic import SchematicRenderer
 from tests.generation.labels.recorded_roads import BUSY, CHEAP, write_source

@@ -4,7 +4,7 @@ from typing import Any
 
 from benchmark.scene import Scene
 from generation.search.adversary import Searched, attempts_together
-from generation.search.eligibility import eligibility_of
+from generation.search.candidates import eligibility_of
 from generation.search.hyperparameters import HyperParameters
 from generation.search.proposals import Prior
 

@@ -4,16 +4,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmark.dynamics.bicycle import DriverLimits, MotionModel, rear_axle
-from benchmark.dynamics.driver_limits import broken_limit
+from benchmark.dynamics.bicycle import DriverLimits, MotionModel, broken_limit, rear_axle
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, boxes_overlap, to_local, wrap_angle
 from benchmark.machine.storage import canonical_json
 from generation.search.adversary import Searched, attempts_together, scene_identity
 from generation.search.hyperparameters import HyperParameters
 from generation.search.planning import Planning
-from generation.search.recorded_ego import log_replay_contacts
-from generation.search.recorded_motion import in_canvas
+from generation.search.recorded_motion import in_canvas, log_replay_contacts
 from generation.search.verify import Discard
 from tests.generation.search.driving_prior import DrivingPrior, unchanged
 from tests.generation.search.one_vehicle import attempt

@@ -8,10 +8,9 @@ import pytest
 from benchmark.constants import FRAME_HZ
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from generation.labels.encounters import encounter
+from generation.labels.encounters import REACH_M, PathFrame, encounter
 from generation.labels.labelling import agent_boxes, describe
 from generation.labels.manoeuvres import Manoeuvre
-from generation.labels.path_frame import REACH_M, PathFrame
 from generation.search.asked_manoeuvres import ASKABLE, Wish, able, askable
 from generation.search.hyperparameters import HyperParameters
 from generation.search.manoeuvre_conditions import EgoThen, Placed, missing

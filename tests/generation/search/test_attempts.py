@@ -9,7 +9,7 @@ import pytest
 from benchmark.errors import InputError
 from benchmark.machine.workers import LocalProcesses
 from benchmark.scene import Scene
-from generation.pipeline.profile import runtime_table
+from generation.pipeline.estimate import runtime_table
 from generation.search.attempts import attempt_store, attempts, eligibility, eligibility_store, kept_attempt
 from generation.search.definition import Earlier, PackagedPrior, Search, Unit
 from generation.search.presets import SampleSource, trajectory_model

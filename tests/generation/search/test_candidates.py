@@ -7,10 +7,10 @@ from benchmark.scene import Scene
 from generation.search.candidates import (
     NotTried,
     draw,
+    eligibility_of,
     launch_frame,
     unfit,
 )
-from generation.search.eligibility import eligibility_of
 from generation.search.hyperparameters import HyperParameters
 from generation.search.recorded_motion import drives_forward, initial_state
 from tests.generation.search.one_vehicle import choose

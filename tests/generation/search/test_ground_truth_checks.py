@@ -14,9 +14,8 @@ from benchmark.records.attempts import read_attempts
 from benchmark.scene import Scene
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import build_split
-from generation.search.ground_truth_checks import masked_steps, raster_footprints, recorded_contacts
 from generation.search.hyperparameters import HyperParameters
-from generation.search.verify import Discard, verify
+from generation.search.verify import Discard, masked_steps, raster_footprints, recorded_contacts, verify
 from generation.sources.mini import TownSettings, build_town
 from generation.splits.format import METRE_DIGITS
 from tests.generation.search.test_verify import START, moved, verdict, with_track

@@ -3,10 +3,9 @@ from dataclasses import replace
 import numpy as np
 
 from benchmark.constants import FRAME_HZ
-from generation.search.candidates import NotTried, draw, unfit
+from generation.search.candidates import MARGIN_M, NotTried, draw, last_opportunity, launch_in_reach, reach_at, unfit
 from generation.search.ego_way import EgoWay
 from generation.search.hyperparameters import HyperParameters, Launch
-from generation.search.reach import MARGIN_M, last_opportunity, launch_in_reach, reach_at
 from generation.search.recorded_motion import in_canvas
 from tests.hand_made import Car, scene_on_straight_road
 

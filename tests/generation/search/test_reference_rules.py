@@ -6,11 +6,10 @@ import pytest
 from benchmark.geometry import Floats
 from benchmark.scene import Scene
 from generation.search.adversary import Searched
-from generation.search.candidates import NotTried, launch_frame, unfit
-from generation.search.eligibility import eligibility_of
+from generation.search.candidates import NotTried, eligibility_of, launch_frame, unfit
 from generation.search.hyperparameters import HyperParameters
-from generation.search.reference_discards import fault_of_place, fault_of_step
-from generation.search.reference_rules import (
+from generation.search.planning import fault_of_place, fault_of_step
+from generation.search.reference_scoring import (
     lidar_distance,
     reference_launch,
     reference_previous,

@@ -16,9 +16,9 @@ from benchmark.machine.workers import LocalProcesses
 from benchmark.records.scenes import RefinementTrace, StoredSheet, find_sheets, kept_rounds_path
 from benchmark.runs.units import ResultStore
 from benchmark.scene_pages.writing import SheetSettings, write_sheets
-from generation.pipeline.dry_run import estimate_build
+from generation.pipeline.report import estimate_build
 from generation.pipeline.split import build_split
-from generation.search.rounds import SHOWN_CANDIDATES, shown_candidates
+from generation.search.refinement import SHOWN_CANDIDATES, shown_candidates
 from tests.generation.labels.recorded_roads import CHEAP, HYPER, contents, recorded, write_source
 from tests.generation.search.driving_prior import DrivingPrior, unchanged
 from tests.generation.search.one_vehicle import attempt

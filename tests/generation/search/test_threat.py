@@ -10,9 +10,8 @@ from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.search.ego_way import EgoWay, overrun
 from generation.search.hyperparameters import HyperParameters
-from generation.search.lane_headings import LaneHeadings
 from generation.search.scoring import surroundings
-from generation.search.threat import threat_rating
+from generation.search.threat import LaneHeadings, threat_rating
 from generation.search.threat_settings import ThreatSettings
 from tests.generation.search.slow_threat import slow_further
 from tests.hand_made import Car, scene_on_straight_road

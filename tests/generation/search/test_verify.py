@@ -3,16 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmark.dynamics.bicycle import DriverLimits
-from benchmark.dynamics.driver_limits import broken_limit
+from benchmark.dynamics.bicycle import DriverLimits, broken_limit
 from benchmark.fairness.scenes import TracksAtHand, judge_scene
 from benchmark.geometry import Floats, boxes_overlap
 from benchmark.scene import Scene
 from generation.labels.labelling import Side, closest_approach, side_of, times_to_collision
 from generation.search.hyperparameters import HyperParameters
 from generation.search.ranking import challenge_score, ranked
-from generation.search.recorded_ego import log_replay_contacts
-from generation.search.recorded_motion import in_canvas
+from generation.search.recorded_motion import in_canvas, log_replay_contacts
 from generation.search.verify import Discard, Finding, contacts, unfair, verify
 from tests.hand_made import Car, scene_on_straight_road
 

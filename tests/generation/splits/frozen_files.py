@@ -11,7 +11,6 @@ from generation.nuscenes_writer import DataSetPlan, SourceInfo
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import build_split
 from generation.render.schematic import SchematicRenderer
-from generation.splits.digests import tables_digest
 from generation.splits.format import (
     Choice,
     FrozenAdversary,
@@ -22,7 +21,7 @@ from generation.splits.format import (
     write_frozen,
 )
 from generation.splits.packaged import NamedSplit, frozen_split
-from generation.splits.tracks import adversarial
+from generation.splits.tracks import adversarial, tables_digest
 from tests.generation.labels.recorded_roads import CHEAP, write_source
 from tests.hand_made import Car, scene_on_straight_road
 

@@ -18,7 +18,7 @@ from benchmark.protocols import NATIVE_PROTOCOLS
 from benchmark.records.judgement import DEFINITION, SceneJudgement
 from benchmark.runs.units import ResultStore
 from generation.labels.labelling import agent_boxes
-from generation.pipeline.dry_run import estimate_build
+from generation.pipeline.report import estimate_build
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import build_split
 from generation.search.adversary import ALGORITHM_VERSION

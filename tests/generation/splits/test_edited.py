@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.datasets.own_words import Exchanged
 from benchmark.datasets.roots import DataSet, open_data
+from benchmark.datasets.scenario_map import Exchanged
 from benchmark.errors import InputError
 from benchmark.machine.storage import token
 from generation.sources.importing import ImportSettings, import_scenarionet

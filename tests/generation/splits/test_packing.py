@@ -13,7 +13,7 @@ from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.machine.workers import LocalProcesses
 from benchmark.records.review import Verdict, read_review
-from benchmark.untrusted.packages import package_bytes, read_package
+from benchmark.untrusted.compressed import package_bytes, read_package
 from generation.splits.building import build_frozen
 from generation.splits.packaged import NamedSplit
 from generation.splits.packing import PackageContents, Packed, pack_split

@@ -1,7 +1,7 @@
 """The figure of attack success against realism: which settings there are, where they stand, and when there is none."""
 
 from benchmark.report.plots import png_size
-from leaderboard.figures.attacks import (
+from leaderboard.figures.contents import (
     REALISM_AXIS,
     VALIDITY_AXIS,
     attack_figures,

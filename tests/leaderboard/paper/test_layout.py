@@ -11,11 +11,10 @@ from benchmark.published import ADV_NUSC, HYPER_PARAMETERS, RUNTIME_S
 from benchmark.report.table import LatexForm, escape_latex, table_of
 from leaderboard.build import leaderboard_files
 from leaderboard.frame.results import read_results
-from leaderboard.frame.sheets import by_data_set
+from leaderboard.frame.specification import by_data_set
 from leaderboard.paper.appendix import hyper_parameter_tables, paper_data_set_tables, paper_runtime_tables
-from leaderboard.paper.document import PREAMBLE
+from leaderboard.paper.document import PREAMBLE, paper_table_1
 from leaderboard.paper.runtime_chart import runtime_charts, runtime_shares
-from leaderboard.paper.table_1 import paper_table_1
 from tests.leaderboard.made_up import sheets_of, split_sheet, study
 from tests.leaderboard.paper.papers import AS_PRINTED, OWN, paper_runs, paper_sheets
 

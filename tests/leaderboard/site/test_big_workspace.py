@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmark.records.rows import scene_failures
 from benchmark.records.run import find_records
-from benchmark.records.scene_failures import scene_failures
 from benchmark.records.scenes import find_sheets
 from tests.leaderboard.site.big_workspace import HOSTILE_NAMES, IMAGE_TAG, make_workspace
 

@@ -27,10 +27,9 @@ from leaderboard.build import stale_files, write_leaderboard
 from leaderboard.frame.results import Results, read_results
 from leaderboard.frame.runs import Frame
 from leaderboard.page.sections import NamedFigure
-from leaderboard.site.index_data import PlacedTable, index_data, key_table
-from leaderboard.site.model_index import model_index
+from leaderboard.site.index_data import PlacedTable, index_data, key_table, model_index
+from leaderboard.site.packing import data_script
 from leaderboard.site.scene_index import label_words, scene_index
-from leaderboard.site.scripts import data_script
 from leaderboard.site.site import INDEX_PATH, site_files
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 from tests.leaderboard.site.big_workspace import DATA_NAME, IMAGE_TAG, BigWorkspace, make_workspace

@@ -13,7 +13,7 @@ from benchmark.report.table import Table
 from leaderboard.figures.contents import matrix_figures
 from leaderboard.frame.rows import FEW_NOTE
 from leaderboard.frame.runs import Frame
-from leaderboard.paper.table_1 import increase_over
+from leaderboard.paper.document import increase_over
 from leaderboard.tables.collision import collision_table
 from leaderboard.tables.comparisons import planner_table, split_table
 from leaderboard.tables.contents import data_set_tables, missing_notes

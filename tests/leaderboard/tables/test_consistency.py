@@ -3,8 +3,7 @@
 import numpy as np
 
 from leaderboard.frame.runs import Frame
-from leaderboard.tables.consistency import consistency_table
-from leaderboard.tables.contents import data_set_tables
+from leaderboard.tables.contents import consistency_table, data_set_tables
 from tests.benchmark.metrics.test_consistency import record_of, rows_of
 from tests.benchmark.records.hand_made_records import CLEAN, hand_made
 

@@ -12,8 +12,7 @@ from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import GeneratedFacts
 from benchmark.report.table import Table
 from leaderboard.frame.runs import Frame
-from leaderboard.tables.contents import data_set_tables
-from leaderboard.tables.drawn_seeds import drawn_seeds_table
+from leaderboard.tables.contents import data_set_tables, drawn_seeds_table
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, hand_made
 from tests.leaderboard.csv_rows import csv_rows
 

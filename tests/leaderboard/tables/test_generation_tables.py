@@ -14,7 +14,7 @@ from benchmark.report.cells import UNDEFINED
 from benchmark.report.table import Table
 from leaderboard.build import leaderboard_files, stale_files, write_leaderboard
 from leaderboard.frame.results import read_results
-from leaderboard.frame.sheets import by_data_set
+from leaderboard.frame.specification import by_data_set
 from leaderboard.tables.ablation import ablation_tables
 from leaderboard.tables.contents import generation_tables
 from leaderboard.tables.published import published_data_set_table, published_runtime_table, published_tables

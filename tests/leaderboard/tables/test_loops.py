@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from leaderboard.tables.loops import loop_tables
+from leaderboard.tables.drives import loop_tables
 from tests.benchmark.metrics.test_loops import drives, hit, run
 from tests.benchmark.records.test_drives import failed, row
 

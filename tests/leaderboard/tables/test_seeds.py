@@ -12,7 +12,7 @@ from benchmark.report.cells import UNDEFINED
 from benchmark.report.table import Table
 from leaderboard.frame.runs import Frame
 from leaderboard.tables.contents import data_set_tables
-from leaderboard.tables.seeds import seed_spread_table
+from leaderboard.tables.statistics import seed_spread_table
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, hand_made
 from tests.leaderboard.csv_rows import csv_rows
 

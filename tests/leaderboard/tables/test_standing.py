@@ -9,7 +9,7 @@ import pytest
 from benchmark.published import NEURONCAP, SAMPLES_OF, STANDING, TABLE_1
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import UNDEFINED
-from leaderboard.tables.standing import same_run, standing_tables
+from leaderboard.tables.published import same_run, standing_tables
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 
 SHARED = Path(__file__).resolve().parents[4] / "shared"

@@ -18,8 +18,7 @@ from benchmark.report.table import Table
 from leaderboard.frame.runs import Frame
 from leaderboard.tables.ablation import ablation_tables
 from leaderboard.tables.contents import data_set_tables, generation_tables
-from leaderboard.tables.published import published_tables
-from leaderboard.tables.standing import standing_tables
+from leaderboard.tables.published import published_tables, standing_tables
 from tests.benchmark.metrics.made_attacks import contact, judged, near, with_realism
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, LATE, hand_made
 from tests.leaderboard.made_up import study, workspace_sheets

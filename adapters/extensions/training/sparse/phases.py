@@ -1,14 +1,272 @@
-"""The parts of the training of the sparse miniatures: what ``challenger-bench train planner`` runs for them."""
+"""The parts of the training of the sparse miniatures: what ``challenger-bench train planner`` runs for them.
 
+How the planners of the sparse miniatures learn from what frozen eyes have seen: hundreds of frames a step.
+
+How the miniatures of SparseDrive and DiffusionDrive learn: what ``challenger-bench train planner`` runs for them.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
-from adapters.extensions.training.front import Eyes, front_phase, of_all_cameras
-from adapters.extensions.training.phases import Phase
-from adapters.extensions.training.sparse.objective import SparseObjective
-from adapters.extensions.training.sparse.planner_objective import PlannerObjective
-from adapters.extensions.training.trainer import Recipe
+import torch
+from torch import Tensor, nn
+
+from adapters.extensions.training.frames import FORGOTTEN, Frames, LookedAt, TrainingFrame, weighed
+from adapters.extensions.training.front import Eyes, front_phase, mean_front_losses, of_all_cameras
+from adapters.extensions.training.image_encoder import miniature_images
+from adapters.extensions.training.losses import Matches
+from adapters.extensions.training.sparse.losses import (
+    decoder_losses,
+    forecast_losses,
+    matches_of_boxes,
+    plan_losses,
+    status_loss,
+    summed,
+)
+from adapters.extensions.training.sparse.motion_planner import (
+    Cleaned,
+    Interacted,
+    KeyframeMotions,
+    Perceived,
+    denoised,
+    interacted,
+    partly,
+    perceived,
+    queued,
+    remembered,
+    together,
+)
+from adapters.extensions.training.sparse.targets import Targets
+from adapters.extensions.training.trainer import Phase, Recipe
 from adapters.networks.layers.front_reader import FrontReader
-from adapters.networks.sparse.model import SparseNetwork
+from adapters.networks.sparse.aggregation import CameraFeatures
+from adapters.networks.sparse.decoder import Decoded, Stage
+from adapters.networks.sparse.diffusion import DiffusionPlanner
+from adapters.networks.sparse.model import SparseInputs, SparseNetwork
+from benchmark.machine.storage import content_seed
+
+STREAM_FRAMES: Final = 4
+"""Key frames that are seen one after the other, the first of them without a past."""
+FROZEN: Final = ("img_backbone.conv1", "img_backbone.bn1", "img_backbone.layer1")
+"""Layers of the image network that stay as its own training left them: to change them would cost most."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """Predictions of a network for B key frames; `cleaned` is of the diffusion planner."""
+
+    perceived: Perceived
+    planned: Interacted
+    cleaned: tuple[Cleaned, ...]
+
+
+class SparseObjective:
+    """All tasks at once, frame after frame, as in the second stage of the published training.
+
+    Memory goes from frame to frame, and gradients stop there.
+    """
+
+    def __init__(self, network: SparseNetwork) -> None:
+        self.network: nn.Module = network
+        self.clip_frames = STREAM_FRAMES
+        self._sparse = network
+        network.img_neck.requires_grad_(True)
+        for name in FROZEN:
+            network.get_submodule(name).requires_grad_(False)
+
+    def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
+        """Losses of one clip; weighted scalars by name, means over the key frames."""
+        return self.losses_of([clip])
+
+    def losses_of(self, clips: Sequence[Sequence[TrainingFrame]]) -> dict[str, Tensor]:
+        """Losses of several clips at once, which costs less than one after the other.
+
+        Weighted scalars by name, means over the key frames; clips of one length are seen together.
+        """
+        frames = sum(map(len, clips))
+        alike: dict[int, list[Sequence[TrainingFrame]]] = {}
+        for clip in clips:
+            alike.setdefault(len(clip), []).append(clip)
+        parts = [
+            {name: loss * (length * len(same) / frames) for name, loss in self._losses_together(same).items()}
+            for length, same in sorted(alike.items())
+        ]
+        return {name: torch.stack([part[name] for part in parts]).sum() for name in parts[0]}
+
+    def _losses_together(self, clips: Sequence[Sequence[TrainingFrame]]) -> dict[str, Tensor]:
+        config = self._sparse.config
+        frames = [frame for together in zip(*clips, strict=True) for frame in together]
+        device = next(self._sparse.parameters()).device
+        targets = Targets.of(frames, config.points_per_line, device)
+        seen = self.seen(frames, len(clips), targets)
+        found, matches = self._perception_losses([each.perceived for each in seen], targets)
+        planner = self._sparse.head.motion_plan_head
+        agents = _flattened([each.perceived.agents for each in seen])
+        tokens = torch.cat([each.planned.tokens[:, :-1] for each in seen]).flatten(0, 1)
+        last = Stage(agents.anchors[matches.queries], agents.logits[matches.queries], None)
+        matched = Decoded((last,), last.anchors, last.anchors)
+        found |= forecast_losses(
+            *planner.forecast(matched, tokens[matches.queries]),
+            planner.turned_anchors(matched),
+            targets.futures[matches.wanted],
+            targets.futures_valid[matches.wanted],
+        )
+        fronts = [each.planned.front for each in seen if each.planned.front is not None]
+        if fronts:
+            found |= mean_front_losses(torch.cat(fronts), frames)
+        found["status"] = status_loss(torch.cat([each.planned.status for each in seen]), targets)
+        anchors = planner.plan_anchor[targets.commands]
+        if isinstance(planner, DiffusionPlanner):
+            blocks = zip(*(each.cleaned for each in seen), strict=True)
+            cleaned = [
+                Cleaned(torch.cat([one.logits for one in same]), torch.cat([one.offsets for one in same]))
+                for same in blocks
+            ]
+            return found | summed([plan_losses(each.logits, each.offsets, anchors, targets) for each in cleaned])
+        queries = planner.plan_queries(torch.cat([each.planned.ego for each in seen])[:, None])
+        queries = queries[torch.arange(len(frames), device=device), targets.commands]
+        logits = planner.refinement.plan_cls_branch(queries)[..., 0]
+        offsets = planner.refinement.plan_reg_branch(queries).unflatten(-1, (-1, 2))
+        return found | plan_losses(logits, offsets, anchors, targets)
+
+    def _perception_losses(self, perceived: Sequence[Perceived], targets: Targets) -> tuple[dict[str, Tensor], Matches]:
+        """Losses of boxes and lines, and which boxes stand for which."""
+        return decoder_losses([each.agents for each in perceived], [each.lines for each in perceived], targets)
+
+    def seen(self, frames: Sequence[TrainingFrame], batch: int, targets: Targets) -> list[Seen]:
+        """Predictions for one key frame of each clip after the other.
+
+        `frames` are the first of each clip, then the second of each, and so are the results: of all first frames, of
+        all second ones.
+        """
+        head, device = self._sparse.head, targets.plans.device
+        planner = head.motion_plan_head
+        found: list[Seen] = []
+        for start, now in zip(range(0, len(frames), batch), self._perceived(frames, batch, device), strict=True):
+            past = found[-1] if found else None
+            motions = KeyframeMotions.between(past.perceived.poses, now.poses, device) if past else None
+            left = past.planned.left if past else None
+            queue = queued(planner, now.agents, now.front, left, motions)
+            planned = interacted(
+                planner,
+                head.det_head.anchor_encoder,
+                now.agents,
+                now.lines,
+                queue,
+                now.kept_agents,
+                now.finest_front,
+                left.front if left else None,
+            )
+            present = slice(start, start + batch)
+            cleaned = self._cleaned(now.views, planned, targets.commands[present], frames[present])
+            found.append(Seen(now, planned, cleaned))
+        return found
+
+    def _perceived(self, frames: Sequence[TrainingFrame], batch: int, device: torch.device) -> Iterator[Perceived]:
+        """Perception of one key frame of each clip after the other; arguments as of `seen`."""
+        network = self._sparse
+        images = miniature_images(torch.stack([frame.images for frame in frames]).flatten(0, 1).to(device))
+        maps = network.img_neck(network.img_backbone(images))
+        fronts = network.finest_front(maps[0], images)
+        past: Perceived | None = None
+        for start in range(0, len(frames), batch):
+            rows = slice(start * network.config.cameras, (start + batch) * network.config.cameras)
+            now = slice(start, start + batch)
+            past = perceived(network, [level[rows] for level in maps], fronts[now], frames[now], past)
+            yield past
+
+    def _cleaned(
+        self, views: CameraFeatures, planned: Interacted, commands: Tensor, frames: Sequence[TrainingFrame]
+    ) -> tuple[Cleaned, ...]:
+        planner = self._sparse.head.motion_plan_head
+        if not isinstance(planner, DiffusionPlanner):
+            return ()
+        noise = torch.stack([self.noise_of(frame) for frame in frames])
+        return tuple(denoised(planner, views, planned, commands, noise.to(commands.device)))
+
+    def noise_of(self, frame: TrainingFrame) -> Tensor:
+        """(modes, steps, 2) standard normal numbers that the plans of a key frame start with."""
+        config = self._sparse.config
+        return torch.randn((config.modes, config.steps, 2), generator=_generator(frame, "noise"))
+
+
+def network_inputs(frame: TrainingFrame) -> SparseInputs:
+    """Inputs that the planner would give the network for a key frame."""
+    return SparseInputs(
+        images=miniature_images(frame.images),
+        projections=frame.lidar2img,
+        timestamp_s=frame.timestamp_s,
+        global_T_lidar=frame.global_T_lidar,
+        command=frame.command,
+        scene_token=frame.scene,
+    )
+
+
+def _generator(frame: TrainingFrame, purpose: str) -> torch.Generator:
+    return torch.Generator().manual_seed(content_seed("sparse lesson", purpose, frame.scene, frame.index))
+
+
+def _flattened(agents: Sequence[Decoded]) -> Stage:
+    """The last stages of several key frames, (F * N, ...)."""
+    anchors = torch.cat([each.anchors.detach() for each in agents]).flatten(0, 1)
+    return Stage(anchors, torch.cat([each.stages[-1].logits for each in agents]).flatten(0, 1), None)
+
+
+PERCEPTION: Final = ("img_backbone", "img_neck", "head.det_head", "head.map_head")
+"""What stays as it is."""
+
+
+class PlannerObjective(SparseObjective):
+    """Forecasts and plans alone. Boxes and map elements of each key frame are found once, as when the network plans.
+
+    Nine tenths of a step of `SparseObjective` are images, boxes and lines.
+
+    A small network would know the frames by heart: some of what is remembered is forgotten anew in each step, and no
+    plan is learned where the past that the network has when it drives is missing, as in the first frame of a clip.
+    """
+
+    def __init__(self, network: SparseNetwork) -> None:
+        super().__init__(network)
+        for name in PERCEPTION:
+            network.get_submodule(name).requires_grad_(False)
+        if network.front_eyes is not None:
+            network.front_eyes.requires_grad_(False)
+        plans_look = isinstance(network.head.motion_plan_head, DiffusionPlanner)
+        self._cameras = network.config.cameras if plans_look else 0
+        self._memory: dict[tuple[str, int], Perceived] = {}
+
+    def look(self, store: Frames, frames: Sequence[int]) -> tuple[Frames, Sequence[int]]:
+        """As `adapters.extensions.training.frames.ForesightedObjective` describes."""
+        looked = LookedAt(store, frames, self._look)
+        return looked, weighed(looked, frames)
+
+    def _look(self, scene: Sequence[TrainingFrame]) -> None:
+        device = next(self.network.parameters()).device
+        with torch.no_grad():
+            for frame, seen in zip(scene, super()._perceived(scene, 1, device), strict=True):
+                self._memory[frame.scene, frame.index] = remembered(seen, self._cameras)
+
+    def losses_of(self, clips: Sequence[Sequence[TrainingFrame]]) -> dict[str, Tensor]:
+        """As `SparseObjective.losses_of`."""
+        return super().losses_of([[_without_plan(clip[0]), *clip[1:]] for clip in clips])
+
+    def _perceived(self, frames: Sequence[TrainingFrame], batch: int, device: torch.device) -> Iterator[Perceived]:
+        for start in range(0, len(frames), batch):
+            seen = together([self._memory[each.scene, each.index] for each in frames[start : start + batch]])
+            yield partly(seen, FORGOTTEN) if self.network.training else seen
+
+    def _perception_losses(self, perceived: Sequence[Perceived], targets: Targets) -> tuple[dict[str, Tensor], Matches]:
+        anchors, logits = (
+            torch.cat([getattr(each.agents, name) for each in perceived]) for name in ("anchors", "logits")
+        )
+        return {}, matches_of_boxes(Stage(anchors, logits, None), targets)
+
+
+def _without_plan(frame: TrainingFrame) -> TrainingFrame:
+    """The first frame of a clip: of its plan nothing is learned if it is not the first of its scene as well."""
+    return replace(frame, ego_future_valid=frame.ego_future_valid & (frame.index == 0))
+
 
 _ALL: Final = Recipe(
     steps=2600, learning_rate=1e-3, encoder_rate=0.3, warmup=60, average=0.995, clips=2, gradient_norm=10.0

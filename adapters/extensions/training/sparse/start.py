@@ -9,13 +9,13 @@ import torch
 from torch import Tensor, nn
 
 from adapters.extensions.training.frames import TrainingFrame
-from adapters.extensions.training.own_eyes import seen_with_own_eyes
+from adapters.extensions.training.front import seen_with_own_eyes
 from adapters.extensions.training.sparse.targets import FARTHEST_M
 from adapters.networks.sparse.aggregation import CameraSampling
 from adapters.networks.sparse.anchors import Sightings, anchors_of
 from adapters.networks.sparse.boxes import BoxRefinement
 from adapters.networks.sparse.config import SparseConfig
-from adapters.networks.sparse.lines import LineRefinement
+from adapters.networks.sparse.decoder import LineRefinement
 from adapters.networks.sparse.model import DiffusionDrive, SparseDrive, SparseNetwork
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed

@@ -1,9 +1,19 @@
-"""Losses of UniAD's heads for one key frame."""
+"""Losses of UniAD's heads for one key frame.
 
+What a training frame asks of UniAD, in the network's own conventions: boxes, forecasts, occupancy and masks.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from adapters.extensions.training.frames import DRIVABLE_HALF_M, TrainingFrame
+from adapters.extensions.training.image_encoder import miniature_images
 from adapters.extensions.training.losses import (
     FOCAL_GAMMA,
     Matches,
@@ -13,14 +23,194 @@ from adapters.extensions.training.losses import (
     dice_loss,
     focal_loss,
     match_boxes,
+    normalised_boxes,
     query_class_loss,
     trajectory_losses,
 )
-from adapters.extensions.training.uniad.targets import EGO_LABEL, Agents, Road
-from adapters.networks.uniad.bev import Detections
+from adapters.networks.layers.deformable_decoder import line_extent
+from adapters.networks.sparse.anchors import clustered
+from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.map_head import MapElements
-from adapters.networks.uniad.motion import Forecasts
-from adapters.networks.uniad.occupancy import Occupancy
+from adapters.networks.uniad.motion import GROUP_OF_CLASS, Forecasts
+from adapters.networks.uniad.occupancy import CELL_M, Occupancy
+from adapters.networks.uniad.planning import UniADInputs
+from adapters.networks.uniad.tracking import Detections
+from benchmark.constants import EGO_BODY_WIDTH_M, EGO_HEIGHT_M, EGO_LENGTH_M
+
+LINE_HALF_WIDTH_M = 1.5
+"""Cells of the bird's-eye view whose centres are not farther from a map element are in its mask."""
+EGO_MIDDLE_Z_M = -1.0
+"""Of the middle of the car over the lidar."""
+EGO_LABEL = 0
+"""The ego counts as a car."""
+
+
+def network_inputs(frame: TrainingFrame) -> UniADInputs:
+    """Inputs of the network for a training frame, as `UniADPlanner.inputs` gives them for the same sample.
+
+    On the device of the frame's images, which have the network's size.
+    """
+    return UniADInputs(
+        images=miniature_images(frame.images),
+        lidar2img=frame.lidar2img,
+        can_bus=frame.can_bus,
+        l2g_r_mat=frame.global_T_lidar[:3, :3].T.float(),
+        l2g_t=frame.global_T_lidar[:3, 3].float(),
+        timestamp=frame.timestamp_s,
+        command=frame.command,
+        scene_token=frame.scene,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Agents:
+    """G annotated agents in the perception range.
+
+    Codes (G, 10) are as the network predicts them; `boxes`, `futures` and `futures_valid` as in `TrainingFrame`.
+    """
+
+    codes: Tensor
+    labels: Tensor
+    instances: Tensor
+    boxes: Tensor
+    futures: Tensor
+    futures_valid: Tensor
+
+    @classmethod
+    def of(cls, frame: TrainingFrame, config: UniADConfig) -> "Agents":
+        """Agents of a frame whose centres are in the perception range."""
+        x_low, y_low, _, x_high, y_high, _ = config.perception_range_m
+        x, y = frame.boxes[:, 0], frame.boxes[:, 1]
+        near = (x > x_low) & (x < x_high) & (y > y_low) & (y < y_high)
+        return cls(
+            box_targets(frame.boxes[near], config),
+            frame.labels[near],
+            frame.instances[near],
+            frame.boxes[near],
+            frame.futures[near],
+            frame.futures_valid[near],
+        )
+
+
+def box_targets(boxes: Tensor, config: UniADConfig) -> Tensor:
+    """Codes, (N, 10), that the network should predict; see `adapters.networks.uniad.tracking.headings`.
+
+    `boxes` are (N, 9) as `TrainingFrame.boxes`.
+    """
+    yaw = boxes[:, 6:7] + math.pi / 2 if config.counterclockwise_yaw else -boxes[:, 6:7] - math.pi / 2
+    return normalised_boxes(torch.cat([boxes[:, :6], yaw, boxes[:, 7:]], 1))
+
+
+def ego_box(frame: TrainingFrame) -> Tensor:
+    """(1, 9) the ego as an agent; it moves as it did to the next key frame, or stands still where that is unknown."""
+    known = bool(frame.ego_future_valid[0])
+    velocity = frame.ego_future[0] / 0.5 if known else torch.zeros(2)
+    size = (EGO_LENGTH_M, EGO_BODY_WIDTH_M, EGO_HEIGHT_M)
+    return torch.tensor([[0.0, 0.0, EGO_MIDDLE_Z_M, *size, math.pi / 2, *velocity.tolist()]])
+
+
+def _inside(points: Tensor, boxes: Tensor) -> Tensor:
+    """Whether, (..., P), points are in boxes of (..., 5) centre x, y, length, width, heading."""
+    offset = points - boxes[..., None, :2]
+    cosine, sine = boxes[..., 4:5].cos(), boxes[..., 4:5].sin()
+    along = offset[..., 0] * cosine + offset[..., 1] * sine
+    across = offset[..., 1] * cosine - offset[..., 0] * sine
+    return (along.abs() <= boxes[..., 2:3] / 2) & (across.abs() <= boxes[..., 3:4] / 2)
+
+
+def occupancy_targets(agents: Agents, which: Tensor, config: UniADConfig) -> tuple[Tensor, Tensor]:
+    """Cells where V agents are, now and later.
+
+    (V, T, rows, columns) float32, 1 for cells whose centre is in the agent's box, and (V, T) where that is known.
+    """
+    side, steps = round(2 * config.occupancy_half_m / CELL_M), config.occupancy_steps
+    axis = (torch.arange(side) + 0.5) * CELL_M - config.occupancy_half_m
+    points = torch.stack(torch.meshgrid(axis, axis, indexing="xy"), -1).view(-1, 2)
+    now = agents.boxes[which][:, None, [0, 1, 6]]
+    places = torch.cat([now, agents.futures[which, : steps - 1]], 1)
+    sizes = agents.boxes[which][:, None, 3:5].expand(-1, steps, -1)
+    inside = _inside(points, torch.cat([places[..., :2], sizes, places[..., 2:]], -1))
+    valid = torch.cat([torch.ones(len(which), 1, dtype=torch.bool), agents.futures_valid[which, : steps - 1]], 1)
+    return inside.view(len(which), steps, side, side).float(), valid
+
+
+@dataclass(frozen=True, slots=True)
+class Road:
+    """M annotated map elements and the drivable area on the bird's-eye view.
+
+    Attributes:
+        labels: (M,) int64.
+        rectangles: (M, 4) centre x, y, width, height, 0 to 1 over the view.
+        masks: (M, cells) 0 or 1.
+        drivable: (cells,) 0 or 1.
+    """
+
+    labels: Tensor
+    rectangles: Tensor
+    masks: Tensor
+    drivable: Tensor
+
+    @classmethod
+    def of(cls, frame: TrainingFrame, config: UniADConfig) -> "Road":
+        """Map elements and drivable area of a frame."""
+        x_low, y_low, _, x_high, y_high, _ = config.perception_range_m
+        low, size = torch.tensor([x_low, y_low]), torch.tensor([x_high - x_low, y_high - y_low])
+        centres = config.grid.centres() * size + low
+        cell_m = 2 * DRIVABLE_HALF_M / len(frame.drivable)
+        place = ((centres + DRIVABLE_HALF_M) / cell_m).long().clamp(0, len(frame.drivable) - 1)
+        return cls(
+            frame.line_labels,
+            line_extent((frame.lines - low) / size).clamp(0, 1),
+            (_distances(centres, frame.lines) <= LINE_HALF_WIDTH_M).float(),
+            frame.drivable[place[:, 1], place[:, 0]].float(),
+        )
+
+
+def _distances(points: Tensor, lines: Tensor) -> Tensor:
+    """(P, 2) points and (M, N, 2) lines to (M, P) metres between them."""
+    start, step = lines[:, None, :-1], lines.diff(dim=1)[:, None]
+    offset = points[None, :, None] - start
+    share = ((offset * step).sum(-1) / (step * step).sum(-1).clamp(min=1e-9)).clamp(0, 1)
+    distance: Tensor = torch.linalg.vector_norm(offset - share[..., None] * step, dim=-1)
+    return distance.amin(-1)
+
+
+def query_places(frames: Iterable[TrainingFrame], config: UniADConfig) -> Tensor:
+    """Places for the queries, (queries, 3) metres in the lidar frame: where agents are in the training set."""
+    found = np.concatenate([Agents.of(frame, config).boxes[:, :3].numpy() for frame in frames])
+    return torch.from_numpy(clustered(found.astype(np.float64), config.queries, "agents")).float()
+
+
+def motion_anchors(frames: Iterable[TrainingFrame], config: UniADConfig) -> Tensor:
+    """Typical forecasts, (groups, modes, steps, 2) metres in the frames of agents, y forward, of groups of agents.
+
+    Of a group that is seen too rarely, those of vehicles.
+    """
+    groups: list[list[Tensor]] = [[] for _ in range(config.motion_groups)]
+    for frame in frames:
+        agents = Agents.of(frame, config)
+        offsets = agents.futures[..., :2] - agents.boxes[:, None, :2]
+        turn = math.pi / 2 - agents.boxes[:, 6]
+        cosine, sine = turn.cos()[:, None], turn.sin()[:, None]
+        x, y = offsets.unbind(-1)
+        own = torch.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
+        for label, future, valid in zip(agents.labels.tolist(), own, agents.futures_valid, strict=True):
+            if bool(valid.all()):
+                groups[GROUP_OF_CLASS[label]].append(future)
+    vehicles = _modes(groups[0], config)
+    return torch.stack(
+        [vehicles] + [_modes(found, config) if _varied(found, config) else vehicles for found in groups[1:]]
+    )
+
+
+def _varied(futures: list[Tensor], config: UniADConfig) -> bool:
+    return len(futures) > 0 and len(np.unique(torch.stack(futures).numpy(), axis=0)) >= config.modes
+
+
+def _modes(futures: list[Tensor], config: UniADConfig) -> Tensor:
+    found = torch.stack(futures) if futures else torch.zeros(0, config.forecast_steps, 2)
+    return torch.from_numpy(clustered(found.double().numpy(), config.modes, "forecasts of vehicles")).float()
+
 
 CODE_WEIGHTS = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.2, 0.2)
 CLASS_WEIGHT, BOX_WEIGHT = 2.0, 0.25

@@ -9,36 +9,30 @@ import torch
 from torch import Tensor, nn
 
 from adapters.extensions.training.dense_targets import dense_loss
-from adapters.extensions.training.frames import TrainingFrame
+from adapters.extensions.training.frames import TrainingFrame, turned_can_bus, untold
 from adapters.extensions.training.front import mean_front_losses
 from adapters.extensions.training.losses import Matches, aside_loss, plan_loss
-from adapters.extensions.training.plan_constraints import agent_constraint, boundary_constraint
-from adapters.extensions.training.plan_room import room_loss
-from adapters.extensions.training.turned_worlds import turned_can_bus, untold
+from adapters.extensions.training.plan_room import agent_constraint, boundary_constraint, room_loss
 from adapters.extensions.training.uniad.losses import (
+    Agents,
+    Road,
+    box_targets,
     detection_losses,
+    ego_box,
     forecast_losses,
     map_losses,
     matched_agents,
     matched_elements,
-    occupancy_loss,
-)
-from adapters.extensions.training.uniad.targets import (
-    Agents,
-    Road,
-    box_targets,
-    ego_box,
     network_inputs,
+    occupancy_loss,
     occupancy_targets,
 )
 from adapters.networks.layers.ego_motion import EgoMotion
 from adapters.networks.layers.front_reader import FRONT
-from adapters.networks.uniad.bev import Detections
-from adapters.networks.uniad.frames import UniADInputs
 from adapters.networks.uniad.model import Memory, UniAD
 from adapters.networks.uniad.motion import Forecasts
-from adapters.networks.uniad.planning import UniADPlan
-from adapters.networks.uniad.tracking import NO_TRACK, Boxes, Instances, Pose, decoded
+from adapters.networks.uniad.planning import UniADInputs, UniADPlan
+from adapters.networks.uniad.tracking import NO_TRACK, Boxes, Detections, Instances, Pose, decoded
 
 Stage = Literal["perception", "all"]
 """``perception``: tracks and map. ``all``: forecasts, occupancy and plan too."""

@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from adapters.extensions.training.dense_targets import CHANNELS, OFFSETS, dense_loss, offset_loss
-from adapters.extensions.training.frames import TrainingFrame
+from adapters.extensions.training.frames import TrainingFrame, turned_can_bus, untold
 from adapters.extensions.training.front import WEIGHTS as FRONT_WEIGHTS
 from adapters.extensions.training.front import front_losses
 from adapters.extensions.training.image_encoder import miniature_images
@@ -27,12 +27,15 @@ from adapters.extensions.training.losses import (
     query_class_loss,
     trajectory_losses,
 )
-from adapters.extensions.training.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
-from adapters.extensions.training.plan_room import room_loss
-from adapters.extensions.training.turned_worlds import turned_can_bus, untold
+from adapters.extensions.training.plan_room import (
+    agent_constraint,
+    boundary_constraint,
+    direction_constraint,
+    room_loss,
+)
 from adapters.networks.layers.ego_motion import EgoMotion
 from adapters.networks.vad.model import VAD, VADInputs
-from adapters.networks.vad.predictions import VADPredictions
+from adapters.networks.vad.selection import VADPredictions
 
 COARSE: Final = "lateral_convs.1."
 """Of the feature pyramid: what the finer map has in common with the coarse one stays while only that is learned."""

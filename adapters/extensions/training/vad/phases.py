@@ -1,12 +1,292 @@
-"""The parts of the training of VAD-mini: what ``challenger-bench train planner`` runs for it."""
+"""The parts of the training of VAD-mini: what ``challenger-bench train planner`` runs for it.
 
-from adapters.extensions.training.front import Eyes, front_phase, of_all_cameras
-from adapters.extensions.training.phases import Phase
-from adapters.extensions.training.trainer import Recipe
-from adapters.extensions.training.vad.objective import COARSE, VADObjective
-from adapters.extensions.training.vad.planner_objective import PlannerObjective
+How forecasts and the plan of VAD-mini learn from what frozen eyes have seen: dozens of frames a step.
+
+What an untrained VAD starts with, so that little time goes into learning where things can be at all.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from adapters.extensions.training.frames import FORGOTTEN, Frames, LookedAt, TrainingFrame, weighed
+from adapters.extensions.training.front import Eyes, eyes_of_sparse, front_phase, of_all_cameras, seen_with_own_eyes
+from adapters.extensions.training.trainer import Phase, Recipe
+from adapters.extensions.training.vad.objective import (
+    COARSE,
+    WEIGHTS,
+    Matched,
+    VADObjective,
+    forecast_losses,
+    inputs_of,
+    looked,
+    matched_agents,
+    plan_losses,
+)
+from adapters.networks.layers.deformable_decoder import logit
+from adapters.networks.layers.ego_motion import READ
 from adapters.networks.layers.front_reader import FrontReader
+from adapters.networks.sparse.anchors import clustered
+from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD
+from adapters.networks.vad.selection import VADSights
+from benchmark.machine.storage import content_seed
+
+RARE: Final = 0.02
+"""First score of every class: most queries are for nothing."""
+CAR_WIDTH_M: Final = 1.9
+CAR_LENGTH_M: Final = 4.6
+CAR_HEIGHT_M: Final = 1.7
+LINE_SHARE: Final = 0.2
+"""Length of the first lines, as a share of the perception range along y."""
+UNTOLD: Final = (0, 1, 2, 3, 4, 5, 6, 9, 16)
+"""Numbers of the CAN bus vector that say nothing of how the ego drives: where north is, and how strong gravity."""
+TURN_DEG: Final = 17
+SPEED: Final = READ[0]
+FASTEST_M_S: Final = 14.0
+"""About as fast as anybody drives in the embedded town."""
+QUIET: Final = 0.2
+"""First size of the learned contents of queries and cells, against that of a normal distribution."""
+LOUD: Final = 6**0.5
+"""From the usual first weights of a layer to those that keep the size of what they pass on (He et al., ICCV 2015)."""
+READER: Final = "pts_bbox_head.front_reader."
+"""How the names begin of what reads the map of the front camera."""
+_LATERAL: Final = "img_neck.lateral_convs"
+_OUTGOING: Final = "img_neck.fpn_convs"
+_LEVELS: Final = "pts_bbox_head.transformer.level_embeds"
+_LOOKS: Final = "attentions.1.deformable_attention."
+EDGE_SHARE: Final = 0.02
+"""What is nearer to the edge of the perception range, as a share of it, has no query of its own."""
+
+
+def untrained(config: VADConfig, frames: Sequence[TrainingFrame], seed: int) -> VAD:
+    """A small VAD before its training. A few hundred frames of the training data at least; images are not looked at."""
+    with torch.random.fork_rng(devices=()):
+        torch.manual_seed(content_seed("vad miniature", seed))
+        network = VAD(config)
+    (left, rear, _), (right, front, _) = config.perception_range_m[:3], config.perception_range_m[3:]
+    low, size = np.array([left, rear]), np.array([right - left, front - rear])
+    centres = np.concatenate([np.zeros((0, 2)), *(frame.boxes[:, :2].double().numpy() for frame in frames)])
+    centres = (centres - low) / size
+    near = ((centres > EDGE_SHARE) & (centres < 1 - EDGE_SHARE)).all(1)
+    middles = np.concatenate([np.zeros((0, 2)), *(frame.lines.mean(1).double().numpy() for frame in frames)])
+    set_first_values(
+        network,
+        torch.from_numpy(clustered(centres[near], config.agents, "boxes")).float(),
+        torch.from_numpy(clustered((middles - low) / size, config.map_instances, "map elements")).float(),
+        _mean_plans(frames, config.commands, config.steps),
+    )
+    return network
+
+
+def _mean_plans(frames: Sequence[TrainingFrame], commands: int, steps: int) -> Tensor:
+    """(commands, steps, 2) metres from step to step; zero for a command that is never given."""
+    found = torch.zeros(commands, steps, 2)
+    for command in range(commands):
+        recorded = [frame.ego_future for frame in frames if frame.command == command and frame.ego_future_valid.all()]
+        if recorded:
+            mean = torch.stack(recorded).mean(0)
+            found[command] = torch.diff(mean, dim=0, prepend=torch.zeros_like(mean[:1]))
+    return found
+
+
+def set_first_values(network: VAD, agents: Tensor, lines: Tensor, plans: Tensor) -> None:
+    """Put the queries where things are, and start from a car, from a line straight ahead, and from the mean plan.
+
+    The published training does without; it has thirty times the steps. Places of `agents` and of the middles of
+    `lines` are (N, 2) shares of the perception range; `plans` (commands, steps, 2) metres from step to step.
+    """
+    head, config = network.pts_bbox_head, network.config
+    with torch.no_grad():
+        positions = head.query_embedding.weight[:, : config.channels]
+        heights = torch.full_like(agents[:, :1], 0.5)
+        _solve(head.transformer.reference_points, positions, torch.cat([agents, heights], 1))
+        middles = head.map_instance_embedding.weight[:, : config.channels]
+        _solve(head.transformer.map_reference_points, middles, lines)
+        points = head.map_pts_embedding.weight
+        along = logit(0.5 + LINE_SHARE * torch.linspace(-0.5, 0.5, config.points_per_line))
+        wanted = torch.stack([torch.zeros_like(along), along], -1)
+        # The point's part of a query has to move its reference by so much, and is free otherwise.
+        weight = head.transformer.map_reference_points.weight.double()
+        missing = wanted - points[:, : config.channels].double() @ weight.T
+        points[:, : config.channels] += (missing @ torch.linalg.pinv(weight).T).float()
+        # What all frames have in common would drown what differs: the ego's speed reaches the plan as three per cent of
+        # its features otherwise, and is not learned in the time there is.
+        head.bev_embedding.weight *= QUIET
+        for queries in (head.query_embedding, head.map_instance_embedding, head.map_pts_embedding):
+            queries.weight[:, config.channels :] *= QUIET
+        head.motion_mode_query.weight *= QUIET
+        head.ego_query.weight *= QUIET
+        told = _linears(head.transformer.can_bus_mlp)[0]
+        told.weight[:, UNTOLD] = 0.0
+        told.weight[:, TURN_DEG] *= 0.1
+        # Each unit starts to speak, or falls silent, at a speed of its own.
+        told.bias.copy_(-told.weight[:, SPEED] * torch.linspace(0, FASTEST_M_S, len(told.bias)))
+        for branch in (*head.cls_branches, *head.map_cls_branches):
+            nn.init.constant_(_last(branch).bias, math.log(RARE / (1 - RARE)))
+        sizes = [math.log(size) for size in (CAR_WIDTH_M, CAR_LENGTH_M, CAR_HEIGHT_M)]
+        for branch in head.reg_branches:
+            _soften(_last(branch))
+            _last(branch).bias[[2, 3, 5]] = torch.tensor(sizes)
+        for branch in (*head.map_reg_branches, *head.traj_branches, head.ego_fut_decoder):
+            _soften(_last(branch))
+        planned, forecast = _linears(head.ego_fut_decoder), _linears(head.traj_branches[0])
+        for layer in (*planned[:-1], *_linears(head.agent_fus_mlp), *forecast[:-1]):
+            layer.weight *= LOUD
+        _last(head.ego_fut_decoder).bias.copy_(plans.flatten())
+        if head.front_reader is not None:
+            head.front_reader.say_nothing()
+
+
+def begun_from(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Weights that a miniature of VAD starts from, under the names of VAD.
+
+    All of those of a trained VAD (`grown`, `seen_with_own_eyes`); of a sparse miniature the eyes of its plan alone
+    (`eyes_of_sparse`).
+    """
+    return eyes_of_sparse(trunk, READER) or seen_with_own_eyes(grown(trunk))
+
+
+def grown(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Weights of a miniature that reads one feature map of an image, for one that reads a finer one as well.
+
+    The finer map starts as the coarse one in cells of half the size, and every look at an image is shared between the
+    two: the network begins as what it was, about. The finer map is first; weights of another network stay as they are.
+    """
+    found = dict(trunk)
+    if f"{_LATERAL}.0.conv.weight" not in trunk or f"{_LATERAL}.1.conv.weight" in trunk:
+        return found
+    for part in ("weight", "bias"):
+        coarse = trunk[f"{_LATERAL}.0.conv.{part}"]
+        found[f"{_LATERAL}.1.conv.{part}"] = coarse
+        # The finer stage has half the channels, and adds nothing yet.
+        found[f"{_LATERAL}.0.conv.{part}"] = torch.zeros_like(coarse[:, ::2] if part == "weight" else coarse)
+        found[f"{_OUTGOING}.1.conv.{part}"] = trunk[f"{_OUTGOING}.0.conv.{part}"]
+    found[_LEVELS] = trunk[_LEVELS].clone()
+    found[_LEVELS][1] = trunk[_LEVELS][0]
+    for name, value in trunk.items():
+        if _LOOKS not in name or name.endswith(("value_proj.weight", "value_proj.bias")):
+            continue
+        rows = value.view(VADConfig.miniature().heads, 1, -1, *value.shape[1:])
+        # Offsets are in cells, of which the finer map has twice as many.
+        finer = 2 * rows if "sampling_offsets" in name else rows
+        found[name] = torch.cat([finer, rows], 1).flatten(0, 2)
+    return found
+
+
+def _linears(module: nn.Module) -> list[nn.Linear]:
+    """The linear layers right inside a module, in their order."""
+    return [layer for layer in module.children() if isinstance(layer, nn.Linear)]
+
+
+def _last(branch: nn.Module) -> nn.Linear:
+    return _linears(branch)[-1]
+
+
+def _soften(layer: nn.Linear) -> None:
+    """A tenth of the weights, no bias: first guesses are near what the references say."""
+    layer.weight *= 0.1
+    nn.init.zeros_(layer.bias)
+
+
+def _solve(layer: nn.Linear, inputs: Tensor, shares: Tensor) -> None:
+    """The least weights that lead from `inputs` to the logits of `shares`."""
+    nn.init.zeros_(layer.bias)
+    # In double precision, as the last digits of single depend on where in memory things lie; so do the signs of zeros.
+    layer.weight.copy_(torch.linalg.lstsq(inputs.double(), logit(shares).double()).solution.T + 0.0)
+
+
+PERCEPTION: Final = (
+    "img_backbone",
+    "img_neck",
+    *(
+        f"pts_bbox_head.{name}"
+        for name in (
+            "positional_encoding",
+            "transformer",
+            "cls_branches",
+            "reg_branches",
+            "map_cls_branches",
+            "map_reg_branches",
+            "bev_embedding",
+            "query_embedding",
+            "map_instance_embedding",
+            "map_pts_embedding",
+        )
+    ),
+)
+"""What stays as it is."""
+
+
+class PlannerObjective:
+    """Forecasts and plans alone. Agents and lines of each key frame are found once, as when the network plans.
+
+    Nine tenths of a step of `adapters.extensions.training.vad.objective.VADObjective` are images and the bird's-eye
+    view. A small network would know the frames by heart: some of what is remembered is forgotten anew in each step, and
+    what is read in the front camera stays as it is.
+    """
+
+    clip_frames = 1
+
+    def __init__(self, network: VAD) -> None:
+        self.network = network
+        for name in PERCEPTION:
+            network.get_submodule(name).requires_grad_(False)
+        if network.front_eyes is not None:
+            network.front_eyes.requires_grad_(False)
+        reader = network.pts_bbox_head.front_reader
+        if reader is not None:
+            reader.only_tell()
+        self._memory: dict[tuple[str, int], tuple[VADSights, Matched]] = {}
+
+    def look(self, store: Frames, frames: Sequence[int]) -> tuple[Frames, Sequence[int]]:
+        """As `adapters.extensions.training.frames.ForesightedObjective` describes."""
+        seen = LookedAt(store, frames, self._look)
+        return seen, weighed(seen, frames)
+
+    def _look(self, scene: Sequence[TrainingFrame]) -> None:
+        network = self.network
+        previous: tuple[Tensor, Tensor] | None = None
+        front_before: Tensor | None = None
+        with torch.no_grad():
+            for frame in scene:
+                inputs = inputs_of(frame)
+                predictions, finest_front, motion = looked(network, inputs, previous, True)
+                previous = inputs.can_bus, predictions.bev
+                # Copies, so that what is no longer needed of the same tensors is let go.
+                sights = VADSights(
+                    agent_states=predictions.agent_states[-1].clone(),
+                    agent_places=predictions.agent_references[-1, :, :2].clone(),
+                    map_states=predictions.map_states[-1].clone(),
+                    map_points=predictions.map_points[-1].clone(),
+                    map_scores=predictions.map_class_logits[-1].sigmoid().amax(-1),
+                    finest_front=finest_front.clone(),
+                    can_bus=motion.can_bus,
+                    front_before=front_before,
+                )
+                if predictions.front is not None:
+                    front_before = FrontReader.left(predictions.front, front_before)
+                self._memory[frame.scene, frame.index] = sights, matched_agents(network, predictions, frame)
+
+    def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
+        """Losses of the last frame of a clip; weighted scalars by name."""
+        frame = clip[-1]
+        sights, matched = self._memory[frame.scene, frame.index]
+        if self.network.training:
+            agents, lines = (F.dropout(each, FORGOTTEN) for each in (sights.agent_states, sights.map_states))
+            sights = replace(sights, agent_states=agents, map_states=lines)
+        outlook = self.network.pts_bbox_head.look_ahead(sights)
+        found = {
+            **forecast_losses(self.network, outlook.mode_offsets, outlook.mode_logits, matched, frame),
+            **plan_losses(outlook.plan_offsets, outlook.front, frame),
+        }
+        return {name: WEIGHTS[name] * loss for name, loss in found.items()}
 
 
 def front_reader(network: VAD) -> FrontReader | None:

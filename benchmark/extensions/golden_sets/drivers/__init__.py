@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from benchmark.extensions.golden_sets.drivers.recorded import compare_encounters, compare_scenes
-from benchmark.extensions.golden_sets.drivers.straight_road import compare_functions, compare_straight
-from benchmark.extensions.golden_sets.drivers.tables import compare_tables
+from benchmark.extensions.golden_sets.drivers.tables import compare_functions, compare_straight, compare_tables
 from benchmark.verification.golden import GoldenSet
 
 BUILT_IN: Final = Path(__file__).parent / "golden" / "drivers"

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from benchmark.geometry import Floats
-from benchmark.interactions.rules import REACTION_S, STEP_S, rss_distance_along
+from benchmark.interactions.reaction import REACTION_S, STEP_S, rss_distance_along
 from benchmark.interactions.straight import LENGTH_M, WIDTH_M, OtherCar
 
 SIDE_M: Final = 1.6

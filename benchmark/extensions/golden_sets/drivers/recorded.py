@@ -4,11 +4,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.interactions.driving import Rung, Situation, drive
+from benchmark.interactions.driving import Rung, Situation, drive, first_visible
 from benchmark.interactions.golden import differ, encounter, fragile
 from benchmark.interactions.outcomes import Outcome, Surroundings
 from benchmark.interactions.reaction import Driver
-from benchmark.interactions.sight import first_visible
 from benchmark.interactions.tracks import Tracks
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays, GoldenFolder

@@ -10,13 +10,11 @@ from typing import Final
 import numpy as np
 
 from benchmark.constants import EGO_WHEELBASE_M
-from benchmark.extensions.golden_sets.pdm.golden_set import GoldenScene
-from benchmark.extensions.golden_sets.pdm.verdicts import ModeComparison, compare_filter
+from benchmark.extensions.golden_sets.pdm.golden_set import GoldenScene, ModeComparison, compare_filter
 from benchmark.geometry import Floats, to_global, wrap_angle
-from benchmark.pdm.comfort import history_rows
 from benchmark.pdm.definition import HEADING, STATE_COLUMNS, STATES
-from benchmark.pdm.motion import interpolated, reference_of, tracked
-from benchmark.pdm.road import footprints
+from benchmark.pdm.layers import footprints
+from benchmark.pdm.motion import history_rows, interpolated, reference_of, tracked
 from benchmark.pdm.traffic import at_states, touching_at_start
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenFolder, GoldenSet

@@ -1,4 +1,7 @@
-"""Golden files of the PDM sub-scores: scenes as plain arrays, plans, and what the official code says about them."""
+"""Golden files of the PDM sub-scores: scenes as plain arrays, plans, and what the official code says about them.
+
+Verdicts and scores of given motions against those of the official code; no verdict may differ.
+"""
 
 from itertools import pairwise
 from typing import Final
@@ -13,11 +16,25 @@ from benchmark.pdm.definition import (
     COMFORT_CENTER_AHEAD_M,
     LENGTH_M,
     STATE_COLUMNS,
+    STATES,
     WHEELBASE_M,
     WIDTH_M,
 )
-from benchmark.pdm.road import Layer, Road
-from benchmark.pdm.traffic import KeyFrames
+from benchmark.pdm.layers import Layer, Road
+from benchmark.pdm.motion import comfort_checks, disagreement, extended_comfort, history_rows
+from benchmark.pdm.scoring import (
+    FILTERED,
+    Judged,
+    SubScores,
+    Surroundings,
+    beside,
+    human_scores,
+    judged,
+    log_replay,
+    offsets,
+)
+from benchmark.pdm.traffic import KeyFrames, at_states
+from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays
 
 VEHICLE: Final = (LENGTH_M, WIDTH_M, CENTER_AHEAD_M, WHEELBASE_M, WHEELBASE_M, COMFORT_CENTER_AHEAD_M)
@@ -99,3 +116,133 @@ class GoldenScene:
             (Layer(names[layer]), Polygon(shells[number], holes.get(number, [])), bool(on_route))
             for number, (layer, on_route) in enumerate(zip(layers.tolist(), routed))
         ]
+
+
+APART: Final = 5
+"""States between the two samples of a pair."""
+VERDICTS: Final = ("nc", "dac", "ddc", "ttc", "lk", "hc")
+
+
+class ModeComparison:
+    """Comparison of the verdicts on motions of one kind, ``lqr`` or ``direct``."""
+
+    def __init__(self, comparison: Comparison, scene: GoldenScene, mode: str) -> None:
+        self.comparison, self.scene, self.mode = comparison, scene, mode
+
+    def compare(self, states: Floats) -> list[SubScores]:
+        """Compare all plans of all samples, of (S, P, 31, 11) motions.
+
+        Gives each sample's sub-scores, EP by the reference.
+        """
+        scene, found = self.scene, []
+        differences, ec = comfort_of_pairs(scene, states)
+        self.comparison.numbers("EC differences", differences, scene.by_plan(f"{self.mode}_ec_rms", 4))
+        self.comparison.same("EC", ec, scene.by_plan(f"{self.mode}_ec"))
+        for sample in range(scene.samples):
+            plans = judged(states[sample], np.zeros(scene.count, np.int64), surroundings(scene, sample))
+            self._events(sample, plans)
+            self._sub_scores(sample, plans)
+            found.append(self._totals(sample, plans, ec[sample]))
+        return found
+
+    def _official(self, sample: int, name: str, *shape: int) -> Floats:
+        return np.asarray(self.scene.by_plan(f"{self.mode}_{name}", *shape)[sample])
+
+    def _events(self, sample: int, plans: Judged) -> None:
+        """Areas at every state, and every contact with what was made of it."""
+        where, flags, same = plans.where, self.scene.flags_by_plan, self.comparison.same
+        areas = np.stack([where.multiple_lanes, where.non_drivable, where.oncoming], axis=-1)
+        same("areas", areas, flags(f"{self.mode}_areas", STATES, 3)[sample])
+        crossing = np.stack([where.center_in_intersection, where.axle_in_intersection], axis=-1)
+        same("in intersection", crossing, flags(f"{self.mode}_in_intersection", STATES, 2)[sample])
+        for name, events in (("nc", plans.collisions.events), ("ttc", plans.near_misses.events)):
+            official = self.scene.stored.integers(f"{self.mode}_{name}_events", None, events.shape[1] + 1)
+            theirs = official[official[:, 0] == sample, 1:]
+            other = set(map(tuple, events.tolist())) ^ set(map(tuple, theirs.tolist()))
+            wrong = np.arange(max(len(events), len(theirs), 1)) < len(other)
+            self.comparison.verdicts(f"{name.upper()} events", wrong)
+
+    def _sub_scores(self, sample: int, plans: Judged) -> None:
+        same, numbers, course = self.comparison.same, self.comparison.numbers, plans.course
+        for name in VERDICTS:
+            same(name.upper(), getattr(plans.scores, name), self._official(sample, name))
+        steps = self.scene.stored.integers
+        shape = (self.scene.samples, self.scene.count)
+        same("collision step", plans.collisions.step, steps(f"{self.mode}_collision_step", *shape)[sample])
+        same("TTC step", plans.near_misses.step, steps(f"{self.mode}_ttc_step", *shape)[sample])
+        checks = self.scene.flags_by_plan(f"{self.mode}_hc_checks", 6)[sample]
+        same("HC tests", comfort_checks(plans.extremes), checks)
+        numbers("HC extremes", plans.extremes, self._official(sample, "hc_extremes", 6, 2))
+        numbers("progress (m)", course.progress_m, self._official(sample, "progress_m"))
+        numbers("wrong way (m)", course.wrong_way_m, self._official(sample, "ddc_max_m"))
+        apart = offsets(plans.states, self.scene.route)
+        numbers("distance from route (m)", apart, self._official(sample, "lk_offset_m", STATES))
+
+    def _totals(self, sample: int, plans: Judged, ec: Floats) -> SubScores:
+        shape, recorded = self.scene.count, self.scene.recorded
+        progress_m = np.repeat(plans.course.progress_m[recorded], shape)
+        multiplier = np.repeat(plans.scores.multiplier[recorded], shape)
+        scores = beside(plans, progress_m, multiplier)
+        ours = {
+            "reference progress (m)": (progress_m, "reference_progress_m"),
+            "reference multiplier": (multiplier, "reference_multiplier"),
+            "EP": (scores.ep, "ep"),
+            "EP alone": (plans.scores.ep, "ep_alone"),
+            "multiplier": (scores.multiplier, "multiplier"),
+            "score without EC": (scores.score_without_ec, "score_without_ec"),
+            "score without EC, alone": (plans.scores.score_without_ec, "score_without_ec_alone"),
+            "score": (scores.score(ec), "score"),
+        }
+        for name, (values, array) in ours.items():
+            self.comparison.numbers(name, values, self._official(sample, array))
+        return scores
+
+
+def compare_filter(comparison: Comparison, scene: GoldenScene, states: Floats, scores: list[SubScores]) -> None:
+    """Compare the scores that forgive faults of the recorded driver; motions are (S, P, 31, 11), tracked."""
+    ec = comfort_of_pairs(scene, states)[1]
+    for sample, ours in enumerate(scores):
+        recorded = states[sample, scene.recorded][None]
+        human = human_scores(judged(recorded, np.zeros(1, np.int64), surroundings(scene, sample)))
+        for name in FILTERED:
+            official = scene.stored.floats(f"human_{name}", scene.samples)[sample]
+            comparison.verdicts("recorded driver", getattr(human, name) != official)
+        filtered = ours.forgiving(human.zeros())
+        columns = {f"filtered {name}": getattr(filtered, name) for name in FILTERED}
+        columns |= {"filtered multiplier": filtered.multiplier, "filtered score": filtered.score(ec[sample])}
+        for name, values in columns.items():
+            comparison.numbers(name, values, scene.by_plan(name.replace(" ", "_"))[sample])
+
+
+def comfort_of_pairs(scene: GoldenScene, states: Floats) -> tuple[Floats, Floats]:
+    """Differences (S, P, 4) and EC (S, P) of consecutive samples, the same for both."""
+    differences = np.zeros((scene.samples, scene.count, 4))
+    for number in np.unique(scene.pair):
+        earlier, later = np.flatnonzero(scene.pair == number)
+        differences[[earlier, later]] = disagreement(states[earlier], states[later], APART)
+    return differences, extended_comfort(differences)
+
+
+def surroundings(scene: GoldenScene, sample: int) -> Surroundings:
+    """Surroundings that the plans of one sample of a scene are judged by."""
+    frames = scene.key_frames
+    start, stop = int(frames.offsets[sample]), int(frames.offsets[sample + 1])
+    some = slice(start, stop)
+    of_sample = KeyFrames(
+        np.array([0, stop - start]),
+        frames.box[some],
+        frames.size[some],
+        frames.annotated[some],
+        frames.velocity[some],
+        frames.is_agent[some],
+        frames.number[some],
+    )
+    now = scene.now[sample][None]
+    return Surroundings(
+        now=now,
+        history=history_rows(scene.history[sample][None]),
+        has_history=np.ones(1, np.bool_),
+        traffic=log_replay(at_states(of_sample), now),
+        road=scene.road(sample),
+        route=scene.route,
+    )

@@ -3,11 +3,9 @@
 from pathlib import Path
 from typing import Final
 
-from benchmark.extensions.golden_sets.protocols.aggregate_file import compare_rate_file
-from benchmark.extensions.golden_sets.protocols.aggregates import Judged, compare_rates
+from benchmark.extensions.golden_sets.protocols.aggregates import Judged, compare_rate_file, compare_rates
 from benchmark.extensions.golden_sets.protocols.golden_set import golden_inputs, read_golden_scene, remarks
-from benchmark.extensions.golden_sets.protocols.official import compare_official
-from benchmark.extensions.golden_sets.protocols.official_more import compare_further, judged_further
+from benchmark.extensions.golden_sets.protocols.official import compare_further, compare_official, judged_further
 from benchmark.extensions.golden_sets.protocols.polygons import compare_polygons
 from benchmark.protocols import PROTOCOLS, STANDARD
 from benchmark.verification.checks import Comparison

@@ -1,5 +1,9 @@
-"""Verdicts and values of each sample, plan and step against those of the official code."""
+"""Verdicts and values of each sample, plan and step against those of the official code.
 
+Verdicts and values of the further protocols against those of the official code: sets with roads and the past.
+"""
+
+import zlib
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -9,7 +13,7 @@ from numpy.typing import NDArray
 from benchmark.constants import PLAN_STEPS
 from benchmark.extensions.golden_sets.protocols.golden_set import GoldenScene
 from benchmark.geometry import Bools, Floats
-from benchmark.protocols import PROTOCOLS, Outcomes, raster
+from benchmark.protocols import PROTOCOLS, Outcomes, bev_planner, fine_grid, omnidrive, raster, stp3
 from benchmark.protocols.raster import CELLS
 from benchmark.protocols.stacked import StackedTruths, stack
 from benchmark.verification.checks import Comparison
@@ -146,3 +150,214 @@ def at_horizons(name: str, judged: list[Outcomes]) -> dict[str, Floats]:
     """(S, P, 3) each column of the values at 1, 2 and 3 s."""
     found = [PROTOCOLS[name].sample_values(one) for one in judged]
     return {column: np.stack([one[column] for one in found], axis=1) for column in found[0]}
+
+
+ON_RASTERS: Final = {
+    "agent-driver": "ad_uniad",
+    "agent-driver-stp3": "ad_stp3",
+    "opendrivevla": "od_vehicle",
+    "opendrivevla-stp3": "od_all",
+}
+LATCHED: Final = {"safemvdrive": "smv_raster", "safemvdrive-box": "smv_box", "safemvdrive-box-all": "smv_box_all"}
+FURTHER: Final = ("stp3", "bev-planner", *ON_RASTERS, *LATCHED)
+"""Protocols that judge the plans as they are; ``omnidrive`` is compared on plans that the set has in its form."""
+TEXT, UNROUNDED = "omnidrive", "omnidrive, unrounded"
+
+
+def judged_further(scene: GoldenScene) -> dict[str, list[Outcomes]]:
+    """For each further protocol its verdicts on each of the P plans; OmniDrive's also on plans that are not text."""
+    plans = range(len(scene.plan_names))
+    found = {name: [PROTOCOLS[name].evaluate(scene.truths, scene.plans[:, at]) for at in plans] for name in FURTHER}
+    truths, shape = stack(scene.truths), scene.plans.shape[:3]
+    recorded = scene.inputs.floats("ego_fut_axle", shape[0], shape[2], 2)
+    for name, array in {TEXT: "omni_plans_text", UNROUNDED: "omni_plans"}.items():
+        paths = scene.inputs.floats(array, *shape, 2)
+        found[name] = [_omnidrive().judged(truths, paths[:, at], recorded) for at in plans]
+    return found
+
+
+def compare_further(comparison: Comparison, scene: GoldenScene, outcomes: Mapping[str, list[Outcomes]]) -> None:
+    """Compare all further protocols on a scene with roads; ``outcomes`` are of `judged_further`."""
+    official, stacked = scene.official, stack(scene.truths)
+    _compare_stp3(comparison, official, stacked, outcomes["stp3"])
+    _compare_bev_planner(comparison, official, stacked, outcomes["bev-planner"])
+    _compare_omnidrive(comparison, scene, stacked, outcomes)
+    for name, prefix in ON_RASTERS.items():
+        _compare_on_rasters(comparison, official, stacked, name, prefix, outcomes[name])
+    for name, prefix in LATCHED.items():
+        _compare_latched(comparison, official, stacked, name, prefix, outcomes[name])
+
+
+def _compare_stp3(
+    comparison: Comparison, official: GoldenArrays, truths: StackedTruths, judged: list[Outcomes]
+) -> None:
+    counted = official.verdicts("stp3_valid", len(truths.ego_future))
+    comparison.same("stp3 samples that count", judged[0].counted, counted)
+    ours = {
+        "stp3 before the mask": (on_all(judged, "before_mask"), "stp3_raw_box"),
+        "stp3 of the recorded ego": (judged[0].step("recorded"), "stp3_gt_box"),
+        "stp3 obj_box_col": (on_all(judged), "stp3_obj_box_col"),
+        "stp3 obj_col": (on_all(judged, "obj_col"), "stp3_obj_col"),
+    }
+    compare_equal(comparison, official, ours, counted)
+    compare_l2(comparison, official, "stp3 L2 (m)", judged, "stp3_L2", counted)
+    comparison.same(
+        "stp3 raster cells", warped_cells(truths), stored_rasters(official, "stp3_seg_bits", len(counted)), counted
+    )
+    table, values = official.floats("stp3_table", len(judged), 3, 3), at_horizons("stp3", judged)
+    if counted.any():
+        means = [values[column][counted].mean(axis=0) for column in ("obj_col", "collision", "l2")]
+        comparison.numbers("stp3 table, fractions and m", np.stack(means, axis=-1), table)
+
+
+def warped_cells(truths: StackedTruths) -> NDArray[np.uint8]:
+    """Rasters of ``stp3`` in the present frame: (S, 6, 200, 200), 1 where occupied; row is forward, column is left."""
+    definition = PROTOCOLS["stp3"]
+    assert isinstance(definition, stp3.STP3)
+    samples = len(truths.ego_future)
+    drawn = raster.full_rasters(*stp3.drawn_polygons(definition, truths), samples * 6).reshape(samples, 6, 200, 200)
+    rows, columns = np.mgrid[: raster.CELLS, : raster.CELLS]
+    motions = stp3.warps(truths.axle_poses)
+    found = np.zeros_like(drawn)
+    for sample, step in np.ndindex(samples, 6):
+        row, column = stp3.before_warp(rows, columns, *(part[sample, step] for part in motions))
+        inside = (row >= 0) & (row < raster.CELLS) & (column >= 0) & (column < raster.CELLS)
+        found[sample, step][inside] = drawn[sample, step][row[inside], column[inside]]
+    return found
+
+
+def _compare_bev_planner(
+    comparison: Comparison, official: GoldenArrays, truths: StackedTruths, judged: list[Outcomes]
+) -> None:
+    valid = truths.ego_future_valid
+    counted = official.verdicts("bevp_valid", len(valid))
+    comparison.same("bev-planner samples that count", judged[0].counted, counted)
+    of_plans = {
+        "bev-planner before the mask": (on_all(judged, "before_mask"), "bevp_raw_box"),
+        "bev-planner kerb before the mask": (on_all(judged, "kerb_before_mask"), "bevp_raw_boundary"),
+    }
+    of_ego = {
+        "bev-planner of the recorded ego": (judged[0].step("recorded"), "bevp_gt_box"),
+        "bev-planner kerb of the recorded ego": (judged[0].step("kerb_recorded"), "bevp_gt_boundary"),
+    }
+    for (quantity, (ours, array)), own in zip(of_plans.items(), of_ego.items()):
+        golden = official.floats(array, *ours.shape)
+        comparison.same(quantity, np.moveaxis(ours, -1, 1), np.moveaxis(golden, -1, 1), valid)
+        compare_equal(comparison, official, dict([own]), valid)
+    values = at_horizons("bev-planner", judged)
+    shares = {"obj_box_col": "collision", "obj_col": "obj_col", "boundary_box_col": "kerb"}
+    equal = {f"bev-planner {array} at 1, 2, 3 s": (values[name], f"bevp_{array}") for array, name in shares.items()}
+    compare_equal(comparison, official, equal, counted)
+    for array, name, unit in (("boundary_col", "kerb_point", ""), ("L2", "l2", " (m)")):
+        golden = official.floats(f"bevp_{array}", *values[name].shape)
+        comparison.numbers(f"bev-planner {array} at 1, 2, 3 s{unit}", values[name][counted], golden[counted])
+    path = official.floats("bevp_gt", *valid.shape, 2)
+    recorded = bev_planner.forward_left(truths.ego_future[..., :2])
+    comparison.numbers("bev-planner recorded path (m)", recorded[valid], path[valid])
+    definition = PROTOCOLS["bev-planner"]
+    assert isinstance(definition, bev_planner.BEVPlanner)
+    polygons, place_of = bev_planner.drawn_polygons(definition, truths)
+    sums = official.integers("bevp_seg_crc", *valid.shape)
+    drawn = [_checksum(fine_grid.fill, polygons[place_of == place]) for place in np.flatnonzero(valid).tolist()]
+    comparison.same("bev-planner rasters", np.array(drawn, np.int64), sums[valid])
+    kerbs = [_checksum(fine_grid.outline, bev_planner.kerb_cells(roads)) for roads in truths.roads if roads is not None]
+    comparison.same("bev-planner kerb rasters", kerbs, official.integers("bevp_boundary_crc", len(valid)))
+
+
+def _compare_omnidrive(
+    comparison: Comparison, scene: GoldenScene, truths: StackedTruths, outcomes: Mapping[str, list[Outcomes]]
+) -> None:
+    official, valid = scene.official, truths.ego_future_valid
+    counted = official.verdicts("omni_valid", len(valid))
+    for name, prefix in {TEXT: "omni_text", UNROUNDED: "omni"}.items():
+        judged = outcomes[name]
+        comparison.same(f"{name} samples that count", judged[0].counted, counted)
+        flags = {
+            f"{name} before the mask": (on_all(judged, "before_mask"), f"{prefix}_raw_box"),
+            f"{name} off the road": (on_all(judged, "off_road"), f"{prefix}_raw_out"),
+        }
+        compare_equal(comparison, official, flags)
+        values = at_horizons("omnidrive", judged)
+        shares = {
+            f"{name} obj_box_col at 1, 2, 3 s": (values["collision"], f"{prefix}_obj_box_col"),
+            f"{name} boundary at 1, 2, 3 s": (values["off_road"], f"{prefix}_boundary"),
+        }
+        compare_equal(comparison, official, shares, counted)
+        golden = official.floats(f"{prefix}_L2", *values["l2"].shape)[counted]
+        comparison.numbers(f"{name} L2 at 1, 2, 3 s (m)", values["l2"][counted], golden)
+    first = outcomes[TEXT][0]
+    ours = {"omnidrive of the recorded ego": (first.step("recorded"), "omni_gt_box")}
+    compare_equal(comparison, official, ours, valid)
+    off_now = np.array(first.facts["on_road_now"], np.float64) == 0.0
+    compare_equal(comparison, official, {"omnidrive off the road now": (off_now, "omni_rec_out")})
+    path = scene.inputs.floats("ego_fut_axle", *valid.shape, 2)
+    comparison.numbers("omnidrive recorded path (m)", truths.axle_future[valid], path[valid])
+    _compare_omnidrive_plans(comparison, scene, truths)
+    polygons, place_of = omnidrive.drawn_polygons(_omnidrive(), truths)
+    wanted = official.integers("omni_seg_crc", len(valid), valid.shape[1] + 1)[:, 1:].reshape(-1)
+    found = [_checksum(fine_grid.fill, polygons[place_of == place]) for place in range(len(wanted))]
+    comparison.same("omnidrive rasters", found, wanted)
+
+
+def _compare_omnidrive_plans(comparison: Comparison, scene: GoldenScene, truths: StackedTruths) -> None:
+    """The way from a plan of the lidar to one of the rear axle, and from that to text."""
+    shape = scene.plans.shape[:3]
+    wanted, text = (scene.inputs.floats(name, *shape, 2) for name in ("omni_plans", "omni_plans_text"))
+    moved = [omnidrive.axle_path(scene.plans[:, at], truths.ahead_m) for at in range(shape[1])]
+    comparison.numbers("omnidrive plan of the rear axle (m)", np.stack(moved, axis=1), wanted)
+    comparison.same("omnidrive plan as text", omnidrive.written(wanted), text)
+
+
+def _compare_on_rasters(
+    comparison: Comparison,
+    official: GoldenArrays,
+    truths: StackedTruths,
+    name: str,
+    prefix: str,
+    judged: list[Outcomes],
+) -> None:
+    # UniAD's stored raster is full past the end of a scene, so both flags are up there; ours say nothing there.
+    full = ~truths.ego_future_valid & (prefix in ("ad_uniad", "od_vehicle"))
+    ours = {
+        f"{name} before the mask": (on_all(judged, "before_mask") | full[:, None], f"{prefix}_raw_box"),
+        f"{name} of the recorded ego": (judged[0].step("recorded") | full, f"{prefix}_gt_box"),
+        f"{name} obj_box_col": (on_all(judged), f"{prefix}_obj_box_col"),
+        f"{name} obj_col": (on_all(judged, "obj_col"), f"{prefix}_obj_col"),
+    }
+    compare_equal(comparison, official, ours)
+    compare_l2(comparison, official, f"{name} L2 (m)", judged, f"{prefix}_L2", np.ones(len(full), np.bool_))
+
+
+def _compare_latched(
+    comparison: Comparison,
+    official: GoldenArrays,
+    truths: StackedTruths,
+    name: str,
+    prefix: str,
+    judged: list[Outcomes],
+) -> None:
+    counted, on_raster = official.verdicts(f"{prefix}_counted", len(truths.ego_future)), prefix == "smv_raster"
+    comparison.same(f"{name} samples that count", judged[0].counted, counted)
+    ours = {f"{name} latched": (on_all(judged), f"{prefix}_obj_box_col")}
+    if on_raster:
+        ours[f"{name} obj_col"] = (on_all(judged, "obj_col") & counted[:, None, None], f"{prefix}_obj_col")
+        steps = on_all(judged, "at_step")
+        golden = official.floats(f"{prefix}_raw_box", *steps.shape)
+        comparison.same(
+            f"{name} at the step", np.moveaxis(steps, -1, 1), np.moveaxis(golden, -1, 1), truths.ego_future_valid
+        )
+    compare_equal(comparison, official, ours)
+    distances = np.stack([one.l2 for one in judged], axis=1) * (counted | on_raster)[:, None, None]
+    comparison.numbers(f"{name} L2 (m)", distances, official.floats(f"{prefix}_L2", *distances.shape))
+
+
+def _omnidrive() -> omnidrive.OmniDrive:
+    definition = PROTOCOLS["omnidrive"]
+    assert isinstance(definition, omnidrive.OmniDrive)
+    return definition
+
+
+def _checksum(draw: Any, shapes: NDArray[np.int32]) -> int:
+    grid = np.zeros((fine_grid.CELLS, fine_grid.CELLS), np.uint8)
+    draw(grid, shapes)
+    return zlib.crc32(np.packbits(grid).tobytes())

@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.fairness.divergence import equal_bins, quantile_bins, w1
 from benchmark.fairness.features import FEATURES, Integers, Run, recorded_runs, runs_of
+from benchmark.fairness.realism import equal_bins, quantile_bins, w1
 from benchmark.geometry import Floats
 from benchmark.interactions.tracks import Tracks
 from benchmark.verification.checks import Comparison

@@ -7,9 +7,12 @@ rest are the numbers of another implementation of the definitions in `docs/sever
 from pathlib import Path
 from typing import Final
 
-from benchmark.extensions.golden_sets.severity.chances import compare_last_chances, compare_manoeuvres
-from benchmark.extensions.golden_sets.severity.contacts import compare_contacts
-from benchmark.extensions.golden_sets.severity.encounters import compare_encounters
+from benchmark.extensions.golden_sets.severity.quantities import (
+    compare_contacts,
+    compare_encounters,
+    compare_last_chances,
+    compare_manoeuvres,
+)
 from benchmark.interactions.golden import SAME_TIME_S
 from benchmark.verification.golden import GoldenSet
 

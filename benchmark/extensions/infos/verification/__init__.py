@@ -6,8 +6,7 @@ from typing import Final
 
 from benchmark.extensions.infos.exporting import InfoSettings, info_files
 from benchmark.extensions.infos.repositories import REPOSITORIES
-from benchmark.extensions.infos.verification.comparison import InfoComparison
-from benchmark.extensions.infos.verification.golden_set import MANIFEST, GoldenInfos
+from benchmark.extensions.infos.verification.comparison import MANIFEST, GoldenInfos, InfoComparison
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenFolder, GoldenSet
 

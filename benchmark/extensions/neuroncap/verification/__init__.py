@@ -7,11 +7,9 @@ recorded plans.
 from pathlib import Path
 from typing import Final
 
-from benchmark.extensions.neuroncap.verification.decisions import compare_commands, compare_contacts
-from benchmark.extensions.neuroncap.verification.drawn import compare_scenarios
-from benchmark.extensions.neuroncap.verification.driving import compare_driving
+from benchmark.extensions.neuroncap.verification.drawn import compare_commands, compare_contacts, compare_scenarios
+from benchmark.extensions.neuroncap.verification.driving import compare_aggregates, compare_driving
 from benchmark.extensions.neuroncap.verification.loops import compare_loops
-from benchmark.extensions.neuroncap.verification.tables import compare_aggregates
 from benchmark.verification.golden import GoldenSet
 
 BUILT_IN: Final = Path(__file__).parent / "golden" / "neuroncap"

@@ -1,20 +1,89 @@
-"""The car: every sub-step of plans of all kinds, as the published code drives them and in double precision."""
+"""The car: every sub-step of plans of all kinds, as the published code drives them and in double precision.
 
-from collections.abc import Iterator
+Aggregates, and what keeps runs from being aggregated.
+
+Files of a golden set of NeuroNCAP: what more they hold than other golden sets do.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
+from benchmark.errors import InputError
 from benchmark.extensions.neuroncap.actors import Integers
-from benchmark.extensions.neuroncap.car import Car
+from benchmark.extensions.neuroncap.contact import Car
 from benchmark.extensions.neuroncap.recording import CAN_COLUMNS
 from benchmark.extensions.neuroncap.vehicle import STEP_US, SUBSTEPS, DrivenStep, Vehicle, driven
-from benchmark.extensions.neuroncap.verification.golden_set import beyond_single, plans_of
 from benchmark.geometry import Floats, wrap_angle
-from benchmark.records.neuroncap_switches import CODE, Switches
+from benchmark.records.neuroncap_aggregate import CODE, Switches, aggregated, why_invalid
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays, GoldenFolder
+
+_NAN: Final = "nan"
+
+
+def plans_of(stored: GoldenArrays, name: str, counts: list[int]) -> list[Floats]:
+    """Plans of so many waypoints each, which are padded to the longest."""
+    padded = stored.floats(name, len(counts), None, 2, gaps=True)
+    plans = [plan[:count] for plan, count in zip(padded, counts)]
+    if [len(plan) for plan in plans] != counts or not all(np.isfinite(plan).all() for plan in plans):
+        raise ValueError(f"array {name} has fewer waypoints than counted, NaN or infinity in it")
+    return plans
+
+
+def with_nan(value: Any) -> Any:
+    """Values of a JSON file, with NaN for the word ``nan``."""
+    if isinstance(value, dict):
+        return {name: with_nan(inner) for name, inner in value.items()}
+    return float("nan") if value == _NAN else value
+
+
+def beyond_single(ours: Floats, golden: Floats) -> Floats:
+    """Size of a difference of numbers that both were rounded to single precision, as far as rounding cannot make it."""
+    step = np.spacing(np.abs(golden).astype(np.float32)).astype(np.float64)
+    return np.asarray(np.maximum(np.abs(ours - golden) - step, 0.0))
+
+
+_VALID = "passes"
+
+
+def compare_aggregates(comparison: Comparison, folder: GoldenFolder) -> None:
+    """Compare all sets of runs."""
+    for case in folder.facts("aggregate.json", gaps=True)["cases"]:
+        runs, at = with_nan(case["runs"]), comparison.at(case["name"], "aggregate: ")
+        why, golden = why_invalid(runs), case["check_validity"]
+        at.verdicts("is it complete", (why is None) != (golden == _VALID))
+        if why is not None and golden != _VALID:
+            at.verdicts("what is incomplete", why.split(" ")[0] not in golden)
+        try:
+            table = aggregated(runs, CODE)
+        except InputError:
+            at.verdicts("is it refused", "error" not in case)
+            continue
+        at.verdicts("is it refused", "error" in case)
+        if "error" in case:
+            continue
+        for level in ("per_sequence", "per_type", "overall"):
+            ours, theirs = _flat(getattr(table, level)), _flat(with_nan(case[level]))
+            wrong = [not _same(ours.get(key), theirs.get(key)) for key in {*ours, *theirs}]
+            at.verdicts(level.replace("_", " "), wrong)
+
+
+def _flat(table: Mapping[str, Any], before: tuple[str, ...] = ()) -> dict[tuple[str, ...], Any]:
+    found: dict[tuple[str, ...], Any] = {}
+    for name, value in table.items():
+        found |= _flat(value, (*before, name)) if isinstance(value, Mapping) else {(*before, name): value}
+    return found
+
+
+def _same(ours: Any, golden: Any) -> bool:
+    if ours is None or golden is None:
+        return False
+    return bool(ours == golden) or (math.isnan(ours) and isinstance(golden, float) and math.isnan(golden))
+
 
 STATE_COLUMNS: Final = (
     "x",

@@ -1,9 +1,12 @@
-"""`verify model --model magicdrive`: the network, its guidance and its sampler against numbers of the official code."""
+"""`verify model --model magicdrive`: the network, its guidance and its sampler against numbers of the official code.
+
+What golden sets of MagicDriveDiT store, each computed by the network here.
+"""
 
 import copy
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -17,19 +20,213 @@ from benchmark.machine.devices import single_precision
 from benchmark.verification.checks import Check, Comparison
 from benchmark.verification.filled_networks import NAMES, fill, same_names_and_shapes
 from benchmark.verification.golden import GoldenArrays, GoldenFolder, GoldenSet
+from generation.extensions.magicdrive.conditions import Conditions, TextStates
 from generation.extensions.magicdrive.config import MagicDriveConfig
-from generation.extensions.magicdrive.model import MagicDriveDiT
-from generation.extensions.magicdrive.sampling import timesteps
-from generation.extensions.magicdrive.verification.golden_set import MagicDriveSet
-from generation.extensions.magicdrive.verification.quantities import (
-    ENCODERS,
-    EVALUATIONS,
-    HALF_PRECISION,
-    LARGE,
-    SAMPLES,
-    SCHEDULES,
-    Clips,
+from generation.extensions.magicdrive.encoders import HIDDEN_BOX
+from generation.extensions.magicdrive.layers import rounded_to_bfloat16
+from generation.extensions.magicdrive.model import Encoded, MagicDriveDiT
+from generation.extensions.magicdrive.sampling import (
+    GivenFrames,
+    GuidanceMode,
+    GuidedModel,
+    SamplingOptions,
+    SamplingState,
+    null_conditions,
+    sample,
+    timesteps,
 )
+from generation.extensions.magicdrive.verification.golden_set import Case, MagicDriveSet
+
+STEPS: Final = 4
+REAL_INTRINSICS: Final = 100.0
+"""By how much the intrinsic matrices of the set are smaller than real ones."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clips:
+    """The network with the weights of a set, and the set's clips.
+
+    ``rounded`` is the same network with weights, inputs and frequencies rounded to bfloat16.
+    """
+
+    network: MagicDriveDiT
+    rounded: MagicDriveDiT
+    golden: MagicDriveSet
+
+    def case(self, name: str = "A", *, negative: bool = False) -> Case:
+        """A clip on the network's device, without its negative prompt if that is not asked for."""
+        case, device = self.golden.case(name), self.network.base_token.device
+        conditions = case.conditions if negative else replace(case.conditions, negative_text=None)
+        return Case(conditions.to(device), case.latent.to(device), case.timestep.to(device))
+
+    def forward(self, name: str, rows_multiple: int = 1) -> Tensor:
+        """One evaluation."""
+        case = self.case(name)
+        encoded = self.network.encode(case.conditions, rows_multiple=rows_multiple)
+        return self.evaluated(case, encoded)
+
+    def evaluated(self, case: Case, encoded: Encoded, given: Tensor | None = None) -> Tensor:
+        """One evaluation of something that is encoded."""
+        out: Tensor = self.network(case.latent, case.timestep, encoded, given)
+        return out
+
+    def without_frames(self, first: int, last: int) -> Case:
+        """Clip A with ego motion and boxes of some frames dropped, as in training."""
+        case = self.case()
+        masks, ego = case.conditions.masks.clone(), case.conditions.rel_pos.clone()
+        masks[:, first : last + 1][masks[:, first : last + 1] == 1] = HIDDEN_BOX
+        ego[first : last + 1, :3] = self.network.frame_embedder.uncond_cam
+        return replace(case, conditions=replace(case.conditions, masks=masks, rel_pos=ego))
+
+    def without_conditions(self) -> Case:
+        """Clip A with prompt, camera, boxes and ego motion dropped, as in training; the map stays."""
+        case = self.without_frames(0, self.case().conditions.frames - 1)
+        prompt = self.network.y_embedder.y_embedding
+        camera = self.network.camera_embedder.uncond_cam.expand_as(case.conditions.cams)
+        text = TextStates(prompt, torch.ones(len(prompt), dtype=torch.bool))
+        return replace(case, conditions=replace(case.conditions, text=text, cams=camera))
+
+    def branches(self, mode: GuidanceMode, *, together: bool, negative: bool = False) -> tuple[Tensor, Tensor]:
+        """Both branches of guidance."""
+        case = self.case(negative=negative)
+        guided = GuidedModel.of(self.network, case.conditions, mode=mode, together=together)
+        return guided.branches(case.latent, case.timestep)
+
+    def sampled(
+        self, mode: GuidanceMode, *, together: bool = False, negative: bool = False, given: bool = False
+    ) -> Tensor:
+        """Latents after four steps."""
+        case = self.case(negative=negative)
+        known = None
+        if given:
+            reference = self.golden.numbers("A.in.ref", *case.latent.shape[1:])[None]
+            generate = self.golden.outputs.floats("sample_firstframe_mask", 1, case.latent.shape[2])[0]
+            known = GivenFrames(reference, torch.from_numpy(generate))
+        options = SamplingOptions(steps=STEPS, mode=mode, together=together)
+        return sample(self.network, case.conditions, SamplingState(0, case.latent, 0), options, given=known)
+
+    def schedule(self) -> Tensor:
+        """Timesteps of `sampled`."""
+        known: Conditions = self.case().conditions
+        return timesteps(known.height, known.width, known.frames, STEPS, rounded=False)
+
+
+def _map_tokens(clips: Clips, name: str) -> Tensor:
+    """(1, t*S, C) before the projection that belongs to the control stream."""
+    found: list[Tensor] = []
+    handle = clips.network.controlnet_cond_patchifier.register_forward_hook(lambda *parts: found.append(parts[2]))
+    try:
+        clips.network.encode(clips.case(name).conditions)
+    finally:
+        handle.remove()
+    return found[0].flatten(2, 3)[0]
+
+
+def _camera(clips: Clips, intrinsics: float) -> Tensor:
+    cams = clips.case().conditions.cams[:, 0, 0].clone()
+    cams[:, :2, :3] *= intrinsics
+    out: Tensor = clips.network.camera_embedder(cams)
+    return out
+
+
+def _null_text(clips: Clips) -> Tensor:
+    null = null_conditions(clips.network, clips.case().conditions, keep_map=False)
+    return clips.network.encode(null).tokens.text[0, 0]
+
+
+def _boxes(network: MagicDriveDiT, case: Case) -> Tensor:
+    return network.encode(case.conditions).tokens.boxes[0] - network.base_token
+
+
+def _ego(clips: Clips) -> Tensor:
+    tokens = clips.network.encode(clips.case().conditions).tokens.ego[0] - clips.network.base_token
+    return tokens.expand(clips.network.config.views, -1, -1, -1)
+
+
+def _time(clips: Clips) -> Tensor:
+    out: Tensor = clips.network.t_embedder(clips.case().timestep)
+    return out
+
+
+def _rate(clips: Clips) -> Tensor:
+    return clips.network.encode(clips.case().conditions).rate
+
+
+def _modulation(clips: Clips) -> Tensor:
+    out: Tensor = clips.network.t_block(_time(clips) + _rate(clips))
+    return out
+
+
+def _given(clips: Clips) -> Tensor:
+    case = clips.case()
+    given = torch.tensor([[True, False, False]], device=case.latent.device)
+    return clips.evaluated(case, clips.network.encode(case.conditions), given)
+
+
+def _rounded_forward(clips: Clips) -> Tensor:
+    case = clips.case()
+    encoded = clips.rounded.encode(case.conditions)
+    out: Tensor = clips.rounded(rounded_to_bfloat16(case.latent), case.timestep, encoded)
+    return out
+
+
+def _evaluated(clips: Clips, case: Case) -> Tensor:
+    return clips.evaluated(case, clips.network.encode(case.conditions))
+
+
+ENCODERS: Final[dict[str, Callable[[Clips], Tensor]]] = {
+    "A.enc.text": lambda clips: clips.network.encode(clips.case().conditions).tokens.text[0, 0],
+    "A.enc.text_null": _null_text,
+    "A.enc.box": lambda clips: _boxes(clips.network, clips.case()),
+    "A.enc.box_hidden_frames2_4": lambda clips: _boxes(clips.network, clips.without_frames(2, 4)),
+    "A.enc.camera": lambda clips: _camera(clips, 1.0),
+    "A.enc.camera_real_scale": lambda clips: _camera(clips, REAL_INTRINSICS),
+    "A.enc.frame": _ego,
+    "A.enc.cond_sequence": lambda clips: clips.network.encode(clips.case().conditions).tokens.sequence()[0],
+    "A.enc.map_2d": lambda clips: clips.network.controlnet_cond_embedder(clips.case().conditions.maps)[::4],
+    "A.enc.map_tokens_view0": lambda clips: _map_tokens(clips, "A"),
+    "A.enc.t": _time,
+    "A.enc.fps": _rate,
+    "A.enc.t_block": _modulation,
+    "A.enc.pos_emb": lambda clips: clips.network.encode(clips.case().conditions).position[None],
+    "B.enc.map_tokens_view0": lambda clips: _map_tokens(clips, "B"),
+}
+"""Each condition on its own."""
+
+LARGE: Final = frozenset({"A.enc.camera_real_scale"})
+"""Numbers of some hundreds, whose errors are counted in standard deviations."""
+
+EVALUATIONS: Final[dict[str, Callable[[Clips], Tensor]]] = {
+    "A.forward": lambda clips: clips.forward("A"),
+    "B.forward": lambda clips: clips.forward("B"),
+    "C.forward": lambda clips: clips.forward("C"),
+    "D.forward_pad_h_4": lambda clips: clips.forward("A", rows_multiple=4),
+    "A.forward_dropped_frames3_5": lambda clips: _evaluated(clips, clips.without_frames(3, 5)),
+    "A.forward_dropped_cond": lambda clips: _evaluated(clips, clips.without_conditions()),
+    "A.forward_x_mask_011": _given,
+    "A.cfg_rflow_batched": lambda clips: torch.cat(clips.branches("rflow", together=True)),
+    "A.cfg_rflow_batched_map0": lambda clips: clips.branches("rflow-slice", together=True)[1],
+    "A.cfg_slice_null": lambda clips: clips.branches("rflow-slice", together=False)[1],
+    "A.cfg_slice_negprompt": lambda clips: clips.branches("rflow-slice", together=False, negative=True)[1],
+}
+"""One evaluation of the transformer."""
+
+SAMPLES: Final[dict[str, Callable[[Clips], Tensor]]] = {
+    "A.sample_slice_cfg2_4steps": lambda clips: clips.sampled("rflow-slice"),
+    "A.sample_slice_neg_cfg2_4steps": lambda clips: clips.sampled("rflow-slice", negative=True),
+    "A.sample_rflow_cfg2_4steps": lambda clips: clips.sampled("rflow", together=True),
+    "A.sample_slice_first_latent_given": lambda clips: clips.sampled("rflow-slice", given=True),
+}
+"""Four steps of two evaluations."""
+
+SCHEDULES: Final[dict[str, Callable[[Clips], Tensor]]] = {"A.sample_timesteps": Clips.schedule}
+
+HALF_PRECISION: Final[dict[str, Callable[[Clips], Tensor]]] = {
+    "E.forward_bf16": _rounded_forward,
+    "E.enc.box_bf16": lambda clips: _boxes(clips.rounded, clips.case()),
+}
+"""What the official code gives in bfloat16; here in single precision on rounded weights and inputs."""
+
 
 FILES: Final = ("manifest.json", "inputs.npz", "outputs.npz")
 OF_SPREAD: Final = 1e-3

@@ -11,7 +11,7 @@ from benchmark.verification.golden import GoldenArrays, GoldenFolder
 from benchmark.verification.synthetic_weights import WeightsRecipe, read_shapes
 from generation.extensions.magicdrive.conditions import Conditions, TextStates
 from generation.extensions.magicdrive.config import MagicDriveConfig
-from generation.extensions.magicdrive.latents import LatentSize
+from generation.extensions.magicdrive.layers import LatentSize
 
 Length = Annotated[int, Field(gt=0, le=4096)]
 

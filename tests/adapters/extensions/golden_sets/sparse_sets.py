@@ -9,11 +9,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from adapters.extensions.golden_sets.sparse_order import Order
-from adapters.extensions.golden_sets.sparse_quantities import frame_quantities, map_quantities
-from adapters.extensions.golden_sets.sparse_trace import traced
+from adapters.extensions.golden_sets.sparse import traced
+from adapters.extensions.golden_sets.sparse_quantities import Order, frame_quantities, map_quantities
+from adapters.networks.sparse.boxes import KeyframeMotion
 from adapters.networks.sparse.decoder import Remembered
-from adapters.networks.sparse.keyframe_pose import KeyframeMotion
 from adapters.networks.sparse.model import Memory, pose_of
 from benchmark.verification.golden import GoldenArrays
 from tests.adapters.networks.sparse.miniature import MINIATURE, TIMES_S, filled, frame, noise, recipe

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from adapters.extensions.golden_sets import own_rounding
-from adapters.extensions.golden_sets.own_rounding import Run, other_threads, with_own_rounding
+from adapters.extensions.golden_sets import parity_set as own_rounding
+from adapters.extensions.golden_sets.parity_set import Run, other_threads, with_own_rounding
 from adapters.extensions.golden_sets.sparse import sparse_sets
 from adapters.models import MODELS
 from benchmark.verification.checks import AS_FAR, ROUNDING, Check, Comparison, report

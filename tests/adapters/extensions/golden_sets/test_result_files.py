@@ -8,7 +8,7 @@ import pytest
 
 from adapters.extensions.golden_sets.result_files import GOLDEN as RESULTS
 from adapters.result_files.writing.formats import WRITERS
-from adapters.result_files.writing.tensors import write_pickle
+from adapters.result_files.writing.pickles import write_pickle
 from benchmark.errors import InputError
 from tests.benchmark.cli.cli_runs import refusal
 

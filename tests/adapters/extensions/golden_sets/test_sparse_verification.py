@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from adapters.extensions.golden_sets import sparse_order
+from adapters.extensions.golden_sets import sparse_quantities as sparse_order
 from adapters.extensions.golden_sets.models import verify_model
 from adapters.extensions.golden_sets.sparse import MODULES, MOVED, sparse_sets
-from adapters.extensions.golden_sets.sparse_order import Order
-from adapters.extensions.golden_sets.sparse_quantities import OTHER_ROWS
+from adapters.extensions.golden_sets.sparse_quantities import OTHER_ROWS, Order
 from adapters.models import MODELS
 from benchmark.errors import InputError
 from benchmark.verification.checks import Check

@@ -12,8 +12,7 @@ import torch
 
 from adapters.extensions.golden_sets.models import verify_model
 from adapters.extensions.golden_sets.parity_set import ParitySet
-from adapters.extensions.golden_sets.uniad import compare_uniad
-from adapters.extensions.golden_sets.uniad_quantities import frame_quantities
+from adapters.extensions.golden_sets.uniad import compare_uniad, frame_quantities
 from adapters.networks.uniad.collision_optimiser import move_plan
 from adapters.networks.uniad.model import UniAD, UniADInputs
 from benchmark.errors import InputError

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adapters.extensions.training.frame_store import build_frames
+from adapters.extensions.training.mixture import build_frames
 from benchmark.datasets.roots import open_data
 from benchmark.records.driven import driven_ego
 from benchmark.records.drives import find_drives

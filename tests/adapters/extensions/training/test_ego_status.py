@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adapters.extensions.training.ego_status import TrainingSettings, train_ego_status
-from adapters.extensions.training.ego_status_tracks import HZ, read_samples
+from adapters.extensions.training.ego_status import HZ, TrainingSettings, read_samples, train_ego_status
 from adapters.planners.ego_status import EgoStatus
 from benchmark.errors import InputError
 from benchmark.geometry import Floats

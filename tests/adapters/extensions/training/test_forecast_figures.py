@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adapters.extensions.training.forecast_figures import (
+from adapters.extensions.training.plan_figures import (
     NEAR_M,
     ForecastFigures,
     forecast_figures,

@@ -7,17 +7,20 @@ import pytest
 import torch
 from torch import nn
 
-from adapters.extensions.training.frame_store import FrameStore, build_frames
 from adapters.extensions.training.frames import DRIVABLE_HALF_M, TrainingFrame
-from adapters.extensions.training.image_encoder import ImageEncoder, ImageEncoderObjective, _mirrored, centre_loss
-from adapters.extensions.training.image_targets import (
+from adapters.extensions.training.image_encoder import (
     CELL_PX,
     FARTHEST_M,
     GROUND_KINDS,
     GROUND_PX,
+    ImageEncoder,
+    ImageEncoderObjective,
     ImageTargets,
+    _mirrored,
+    centre_loss,
     image_targets,
 )
+from adapters.extensions.training.mixture import FrameStore, build_frames
 from benchmark.geometry import Floats
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 

@@ -8,9 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from adapters.extensions.training.frame_store import FrameStore, build_frames
-from adapters.extensions.training.frames import Frames, TrainingFrame
-from adapters.extensions.training.looked_at import OFTEN, SPEED, LookedAt, weighed
+from adapters.extensions.training.frames import OFTEN, SPEED, Frames, LookedAt, TrainingFrame, weighed
+from adapters.extensions.training.mixture import FrameStore, build_frames
 from adapters.extensions.training.trainer import Recipe, fit
 from tests.adapters.extensions.training.one_scene import OneScene
 from tests.adapters.extensions.training.test_trainer import GlanceObjective

@@ -5,12 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from adapters.extensions.training.frame_store import FrameStore, build_frames
 from adapters.extensions.training.mixture import (
     IN_THE_WAY_M,
     ApartScenes,
     FollowedAsRecorded,
+    FrameStore,
     MixedFrames,
+    build_frames,
     require_made_from,
     require_others,
 )

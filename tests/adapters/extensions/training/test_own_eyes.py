@@ -3,9 +3,9 @@
 import torch
 from torch import nn
 
-from adapters.extensions.training.own_eyes import OWN_EYES, eyes_of_sparse
-from adapters.extensions.training.uniad.start import seen_by_vad
-from adapters.extensions.training.vad.start import begun_from
+from adapters.extensions.training.front import OWN_EYES, eyes_of_sparse
+from adapters.extensions.training.uniad.phases import seen_by_vad
+from adapters.extensions.training.vad.phases import begun_from
 from adapters.networks.layers.front_reader import FRONT, FrontReader
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.model import SparseDrive

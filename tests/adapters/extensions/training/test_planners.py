@@ -15,7 +15,7 @@ from safetensors.torch import load_file, save_file
 from adapters.checkpoints.cache import read_provenance
 from adapters.checkpoints.loading import planner_of
 from adapters.extensions.training.planners import ENCODER_NAME, PlannerTraining, judge_again, train_planner
-from adapters.extensions.training.vad.start import begun_from
+from adapters.extensions.training.vad.phases import begun_from
 from adapters.models import miniature
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError

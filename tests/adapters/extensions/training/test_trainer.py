@@ -9,12 +9,12 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from adapters.extensions.training.frame_store import FrameStore, build_frames
 from adapters.extensions.training.frames import TrainingFrame
 from adapters.extensions.training.losses import plan_loss
+from adapters.extensions.training.mixture import FrameStore, build_frames
 from adapters.extensions.training.trainer import LOG_EVERY, Recipe, clip_of, fit, learning_rate
 from benchmark.errors import InputError
-from benchmark.weights.training_run import tensors_key
+from benchmark.weights.tensors import tensors_key
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
 STEPS = 2 * LOG_EVERY + 20

@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 import torch
 
-from adapters.networks.layers.bev_config import BEVConfig
 from adapters.networks.layers.bev_geometry import camera_hits
-from adapters.networks.layers.bevformer import (
+from adapters.networks.layers.bev_network import (
+    BEVConfig,
     BEVFormerEncoder,
     BEVFormerLayer,
     ImageFeatures,

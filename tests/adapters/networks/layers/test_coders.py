@@ -6,7 +6,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.networks.layers.coders import (
+from adapters.networks.layers.attention import LearnedGridEncoding, sine_features, sine_grid_encoding
+from adapters.networks.layers.deformable_decoder import (
     box_codes,
     decode_boxes,
     extent_corners,
@@ -16,7 +17,6 @@ from adapters.networks.layers.coders import (
     strongest,
     within,
 )
-from adapters.networks.layers.positional import LearnedGridEncoding, sine_features, sine_grid_encoding
 
 
 @given(st.floats(1e-4, 1 - 1e-4))

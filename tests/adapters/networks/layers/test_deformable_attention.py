@@ -5,9 +5,8 @@ from typing import Any
 import torch
 from torch import nn
 
-from adapters.networks.layers.coders import logit
 from adapters.networks.layers.deformable_attention import DeformableAttention, ring_of_offsets
-from adapters.networks.layers.deformable_decoder import DeformableDecoder
+from adapters.networks.layers.deformable_decoder import DeformableDecoder, logit
 from tests.adapters.networks.layers.slow_sampling import slow_sampling
 from tests.adapters.networks.layers.test_attention import perturb
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from adapters.networks.layers.deformable_convolution import DeformableConvolution, modulated_convolution
+from adapters.networks.layers.resnet import DeformableConvolution, modulated_convolution
 from tests.adapters.networks.layers.slow_sampling import bilinear
 
 

@@ -7,10 +7,7 @@ import pytest
 import torch
 from torch import nn
 
-from adapters.networks.layers.deformable_convolution import DeformableConvolution
-from adapters.networks.layers.feature_pyramid import FeaturePyramid
-from adapters.networks.layers.folding import channels_last, folded
-from adapters.networks.layers.resnet import ResNet
+from adapters.networks.layers.resnet import DeformableConvolution, FeaturePyramid, ResNet, channels_last, folded
 
 
 def network(deformable: Sequence[int] = ()) -> nn.ModuleDict:

@@ -9,8 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from adapters.networks.layers.feature_pyramid import FeaturePyramid
-from adapters.networks.layers.resnet import Bottleneck, ResNet
+from adapters.networks.layers.resnet import Bottleneck, FeaturePyramid, ResNet
 from tests.adapters.networks.layers.test_attention import perturb
 
 PARITY = Path(__file__).resolve().parents[5] / "shared" / "golden" / "parity"

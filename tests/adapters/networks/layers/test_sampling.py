@@ -5,7 +5,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters.networks.layers.sampling import Kernel, deformable_sampling
+from adapters.networks.layers.deformable_attention import Kernel, deformable_sampling
 from tests.adapters.networks.layers.slow_sampling import slow_sampling
 
 KERNELS: list[Kernel] = ["bags", "grid"]

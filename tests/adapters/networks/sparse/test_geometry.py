@@ -10,10 +10,16 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from adapters.networks.layers.attention import ResidualAttention
-from adapters.networks.sparse.boxes import BoxPoints, carry_boxes, decode_boxes, heading_of
-from adapters.networks.sparse.branches import FeedForward, decoupled_attention, sine_of_points
-from adapters.networks.sparse.keyframe_pose import KeyframeMotion, KeyframePose
-from adapters.networks.sparse.lines import LinePoints, at_heights, carry_lines
+from adapters.networks.sparse.aggregation import FeedForward, decoupled_attention, sine_of_points
+from adapters.networks.sparse.boxes import (
+    BoxPoints,
+    KeyframeMotion,
+    KeyframePose,
+    carry_boxes,
+    decode_boxes,
+    heading_of,
+)
+from adapters.networks.sparse.decoder import LinePoints, at_heights, carry_lines
 
 NUMBERS = st.floats(-50, 50)
 

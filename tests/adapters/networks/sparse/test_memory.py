@@ -6,10 +6,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from adapters.networks.sparse.boxes import KeyframeMotion, KeyframePose
 from adapters.networks.sparse.decoder import BoxDecoder, Decoded, Remembered, Stage, most_certain
-from adapters.networks.sparse.keyframe_pose import KeyframeMotion, KeyframePose
+from adapters.networks.sparse.model import number_instances
 from adapters.networks.sparse.queue import InstanceQueue, Queue, QueueMemory
-from adapters.networks.sparse.tracks import number_instances
 from tests.adapters.networks.sparse.miniature import MINIATURE
 
 COUNT, CHANNELS = 4, MINIATURE.channels

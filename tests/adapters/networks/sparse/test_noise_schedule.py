@@ -7,8 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.networks.sparse.diffusion import TimeEmbedding
-from adapters.networks.sparse.noise_schedule import SIGNAL_SHARES, metres, noised, normalised, previous_sample
+from adapters.networks.sparse.diffusion import SIGNAL_SHARES, TimeEmbedding, metres, noised, normalised, previous_sample
 
 
 def test_golden_noise_levels() -> None:

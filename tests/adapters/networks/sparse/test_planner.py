@@ -12,8 +12,7 @@ import safetensors.torch
 import torch
 
 from adapters.camera_inputs import RGB_MEAN_STD, SPARSE_DRIVE_IMAGE
-from adapters.checkpoints.importing import import_checkpoint
-from adapters.checkpoints.matching import matched
+from adapters.checkpoints.importing import import_checkpoint, matched
 from adapters.models import MODELS
 from adapters.networks.sparse.anchors import BOXES, FORECASTS, LINES, PLANS
 from adapters.networks.sparse.config import SparseConfig

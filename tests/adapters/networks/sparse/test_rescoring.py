@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from shapely import Point, Polygon
 from torch import Tensor
 
-from adapters.networks.sparse.rescoring import agent_boxes, colliding, corner_inside, ego_boxes
+from adapters.networks.sparse.selection import agent_boxes, colliding, corner_inside, ego_boxes
 
 
 def polygon(numbers: list[float]) -> Polygon:

@@ -9,9 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters.networks.uniad import collision_solvers
-from adapters.networks.uniad.collision_optimiser import move_plan, nearby_cells
-from adapters.networks.uniad.collision_solvers import cost, descend, lowest_point, newton_points
+from adapters.networks.uniad import collision_optimiser as collision_solvers
+from adapters.networks.uniad.collision_optimiser import (
+    cost,
+    descend,
+    lowest_point,
+    move_plan,
+    nearby_cells,
+    newton_points,
+)
 from benchmark.errors import InputError
 
 PARITY = Path(__file__).resolve().parents[5] / "shared" / "golden" / "parity" / "uniad" / "dev"

@@ -4,8 +4,7 @@ import pytest
 import torch
 
 from adapters.networks.layers.deformable_attention import DeformableAttention
-from adapters.networks.uniad.map_attention import WalkedAttention
-from adapters.networks.uniad.map_head import MapHead
+from adapters.networks.uniad.map_head import MapHead, WalkedAttention
 from adapters.networks.uniad.map_masks import MaskDecoder, paste_masks, ranked
 from tests.adapters.networks.layers.slow_sampling import slow_sampling
 from tests.adapters.networks.uniad.small_uniad import SMALL

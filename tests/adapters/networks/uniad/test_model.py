@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from adapters.networks.uniad.config import UniADConfig
-from adapters.networks.uniad.frames import UniADOutputs
 from adapters.networks.uniad.model import UniAD
+from adapters.networks.uniad.planning import UniADOutputs
 from adapters.networks.uniad.tracking import EGO
 from benchmark.errors import InputError
 from tests.adapters.networks.uniad.small_uniad import SMALL, anchors, class_layer, frame, in_scene, small_network

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adapters.networks.uniad.map_head import MapElements
-from adapters.networks.uniad.motion import GROUP_OF_CLASS, HALF_TURN, MotionHead, turned
-from adapters.networks.uniad.motion_layers import GoalAttention
+from adapters.networks.uniad.motion import GROUP_OF_CLASS, HALF_TURN, GoalAttention, MotionHead, turned
 from adapters.networks.uniad.tracking import Boxes
 from tests.adapters.networks.layers.slow_sampling import slow_sampling
 from tests.adapters.networks.uniad.small_uniad import SMALL, anchors

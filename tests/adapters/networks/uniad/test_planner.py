@@ -14,16 +14,16 @@ import torch
 from safetensors.torch import load_file
 
 from adapters.camera_inputs import BGR_MEAN, ImageFormat
+from adapters.checkpoints.anchor_files import FILE, read_motion_anchors
+from adapters.checkpoints.cache import known_weights
 from adapters.checkpoints.importing import ImportedWeights, fetch_checkpoint, import_checkpoint
-from adapters.checkpoints.listing import known_weights
-from adapters.checkpoints.motion_anchors import FILE, read_motion_anchors
 from adapters.models import MODELS, MOTION_ANCHORS
 from adapters.networks.layers.reporting import PUBLISHED, Reporting
-from adapters.networks.uniad import collision_solvers
+from adapters.networks.uniad import collision_optimiser as collision_solvers
 from adapters.networks.uniad.config import UniADConfig
-from adapters.networks.uniad.frames import UniADInputs, UniADOutputs
 from adapters.networks.uniad.model import UniAD
 from adapters.networks.uniad.planner import UniADPlanner, example_frame
+from adapters.networks.uniad.planning import UniADInputs, UniADOutputs
 from adapters.planner import forecasts_of
 from adapters.registry import planner, planner_factory
 from benchmark.datasets.nuscenes import NuScenesData

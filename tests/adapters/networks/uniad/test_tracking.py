@@ -10,13 +10,13 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters.networks.uniad.bev import Detections
 from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.track_memory import SAVE_EVERY, MemoryBank, QueryInteraction
 from adapters.networks.uniad.tracking import (
     EGO,
     NO_TRACK,
     PATIENCE,
+    Detections,
     Instances,
     Pose,
     chosen_tracks,

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from adapters.networks.layers.bev_geometry import BEVGrid
-from adapters.networks.layers.coders import within
+from adapters.networks.layers.deformable_decoder import within
 from adapters.networks.layers.ego_motion import EgoMotion
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD, VADInputs

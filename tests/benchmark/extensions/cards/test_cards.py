@@ -12,12 +12,10 @@ import pytest
 from benchmark.constants import VERSION
 from benchmark.datasets.scene_facts import scene_facts_of
 from benchmark.errors import InputError
-from benchmark.extensions.cards.columns import Column
-from benchmark.extensions.cards.data_card import write_data_card
-from benchmark.extensions.cards.front_matter import front_matter, size_category
+from benchmark.extensions.cards.croissant import Column
+from benchmark.extensions.cards.data_card import SCENE_COLUMNS, scene_rows, write_data_card
 from benchmark.extensions.cards.records_card import RATE_COLUMNS, rate_rows, write_records_card
-from benchmark.extensions.cards.scene_index import SCENE_COLUMNS, scene_rows
-from benchmark.extensions.cards.writing import CITE, CardSettings
+from benchmark.extensions.cards.writing import CITE, CardSettings, front_matter, size_category
 from benchmark.published import PAPER
 from benchmark.records.drives import DriveRecord, load_drives
 from benchmark.records.run import RunRecord, load_record

@@ -8,7 +8,7 @@ import pytest
 
 from benchmark.datasets.roots import open_data
 from benchmark.errors import InputError
-from benchmark.untrusted.packages import read_package
+from benchmark.untrusted.compressed import read_package
 from generation.splits.building import build_frozen
 from generation.splits.packing import PackageContents, Packed, pack_split
 from generation.splits.unpacking import read_split_package, write_files

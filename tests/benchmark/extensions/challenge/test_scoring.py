@@ -17,7 +17,7 @@ from benchmark.extensions.challenge.rules import Rules
 from benchmark.extensions.challenge.scoring import ScoreSettings, score_entries
 from benchmark.metrics.entries import Refused, adversary_sums, collision_sums, mean_of, pairs_of, places_of
 from benchmark.metrics.rates import SceneSums
-from benchmark.records.challenge_scores import (
+from benchmark.records.challenge import (
     ChallengeScores,
     EntryScore,
     find_scores,

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.datasets.own_words import OWN
 from benchmark.datasets.roots import DataSet, open_data
+from benchmark.datasets.scenario_map import OWN
 from benchmark.errors import InputError
 from benchmark.extensions.exchange.exporting import export_scenarionet, scene_file
 from generation.splits.building import build_frozen

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.datasets.own_words import Exchanged
+from benchmark.datasets.scenario_map import Exchanged
 from benchmark.datasets.scenarionet import read_scenarionet
 from benchmark.errors import InputError
 from benchmark.extensions.exchange.openscenario import export_openscenario, openscenario_bytes, stretches

@@ -13,11 +13,10 @@ from hypothesis import strategies as st
 
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M
 from benchmark.datasets.nuscenes import NuScenesData
-from benchmark.datasets.own_words import ADVERSARIES, OWN, Exchanged
+from benchmark.datasets.scenario_map import ADVERSARIES, OWN, Exchanged
 from benchmark.datasets.scenarionet import read_exchanged, read_scenarionet
 from benchmark.errors import InputError
-from benchmark.extensions.exchange.exporting import exchanged_of, export_scenarionet, plain_pickle
-from benchmark.extensions.exchange.scenario_of_scene import scenario_of
+from benchmark.extensions.exchange.exporting import exchanged_of, export_scenarionet, plain_pickle, scenario_of
 from benchmark.geometry import quaternion_from_yaw
 from benchmark.scene import Scene
 from generation.nuscenes_writer.plan import digest

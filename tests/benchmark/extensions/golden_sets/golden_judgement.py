@@ -19,13 +19,12 @@ from benchmark.extensions.golden_sets.realism import BUILT_IN as REALISM
 from benchmark.extensions.golden_sets.realism.motion import pooled_features
 from benchmark.extensions.golden_sets.severity import BUILT_IN as SEVERITY
 from benchmark.fairness.ctg import Mask, Normalisation, SceneTracks, Version, bin_edges, deviations, histograms
-from benchmark.fairness.divergence import Histograms, equal_bins, quantile_bins, w1
 from benchmark.fairness.features import FEATURES, Run, recorded_runs, runs_of
+from benchmark.fairness.realism import Histograms, equal_bins, quantile_bins, w1
 from benchmark.geometry import Floats
-from benchmark.interactions.driving import LADDER, Rung, Situation, drive
+from benchmark.interactions.driving import LADDER, Rung, Situation, drive, first_visible
 from benchmark.interactions.outcomes import Outcome, Surroundings
 from benchmark.interactions.reaction import Driver
-from benchmark.interactions.sight import first_visible
 from benchmark.interactions.tracks import Tracks
 from tests.benchmark.interactions.made import along_bend, made_scene
 

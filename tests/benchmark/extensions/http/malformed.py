@@ -9,8 +9,8 @@ import socket
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from benchmark.extensions.http.images import ImageFormat
-from benchmark.extensions.http.observed import request_of
+from benchmark.extensions.http.session import request_of
+from benchmark.extensions.http.values import ImageFormat
 from tests.benchmark.extensions.http.made import observed
 from tests.benchmark.untrusted.mutations import BYTES, JSON, become
 

@@ -11,13 +11,13 @@ import pytest
 
 from benchmark.closed_loop.asking import Failure, Reason, asked, told
 from benchmark.errors import InputError
-from benchmark.extensions.http.images import ImageFormat
 from benchmark.extensions.http.model import HttpPlanner, ModelFailedError, http_planner
-from benchmark.extensions.http.observed import request_of
+from benchmark.extensions.http.session import request_of
+from benchmark.extensions.http.values import ImageFormat
 from benchmark.machine.address import Address, is_address
 from benchmark.planning import PlannerAwayError, PlannerGoneError, PlannerLateError, SceneInfo
 from benchmark.runs.planner_facts import facts_of
-from benchmark.untrusted.limits import WIRE_ANSWER
+from benchmark.untrusted.files import WIRE_ANSWER
 from tests.benchmark.extensions.http.made import GOOD, SHARED, Reply, free_port, observed, scripted
 
 SCENE = SceneInfo("scene-1", "boston-seaport", ())

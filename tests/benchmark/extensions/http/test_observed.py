@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.extensions.http.images import ImageFormat, image_text
-from benchmark.extensions.http.observed import Memory, request_of
 from benchmark.extensions.http.requests import CAMERAS, InferRequest
-from benchmark.extensions.http.values import WireError
+from benchmark.extensions.http.session import Memory, request_of
+from benchmark.extensions.http.values import ImageFormat, WireError, image_text
 from benchmark.geometry import quaternion_from_yaw, rotation_matrix
 from benchmark.planning import Command
 from tests.benchmark.extensions.http.made import SHARED, START_US, observed, picture

@@ -19,13 +19,13 @@ from benchmark.closed_loop.driving import Drive, drive
 from benchmark.closed_loop.riding import RideMaker
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
-from benchmark.extensions.http.images import ImageFormat
 from benchmark.extensions.http.model import http_planner
+from benchmark.extensions.http.values import ImageFormat
 from benchmark.extensions.neuroncap.riding import NeuroncapRides
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import CameraView, Planner
 from benchmark.records.drives import DriveRecord, load_drives
-from benchmark.records.neuroncap_switches import Switches
+from benchmark.records.neuroncap_aggregate import Switches
 from benchmark.runs.driving import DriveSettings, drive_split
 from generation.render.sensor import SchematicSensor
 from tests.benchmark.closed_loop.staged import staged

@@ -13,11 +13,9 @@ import pytest
 from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.closed_loop.driving import drive
 from benchmark.errors import InputError
-from benchmark.extensions.http.images import ImageFormat, image_text
-from benchmark.extensions.http.renderer import MovedActor, actors_in, moved, picture_wanted
 from benchmark.extensions.http.requests import CAMERAS, InferRequest
-from benchmark.extensions.http.sensor import HttpSensor, moved_actors
-from benchmark.extensions.http.values import WireError
+from benchmark.extensions.http.sensor import HttpSensor, MovedActor, actors_in, moved, moved_actors, picture_wanted
+from benchmark.extensions.http.values import ImageFormat, WireError, image_text
 from benchmark.geometry import transform_matrix
 from benchmark.machine.address import Address
 from benchmark.planning import PlannerGoneError

@@ -12,11 +12,9 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.extensions.http import server as served
-from benchmark.extensions.http.application import Bounds
-from benchmark.extensions.http.images import ImageFormat
-from benchmark.extensions.http.observed import request_of
-from benchmark.extensions.http.server import PlannerServer
-from benchmark.extensions.http.session import Session
+from benchmark.extensions.http.server import Bounds, PlannerServer
+from benchmark.extensions.http.session import Session, request_of
+from benchmark.extensions.http.values import ImageFormat
 from benchmark.planning import Observation, Plan
 from tests.benchmark.extensions.http.made import Looking, observed
 from tests.benchmark.extensions.http.malformed import answered, malformed, posted

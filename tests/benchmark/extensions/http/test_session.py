@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.extensions.http.images import ImageFormat
-from benchmark.extensions.http.observed import request_of
-from benchmark.extensions.http.session import Refused, Session
+from benchmark.extensions.http.session import Refused, Session, request_of
+from benchmark.extensions.http.values import ImageFormat
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from tests.benchmark.extensions.http.made import SHARED, Looking, observed
 from tests.benchmark.planners import Remembering

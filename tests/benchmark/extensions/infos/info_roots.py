@@ -18,7 +18,7 @@ from benchmark.extensions.infos.repositories import REPOSITORIES, RepositoryName
 from benchmark.geometry import quaternion_from_yaw
 from benchmark.machine.storage import file_sha256
 from benchmark.scene import Camera, Scene
-from benchmark.untrusted.pickles import read_pickle
+from benchmark.untrusted.children import read_pickle
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from generation.render.contract import Images
 from tests.generation.nuscenes_writer.written_roots import SolidRenderer, short_scene, with_adversary, write_root

@@ -11,13 +11,13 @@ import typer
 
 from benchmark.cli.app import app
 from benchmark.constants import CAMERA_NAMES, NUMBERED_CATEGORIES, OFFICIAL_LOCATIONS
-from benchmark.datasets.exported_order import exported_order, shifts_us
 from benchmark.datasets.fingerprint import fingerprint_of
+from benchmark.datasets.split_names import exported_order, shifts_us
 from benchmark.errors import InputError
 from benchmark.extensions.infos.cures import category_numbers
 from benchmark.extensions.infos.exporting import InfoSettings, export_infos
 from benchmark.extensions.infos.repositories import REPOSITORIES, RepositoryName
-from benchmark.untrusted.pickles import read_pickle
+from benchmark.untrusted.children import read_pickle
 from tests.benchmark.cli.cli_runs import bytes_below, refusal
 from tests.benchmark.extensions.infos.info_roots import (
     LargeRenderer,

@@ -9,9 +9,9 @@ import pytest
 
 from benchmark.constants import CAMERA_NAMES, LIDAR_FROM_REAR_AXLE_M
 from benchmark.errors import InputError
-from benchmark.extensions.infos.can_messages import CanMessages
+from benchmark.extensions.infos.ego import CanMessages
 from benchmark.extensions.infos.exporting import CONVERTED_PREFIX
-from benchmark.extensions.infos.futures import goals
+from benchmark.extensions.infos.making import goals
 from benchmark.extensions.infos.repositories import REPOSITORIES
 from tests.benchmark.extensions.infos.info_roots import SECONDS, exported, plain_root, tilted
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEPS
+from benchmark.extensions.neuroncap.actors import heading_of
 from benchmark.extensions.neuroncap.loop import (
     Engine,
     Waiting,
@@ -24,15 +25,14 @@ from benchmark.extensions.neuroncap.loop import (
     goes_on,
     step,
 )
-from benchmark.extensions.neuroncap.poses import heading_of
 from benchmark.extensions.neuroncap.recording import Annotations, Recording, actors_of, at_frames, steering_at_frames
 from benchmark.extensions.neuroncap.scenarios import Scenario
 from benchmark.extensions.neuroncap.score import score_of
 from benchmark.extensions.neuroncap.staging import Cast, staged
 from benchmark.extensions.neuroncap.verification import BUILT_IN
-from benchmark.extensions.neuroncap.verification.checked_moments import CheckRow, checks_of
+from benchmark.extensions.neuroncap.verification.loops import CheckRow, checks_of
 from benchmark.geometry import Floats, quaternion_from_yaw, transform_matrix
-from benchmark.records.neuroncap_switches import CODE
+from benchmark.records.neuroncap_aggregate import CODE
 
 SHARED = Path(__file__).resolve().parents[5] / "shared" / "golden" / "neuroncap"
 START_US = 1_700_000_000_000_000

@@ -12,7 +12,7 @@ from benchmark.extensions.neuroncap.recording import Recording
 from benchmark.extensions.neuroncap.scenarios import Scenario
 from benchmark.extensions.neuroncap.staging import staged
 from benchmark.geometry import Floats, quaternion_from_yaw, transform_matrix
-from benchmark.records.neuroncap_switches import CODE, Switches
+from benchmark.records.neuroncap_aggregate import CODE, Switches
 from tests.benchmark.extensions.neuroncap.golden_neuroncap import SCENARIO, cast_of, made_inputs, recording_of
 
 SECOND = 1_000_000

@@ -11,7 +11,7 @@ from benchmark.closed_loop.scoring import score_drive
 from benchmark.errors import InputError
 from benchmark.extensions.neuroncap.riding import NeuroncapRides
 from benchmark.planning import Command
-from benchmark.records.neuroncap_switches import Switches
+from benchmark.records.neuroncap_aggregate import Switches
 from tests.benchmark.closed_loop import test_driving as any_engine
 from tests.benchmark.closed_loop import test_observing as any_engine_seen
 from tests.benchmark.closed_loop.staged import Watching, staged

@@ -11,7 +11,7 @@ from benchmark.closed_loop.engines import ENGINES, rides_of
 from benchmark.errors import InputError
 from benchmark.extensions.neuroncap.riding import NeuroncapRides
 from benchmark.records.drive_schema import OFFICIAL, OWN
-from benchmark.records.neuroncap_switches import Switches
+from benchmark.records.neuroncap_aggregate import Switches
 from benchmark.runs.driving import DriveSettings
 from benchmark.runs.rescoring_drives import rescore_drives
 from tests.benchmark.cli.cli_runs import bytes_below

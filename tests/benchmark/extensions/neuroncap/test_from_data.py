@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.extensions.neuroncap.from_data import recording_of
 from benchmark.extensions.neuroncap.loop import Engine
+from benchmark.extensions.neuroncap.recording import recording_of
 from benchmark.extensions.neuroncap.scenarios import Scenario
 from benchmark.extensions.neuroncap.score import score_of
 from benchmark.extensions.neuroncap.staging import Cast, staged
-from benchmark.records.neuroncap_switches import CODE, PAPER, Switches
+from benchmark.records.neuroncap_aggregate import CODE, PAPER, Switches
 from benchmark.scene import Scene
 from tests.benchmark.extensions.neuroncap.made import constant, driven_by
 from tests.hand_made import Car, scene_on_straight_road

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.extensions.neuroncap.car import Car
-from benchmark.extensions.neuroncap.contact import touched
+from benchmark.extensions.neuroncap.contact import Car, touched
 from benchmark.extensions.neuroncap.loop import Engine, World, begin, finished, goes_on, moments, step
 from benchmark.extensions.neuroncap.plan_path import UnusablePlanError
 from benchmark.extensions.neuroncap.score import score_of, scored_impact
 from benchmark.extensions.neuroncap.vehicle import Vehicle, driven
 from benchmark.geometry import Floats
-from benchmark.records.neuroncap_switches import CODE, PAPER
+from benchmark.records.neuroncap_aggregate import CODE, PAPER
 from tests.benchmark.extensions.neuroncap.golden_neuroncap import plan_of
 from tests.benchmark.extensions.neuroncap.made import (
     SECOND,

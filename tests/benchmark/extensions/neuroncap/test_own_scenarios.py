@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from benchmark.extensions.neuroncap.loop import Engine, World, begin, finished, goes_on, step
-from benchmark.extensions.neuroncap.own_scenarios import own_scenarios
-from benchmark.extensions.neuroncap.recording import Recording
+from benchmark.extensions.neuroncap.recording import Recording, own_scenarios
 from benchmark.extensions.neuroncap.scenarios import Scenario
 from benchmark.extensions.neuroncap.staging import Cast, staged
 from benchmark.geometry import Floats, to_local
-from benchmark.records.neuroncap_switches import PAPER
+from benchmark.records.neuroncap_aggregate import PAPER
 from tests.benchmark.extensions.neuroncap.golden_neuroncap import made_inputs, recording_of
 from tests.benchmark.extensions.neuroncap.made import KNOWN, straight
 

@@ -10,7 +10,7 @@ import pytest
 from benchmark.errors import InputError
 from benchmark.extensions.neuroncap.scenarios import Scenario, official_scenarios
 from benchmark.extensions.neuroncap.staging import staged
-from benchmark.records.neuroncap_switches import CODE
+from benchmark.records.neuroncap_aggregate import CODE
 from tests.benchmark.extensions.neuroncap.golden_neuroncap import SCENARIO, SHARED, cast_of, made_inputs, recording_of
 
 EVALUATED = {

@@ -8,19 +8,15 @@ import numpy as np
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.extensions.neuroncap.car import Car
-from benchmark.extensions.neuroncap.command import command_at
-from benchmark.extensions.neuroncap.contact import Contact, EgoMoment, touched
-from benchmark.extensions.neuroncap.future import future_moments
-from benchmark.extensions.neuroncap.loop import State, begin, moments, step
+from benchmark.extensions.neuroncap.contact import Car, Contact, EgoMoment, touched
+from benchmark.extensions.neuroncap.loop import State, begin, command_at, future_moments, moments, step
 from benchmark.extensions.neuroncap.recording import actors_of
 from benchmark.extensions.neuroncap.scenarios import Scenario
 from benchmark.extensions.neuroncap.score import reference_speed
 from benchmark.extensions.neuroncap.staging import Staged, staged
 from benchmark.extensions.neuroncap.vehicle import Vehicle, driven
 from benchmark.planning import Command
-from benchmark.records.neuroncap_aggregate import aggregated
-from benchmark.records.neuroncap_switches import CODE, PAPER, Switches
+from benchmark.records.neuroncap_aggregate import CODE, PAPER, Switches, aggregated
 from tests.benchmark.extensions.neuroncap.golden_neuroncap import (
     SCENARIO,
     annotations_of,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmark.datasets.nuscenes import NuScenesData
-from benchmark.extensions.quality.projection import boxes_in_view, visible_parts
+from benchmark.extensions.quality.masks import boxes_in_view, visible_parts
 from benchmark.machine.storage import content_seed
 from benchmark.scene import Scene
 from tests.benchmark.datasets.nuscenes_tables import TinyRoot

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from benchmark.errors import InputError
-from benchmark.extensions.quality.consistency import SubjectFeatures, similarities, subject_square
-from benchmark.extensions.quality.cut_masks import Mask, overlap
+from benchmark.extensions.quality.masks import Mask, overlap
+from benchmark.extensions.quality.scoring import SubjectFeatures, similarities, subject_square
 from benchmark.geometry import Floats
 from benchmark.weights.catalogue import DINO
 from tests.benchmark.extensions.quality.synthetic_videos import texture

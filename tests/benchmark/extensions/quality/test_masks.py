@@ -10,10 +10,8 @@ import torch
 from numpy.typing import NDArray
 
 from benchmark.extensions.quality.definition import Definition
-from benchmark.extensions.quality.detection import Detector
-from benchmark.extensions.quality.masks import BoxMasks, CameraVideo, TrackedMasks, tied
-from benchmark.extensions.quality.projection import ProjectedBox
-from benchmark.extensions.quality.segmentation import Box, Segmenter, prepared_frame
+from benchmark.extensions.quality.masks import BoxMasks, CameraVideo, ProjectedBox, TrackedMasks, tied
+from benchmark.extensions.quality.segmentation import Box, Detector, Segmenter, prepared_frame
 from benchmark.geometry import Bools
 from benchmark.weights.catalogue import GROUNDING_DINO, SAM2
 from tests.benchmark.extensions.quality.small_networks import SAM2_SIDE_PX

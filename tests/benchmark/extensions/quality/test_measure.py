@@ -20,8 +20,14 @@ from benchmark.extensions.quality.definition import Definition, mask_source
 from benchmark.extensions.quality.measure import QualitySettings, measure_quality, plan_of
 from benchmark.extensions.quality.musiq import Musiq
 from benchmark.extensions.quality.scoring import score_scene
-from benchmark.records.quality import QualityRecord, find_quality, load_quality, summarise_quality
-from benchmark.records.quality_schema import SceneRows, SubjectRow
+from benchmark.records.quality import (
+    QualityRecord,
+    SceneRows,
+    SubjectRow,
+    find_quality,
+    load_quality,
+    summarise_quality,
+)
 from benchmark.records.run_schema import SceneFacts
 from benchmark.weights.catalogue import MUSIQ
 from leaderboard.extensions.quality.tables import quality_tables

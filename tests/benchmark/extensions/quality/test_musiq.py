@@ -13,8 +13,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from benchmark.errors import InputError
-from benchmark.extensions.quality.imaging import ImagingQuality, prepared
 from benchmark.extensions.quality.musiq import Musiq, MusiqConfig, Patches, _hashed, multiscale_patches
+from benchmark.extensions.quality.scoring import ImagingQuality, prepared
 from benchmark.weights.catalogue import MUSIQ
 from tests.benchmark.extensions.quality.small_networks import SMALL_MUSIQ, save_musiq
 from tests.benchmark.extensions.quality.synthetic_videos import Picture, blurred, noisy, strip

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.extensions.quality.projection import ProjectedBox, boxes_in_view, reduced, scaled_size, visible_parts
+from benchmark.extensions.quality.masks import ProjectedBox, boxes_in_view, reduced, scaled_size, visible_parts
 from benchmark.geometry import Bools, Floats, quaternion_from_yaw, rotation_matrix, transform_matrix
 from benchmark.planning import CameraView
 from benchmark.scene import Scene

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.datasets.listing import listed_scenes
 from benchmark.datasets.roots import DataSet, open_data
-from benchmark.datasets.statistics import statistics
+from benchmark.datasets.statistics import listed_scenes, statistics
 from benchmark.errors import InputError
 from benchmark.records.review import NOT_REVIEWED, REVIEW_FILE, read_review
 from benchmark.untrusted.verdicts import read_verdicts

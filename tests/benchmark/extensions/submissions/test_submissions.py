@@ -17,7 +17,7 @@ from benchmark.closed_loop.default_engine import DefaultRides
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.extensions.submissions.checking import check_submission
-from benchmark.extensions.submissions.findings import Finding, Level
+from benchmark.extensions.submissions.recomputed import Finding, Level
 from benchmark.machine.storage import file_sha256
 from benchmark.protocols import PROTOCOLS
 from benchmark.protocols.exact import Exact

@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from benchmark.errors import InputError
-from generation.diffusion.bank import write_bank
-from generation.diffusion.checkpoint import load_denoiser, save_denoiser
+from generation.diffusion.checkpoint import load_denoiser, save_denoiser, write_bank
 from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
 from generation.extensions.denoiser_training.card import write_model_card
 from tests.generation.extensions.denoiser_training.test_tracks import drive, write_tracks

@@ -13,13 +13,14 @@ from hypothesis import strategies as st
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from generation.diffusion.kinematics import motion
-from generation.extensions.denoiser_training import nuplan
-from generation.extensions.denoiser_training.nuplan import NUPLAN_LICENCE, read_nuplan
-from generation.extensions.denoiser_training.resampling import even_tracks
+from generation.extensions.denoiser_training import track_sources as nuplan
 from generation.extensions.denoiser_training.track_sources import (
+    NUPLAN_LICENCE,
     Recording,
     TrackSource,
+    even_tracks,
     find_track_sources,
+    read_nuplan,
     source_windows,
 )
 from generation.extensions.denoiser_training.tracks import TrackFile

@@ -17,8 +17,8 @@ from benchmark.geometry import Floats
 from benchmark.verification.checks import report
 from generation.extensions.golden_sets.built_in import BUILT_IN
 from generation.extensions.golden_sets.physics import GOLDEN as PHYSICS
+from generation.extensions.golden_sets.reference_scores import on_raster_tie, out_of_order, touching_tie
 from generation.extensions.golden_sets.scoring import GOLDEN as SCORING
-from generation.extensions.golden_sets.ties import on_raster_tie, out_of_order, touching_tie
 from generation.search import scoring as scoring_kernels
 from generation.search.hyperparameters import CollisionReading
 from tests.generation.extensions.golden_sets import golden_scoring

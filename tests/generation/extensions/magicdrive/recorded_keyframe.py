@@ -13,7 +13,7 @@ from benchmark.constants import CAMERA_NAMES
 from benchmark.geometry import Floats, transform_matrix
 from benchmark.road_map import RoadMap, as_multipolygon
 from benchmark.scene import Agents, Annotations, Camera, EgoTrack, LidarMount, Scene, SweepPoses
-from benchmark.untrusted.pickles import read_pickle
+from benchmark.untrusted.children import read_pickle
 
 RECORDED = Path(__file__).resolve().parents[5] / "shared" / "data" / "nuscenes"
 TABLES = RECORDED / "scene0061_tables_v1.0-test"

@@ -9,10 +9,10 @@ import sentencepiece
 import torch
 
 from benchmark.scene import Scene
-from generation.extensions.magicdrive.image_geometry import ImageGeometry, OutputSize
 from generation.extensions.magicdrive.prompt import PromptLook
 from generation.extensions.magicdrive.renderer import MagicDriveRenderer, RenderSettings
 from generation.extensions.magicdrive.sampling import SamplingOptions
+from generation.extensions.magicdrive.sensor_frames import ImageGeometry, OutputSize
 from generation.extensions.magicdrive.weights import NetworkFiles
 from tests.generation.extensions.magicdrive.moved_worlds import busy_scene
 from tests.generation.extensions.magicdrive.small_network import TINY, small_network

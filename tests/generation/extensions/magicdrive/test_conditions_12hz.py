@@ -12,7 +12,7 @@ from benchmark.constants import CAMERA_NAMES
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.geometry import transform_matrix, yaw_of_quaternion
 from benchmark.scene import Scene
-from generation.extensions.magicdrive.annotations_12hz import box_tracks, interpolated_annotations, slerp
+from generation.extensions.magicdrive.clip import box_tracks, interpolated_annotations, slerp
 from generation.extensions.magicdrive.sensor_frames import SensorFrames, ego_motion
 from tests.benchmark.datasets.nuscenes_tables import TinyRoot
 from tests.generation.extensions.magicdrive.moved_worlds import as_recording, busy_scene

@@ -11,8 +11,7 @@ from pyquaternion import Quaternion
 from benchmark.constants import CATEGORIES, DETECTION_CLASSES
 from benchmark.geometry import Floats, transform_matrix
 from benchmark.scene import Scene
-from generation.extensions.magicdrive.boxes import ClipBoxes, clip_boxes, corners_of
-from generation.extensions.magicdrive.clip import clip_of
+from generation.extensions.magicdrive.clip import ClipBoxes, clip_boxes, clip_of, corners_of
 from generation.extensions.magicdrive.conditions import MODEL_CAMERAS
 from generation.extensions.magicdrive.sensor_frames import SensorFrames
 from generation.render.schematic.view import View

@@ -16,7 +16,7 @@ from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.geometry import transform_matrix
 from benchmark.machine.workers import LocalProcesses
 from benchmark.scene import Annotations, EgoTrack, Scene, SweepPoses
-from generation.extensions.magicdrive.boxes import clip_boxes
+from generation.extensions.magicdrive.clip import clip_boxes
 from generation.extensions.magicdrive.conditions import MODEL_CAMERAS
 from generation.extensions.magicdrive.renderer import MagicDriveRenderer
 from generation.extensions.magicdrive.sensor_frames import SensorFrames

@@ -14,11 +14,18 @@ from torch import Tensor
 from generation.extensions.magicdrive.blocks import CrossViewAttention
 from generation.extensions.magicdrive.config import MagicDriveConfig
 from generation.extensions.magicdrive.encoders import pooled_in_time
-from generation.extensions.magicdrive.guidance import null_conditions
-from generation.extensions.magicdrive.latents import LatentSize, packed_views, unpacked_views
-from generation.extensions.magicdrive.layers import RotaryFrequencies, rounded_to_bfloat16
+from generation.extensions.magicdrive.layers import (
+    LatentSize,
+    PatchEmbedding,
+    RotaryFrequencies,
+    fourier,
+    grid_embedding,
+    packed_views,
+    rounded_to_bfloat16,
+    unpacked_views,
+)
 from generation.extensions.magicdrive.model import Encoded
-from generation.extensions.magicdrive.position import PatchEmbedding, fourier, grid_embedding
+from generation.extensions.magicdrive.sampling import null_conditions
 from tests.generation.extensions.magicdrive.small_network import (
     CONFIG,
     assert_same,

@@ -9,8 +9,8 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from generation.extensions.magicdrive.conditions import TextStates
 from generation.extensions.magicdrive.config import MagicDriveConfig
-from generation.extensions.magicdrive.cost import Workload, operations
-from generation.extensions.magicdrive.latents import LatentSize
+from generation.extensions.magicdrive.estimate import Workload, operations
+from generation.extensions.magicdrive.layers import LatentSize
 from generation.extensions.magicdrive.model import MagicDriveDiT
 from tests.generation.extensions.magicdrive.small_network import CONFIG, noise, random_conditions, small_network
 

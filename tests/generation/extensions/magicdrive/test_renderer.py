@@ -17,17 +17,14 @@ from benchmark.scene import SweepPoses
 from benchmark.weights.catalogue import AUTOENCODER, TEXT_ENCODER, TRANSFORMER
 from benchmark.weights.folders import folder_of
 from generation.extensions.magicdrive import renderer as renderer_module
-from generation.extensions.magicdrive.autoencoder import VideoDecoder
+from generation.extensions.magicdrive.checkpoint import VideoDecoder
 from generation.extensions.magicdrive.clip import clip_of
 from generation.extensions.magicdrive.command import magicdrive_renderer, rendering_executor
 from generation.extensions.magicdrive.config import MagicDriveConfig
-from generation.extensions.magicdrive.image_geometry import ImageGeometry, OutputSize
-from generation.extensions.magicdrive.kept_tensors import keep_tensor, kept_tensor
 from generation.extensions.magicdrive.prompt import PromptLook
-from generation.extensions.magicdrive.renderer import MagicDriveRenderer, RenderSettings
-from generation.extensions.magicdrive.sampling import SamplingState
-from generation.extensions.magicdrive.sensor_frames import SensorFrames, camera_tracks
-from generation.extensions.magicdrive.text import T5TextEncoder
+from generation.extensions.magicdrive.renderer import MagicDriveRenderer, RenderSettings, T5TextEncoder
+from generation.extensions.magicdrive.sampling import SamplingState, keep_tensor, kept_tensor
+from generation.extensions.magicdrive.sensor_frames import ImageGeometry, OutputSize, SensorFrames, camera_tracks
 from generation.extensions.magicdrive.weights import NetworkFiles
 from generation.render.contract import Images
 from tests.generation.extensions.magicdrive.moved_worlds import busy_scene

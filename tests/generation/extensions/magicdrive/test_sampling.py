@@ -11,13 +11,14 @@ from torch import Tensor
 
 from benchmark.errors import InputError
 from generation.extensions.magicdrive.conditions import TextStates
-from generation.extensions.magicdrive.guidance import GuidedModel, null_conditions
 from generation.extensions.magicdrive.layers import rounded_to_bfloat16
 from generation.extensions.magicdrive.sampling import (
     GivenFrames,
+    GuidedModel,
     SamplingOptions,
     SamplingState,
     first_state,
+    null_conditions,
     sample,
     timesteps,
 )

@@ -10,8 +10,7 @@ from benchmark.dynamics.bicycle import SimulatedMotion
 from benchmark.geometry import Floats
 from benchmark.interactions.driving import Rung, Situation, drive
 from benchmark.interactions.outcomes import Surroundings
-from benchmark.interactions.reaction import Driver
-from benchmark.interactions.rules import CAREFUL_TIME_S, HARDEST_BRAKING, REACTION_S
+from benchmark.interactions.reaction import CAREFUL_TIME_S, HARDEST_BRAKING, REACTION_S, Driver
 from benchmark.interactions.tracks import Tracks
 from benchmark.scene import Scene
 from generation.extensions.reactive_adversary.careful import EVERY_FRAMES, Bodies, CarefulAhead

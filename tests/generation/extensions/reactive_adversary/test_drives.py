@@ -16,7 +16,8 @@ from benchmark.machine.workers import LocalProcesses
 from benchmark.metrics.rates import Rate
 from benchmark.records.considered import read_considered
 from benchmark.records.drives import DriveRecord, load_drives
-from benchmark.runs import drive_work, ladders
+from benchmark.runs import drive_work
+from benchmark.runs import drive_work as ladders
 from benchmark.runs.driving import DriveSettings, drive_planners
 from benchmark.runs.redriving import considered_again, driven_again
 from generation.extensions.reactive_adversary.settings import Knows

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmark.closed_loop.contract import Moment
-from benchmark.closed_loop.plans_in_force import PlanInForce
+from benchmark.closed_loop.contract import Moment, PlanInForce
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M
 from benchmark.geometry import Floats, quaternion_from_yaw
 from benchmark.scene import EgoTrack

@@ -11,8 +11,7 @@ from benchmark.constants import OFFICIAL_LOCATIONS
 from benchmark.geometry import wrap_angle
 from benchmark.road_map import DividerKind
 from generation.sources.town.curves import headings, lengths_along, turn
-from generation.sources.town.layout import NodeKind
-from generation.sources.town.network import Role, Town
+from generation.sources.town.network import NodeKind, Role, Town
 from generation.sources.town.towns import build_town
 
 LOCATIONS = OFFICIAL_LOCATIONS

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmark.dynamics.bicycle import DriverLimits
-from benchmark.dynamics.driver_limits import broken_limit
+from benchmark.dynamics.bicycle import DriverLimits, broken_limit
 from benchmark.geometry import Floats, box_corners, boxes_overlap, wrap_angle
 from benchmark.records.off_path import OFF_PATH, Excursion, excursions_of
 from benchmark.scene import Scene

@@ -23,7 +23,7 @@ def record(runs: Path, planner: str, data: str = "mini", split: str = "adv") -> 
 def test_a_full_model_is_shown_as_the_miniature_that_ran(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("benchmark.api.saying._said", set())
+    monkeypatch.setattr("benchmark.api.opening._said", set())
     folder, *_ = [record(tmp_path, name) for name in ("uniad-mini", "vad-mini", "idm")]
     assert planners_shown(["uniad", "vad", "idm"], [folder], tmp_path) == ["uniad-mini", "vad-mini", "idm"]
     assert planners_shown(["uniad"], [folder], tmp_path) == ["uniad-mini"]

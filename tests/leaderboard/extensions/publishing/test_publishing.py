@@ -15,11 +15,10 @@ from benchmark.errors import InputError
 from benchmark.records.run import find_records
 from benchmark.records.scenes import Sheets, find_sheets
 from leaderboard.build import write_leaderboard
-from leaderboard.extensions.publishing.checking import check_publishable
-from leaderboard.extensions.publishing.findings import Found
-from leaderboard.extensions.publishing.house import House
+from leaderboard.extensions.publishing.checking import House, check_publishable
+from leaderboard.extensions.publishing.elsewhere import Found
 from leaderboard.frame.results import read_results
-from leaderboard.site.scripts import data_script, script_data
+from leaderboard.site.packing import data_script, script_data
 from tests.benchmark.cli.in_process import run_here
 from tests.leaderboard.site.big_workspace import make_workspace
 

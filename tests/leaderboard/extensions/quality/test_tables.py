@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.extensions.quality.definition import Definition
-from benchmark.records.quality import QualityRecord, write_quality
-from benchmark.records.quality_schema import SceneRows, SubjectRow, Sum, VideoRow
+from benchmark.records.quality import QualityRecord, SceneRows, SubjectRow, Sum, VideoRow, write_quality
 from benchmark.records.run_schema import SceneFacts
 from leaderboard.build import leaderboard_files, stale_files, write_leaderboard
 from leaderboard.extensions.quality.tables import quality_tables

@@ -13,14 +13,12 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 
 from adapters.camera_inputs import MINIATURE_IMAGE, RGB_MEAN_STD
-from adapters.extensions.training.frame_store import build_frames
 from adapters.extensions.training.frames import TrainingFrame
-from adapters.extensions.training.front import WEIGHTS
+from adapters.extensions.training.front import OWN_EYES, WEIGHTS, seen_with_own_eyes
 from adapters.extensions.training.losses import assigned
-from adapters.extensions.training.own_eyes import OWN_EYES, seen_with_own_eyes
+from adapters.extensions.training.mixture import build_frames
 from adapters.extensions.training.sparse.losses import FORECAST, forecast_losses, plan_losses
-from adapters.extensions.training.sparse.objective import SparseObjective, network_inputs
-from adapters.extensions.training.sparse.phases import front_reader, phases
+from adapters.extensions.training.sparse.phases import SparseObjective, front_reader, network_inputs, phases
 from adapters.extensions.training.sparse.start import (
     initialise,
     planned_from,

@@ -7,12 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from adapters.extensions.training.front import THINGS, FrontObjective, things_loss
-from adapters.extensions.training.image_encoder import centre_loss
-from adapters.extensions.training.image_targets import front_heat, image_targets
-from adapters.extensions.training.own_eyes import OWN_EYES, seen_with_own_eyes
-from adapters.extensions.training.sparse.objective import network_inputs
-from adapters.extensions.training.sparse.phases import front_eyes, front_reader
+from adapters.extensions.training.front import OWN_EYES, THINGS, FrontObjective, seen_with_own_eyes, things_loss
+from adapters.extensions.training.image_encoder import centre_loss, front_heat, image_targets
+from adapters.extensions.training.sparse.phases import front_eyes, front_reader, network_inputs
 from adapters.networks.layers.front_reader import FRONT
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.model import SparseDrive, SparseInputs, SparseNetwork

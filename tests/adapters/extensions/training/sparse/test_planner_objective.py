@@ -5,10 +5,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from adapters.extensions.training.looked_at import LookedAt
-from adapters.extensions.training.own_eyes import OWN_EYES
-from adapters.extensions.training.sparse.objective import SparseObjective, network_inputs
-from adapters.extensions.training.sparse.planner_objective import PERCEPTION, PlannerObjective
+from adapters.extensions.training.frames import LookedAt
+from adapters.extensions.training.front import OWN_EYES
+from adapters.extensions.training.sparse.phases import PERCEPTION, PlannerObjective, SparseObjective, network_inputs
 from adapters.extensions.training.sparse.targets import Targets
 from tests.adapters.extensions.training.one_scene import OneScene
 from tests.adapters.extensions.training.sparse.test_objective import CPU, TINY, frame, network

@@ -15,26 +15,26 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 
 from adapters.camera_inputs import RGB_MEAN_STD
-from adapters.extensions.training.frame_store import build_frames
 from adapters.extensions.training.frames import TrainingFrame
 from adapters.extensions.training.losses import Matches
-from adapters.extensions.training.uniad.heads_objective import HeadsObjective
-from adapters.extensions.training.uniad.losses import detection_losses, mask_loss, matched_agents
-from adapters.extensions.training.uniad.objective import FALSE_FROM, FROZEN, SEES, UniADObjective
-from adapters.extensions.training.uniad.phases import phases
-from adapters.extensions.training.uniad.start import seen_by_vad, untrained
-from adapters.extensions.training.uniad.targets import (
+from adapters.extensions.training.mixture import build_frames
+from adapters.extensions.training.uniad.losses import (
     LINE_HALF_WIDTH_M,
     Agents,
     Road,
     box_targets,
+    detection_losses,
     ego_box,
+    mask_loss,
+    matched_agents,
     motion_anchors,
     network_inputs,
     occupancy_targets,
     query_places,
 )
-from adapters.networks.layers.coders import decode_boxes
+from adapters.extensions.training.uniad.objective import FALSE_FROM, FROZEN, SEES, UniADObjective
+from adapters.extensions.training.uniad.phases import HeadsObjective, phases, seen_by_vad, untrained
+from adapters.networks.layers.deformable_decoder import decode_boxes
 from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.model import UniAD
 from adapters.networks.uniad.occupancy import CELL_M

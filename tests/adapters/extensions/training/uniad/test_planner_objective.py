@@ -3,12 +3,10 @@
 import torch
 from torch import nn
 
-from adapters.extensions.training.frames import TrainingFrame
-from adapters.extensions.training.looked_at import LookedAt
+from adapters.extensions.training.frames import LookedAt, TrainingFrame
+from adapters.extensions.training.uniad.losses import network_inputs
 from adapters.extensions.training.uniad.objective import plan_losses
-from adapters.extensions.training.uniad.planner_objective import PlannerObjective
-from adapters.extensions.training.uniad.start import untrained
-from adapters.extensions.training.uniad.targets import network_inputs
+from adapters.extensions.training.uniad.phases import PlannerObjective, untrained
 from tests.adapters.extensions.training.one_scene import OneScene
 from tests.adapters.extensions.training.uniad.objectives import LEARNER, a_frame, many_frames, without_annotations
 

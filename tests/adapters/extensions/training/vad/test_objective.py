@@ -13,10 +13,10 @@ from torch import Tensor
 
 from adapters.camera_inputs import RGB_MEAN_STD
 from adapters.extensions.training.dense_targets import CHANNELS, VEHICLES, dense_targets
-from adapters.extensions.training.frame_store import build_frames
+from adapters.extensions.training.frames import turned_can_bus
 from adapters.extensions.training.losses import normalised_boxes
-from adapters.extensions.training.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
-from adapters.extensions.training.turned_worlds import turned_can_bus
+from adapters.extensions.training.mixture import build_frames
+from adapters.extensions.training.plan_room import agent_constraint, boundary_constraint, direction_constraint
 from adapters.extensions.training.vad.objective import (
     ENCODER_KEPT,
     WEIGHTS,
@@ -28,14 +28,13 @@ from adapters.extensions.training.vad.objective import (
     inputs_of,
     predictions_of,
 )
-from adapters.extensions.training.vad.start import RARE, set_first_values, untrained
+from adapters.extensions.training.vad.phases import RARE, set_first_values, untrained
 from adapters.networks.layers.bev_geometry import BEVGrid
 from adapters.networks.layers.ego_motion import EgoMotion
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD
 from adapters.networks.vad.planner import VADPlanner
-from adapters.networks.vad.predictions import VADPredictions
-from adapters.networks.vad.selection import select
+from adapters.networks.vad.selection import VADPredictions, select
 from benchmark.datasets.nuscenes import NuScenesData
 from tests.adapters.extensions.training.vad.road_frames import a_frame, clip, empty, moved
 from tests.adapters.networks.vad.small_vad import SMALL, small_network

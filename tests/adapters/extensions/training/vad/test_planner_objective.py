@@ -5,11 +5,10 @@ from dataclasses import replace
 import torch
 from torch import nn
 
-from adapters.extensions.training.frames import TrainingFrame
-from adapters.extensions.training.looked_at import LookedAt
-from adapters.extensions.training.own_eyes import OWN_EYES
+from adapters.extensions.training.frames import LookedAt, TrainingFrame
+from adapters.extensions.training.front import OWN_EYES
 from adapters.extensions.training.vad.objective import WEIGHTS, frame_losses, inputs_of
-from adapters.extensions.training.vad.planner_objective import PERCEPTION, PlannerObjective
+from adapters.extensions.training.vad.phases import PERCEPTION, PlannerObjective
 from tests.adapters.extensions.training.one_scene import OneScene
 from tests.adapters.extensions.training.vad.road_frames import clip, empty
 from tests.adapters.networks.vad.small_vad import SMALL, small_network

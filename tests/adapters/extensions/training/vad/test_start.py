@@ -5,9 +5,8 @@ from dataclasses import replace
 import torch
 import torch.nn.functional as F
 
-from adapters.extensions.training.vad.start import grown
-from adapters.networks.layers.deformable_attention import SamplingPattern
-from adapters.networks.layers.sampling import deformable_sampling
+from adapters.extensions.training.vad.phases import grown
+from adapters.networks.layers.deformable_attention import SamplingPattern, deformable_sampling
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD
 

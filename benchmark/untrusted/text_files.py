@@ -1,15 +1,93 @@
-"""Foreign JSON: so many bytes, values and containers within containers, and no text that cannot be written again."""
+"""Foreign JSON: so many bytes, values and containers within containers, and no text that cannot be written again.
+
+Foreign TOML: small files that people write by hand.
+
+Foreign YAML: small files of settings that people write by hand.
+"""
 
 import codecs
 import json
 import re
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
 from benchmark.errors import InputError
-from benchmark.untrusted.files import one_line, open_file
-from benchmark.untrusted.limits import JSON, Limits, in_words
+from benchmark.untrusted.files import JSON, SETTINGS, Limits, in_words, one_line, open_file, read_file
+
+
+def read_yaml(path: Path, limits: Limits = SETTINGS) -> Any:
+    """Read a YAML file of plain values: no tags, and no aliases, of which a few lines can make billions of values.
+
+    Args:
+        path: The file.
+        limits: How large it may be, and how deep its containers may lie.
+
+    Returns:
+        Its value.
+
+    Raises:
+        InputError: If it is absent, unreadable, too large, nested too deeply or not such YAML.
+    """
+    import yaml
+
+    class PlainLoader(yaml.SafeLoader):  # type: ignore[misc]
+        """Loader that refuses aliases and deep nesting while it reads."""
+
+        depth = 0
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            if self.check_event(yaml.AliasEvent):
+                raise yaml.YAMLError("it has an alias; write the value out")
+            self.depth += 1
+            if self.depth > limits.depth:
+                raise yaml.YAMLError(f"its containers lie more than {limits.depth} deep")
+            try:
+                return super().compose_node(parent, index)
+            finally:
+                self.depth -= 1
+
+    try:
+        return yaml.load(read_file(path, limits).decode("utf-8-sig"), Loader=PlainLoader)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise InputError(f"{path} is not valid YAML ({one_line(error) or 'nested too deeply'}); correct it") from error
+
+
+def read_toml(path: Path, limits: Limits = SETTINGS) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Args:
+        path: The file.
+        limits: How large it may be.
+
+    Returns:
+        Its tables.
+
+    Raises:
+        InputError: If it is absent, unreadable, too large or not TOML.
+    """
+    return parse_toml(read_file(path, limits), str(path))
+
+
+def parse_toml(data: bytes, where: str) -> dict[str, Any]:
+    """The tables of a TOML text.
+
+    Args:
+        data: UTF-8 text.
+        where: What it is called in the message.
+
+    Returns:
+        The tables.
+
+    Raises:
+        InputError: If it is not TOML.
+    """
+    try:
+        return tomllib.loads(data.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{where} is not valid TOML ({one_line(error) or 'nested too deeply'}); correct it") from error
+
 
 _BETWEEN: Final = bytes(sorted(set(range(256)) - set(b'[]{}"')))
 _ONE_KIND: Final = bytes.maketrans(b"{}", b"[]")
