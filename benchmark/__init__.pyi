@@ -91,7 +91,7 @@ from benchmark.extensions.submissions.checking import check_submission as check_
 from benchmark.fairness.splits import judge_split as judge_split
 from benchmark.machine.environment import checks as doctor
 from benchmark.machine.workspace import Workspace as Workspace
-from benchmark.metrics.scores import samples_frame as samples_frame
+from benchmark.metrics.frames import samples_frame as samples_frame
 from benchmark.metrics.transfer import transfer as transfer
 from benchmark.planning import (
     Command as Command,

@@ -30,7 +30,7 @@ from benchmark.closed_loop.stepping import begin, drivable, goes_on, step_togeth
 from benchmark.closed_loop.world import Course, Trace, World
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.machine.kept_arrays import LastMade
+from benchmark.machine.last_made import LastMade
 from benchmark.pdm.motion import headed
 from benchmark.planning import Plan
 from benchmark.records.drive_schema import NeuroncapScore, UntilName

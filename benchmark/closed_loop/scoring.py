@@ -36,7 +36,7 @@ from benchmark.interactions.contacts import (
     is_agent,
     mass_kg,
 )
-from benchmark.machine.kept_arrays import LastMade
+from benchmark.machine.last_made import LastMade
 from benchmark.pdm import definition as pdm
 from benchmark.pdm.contacts import STANDING_M_S
 from benchmark.pdm.definition import SPEED, STATE_COLUMNS

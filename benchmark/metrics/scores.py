@@ -1,7 +1,4 @@
-"""What the samples of a record add to its collision rates, for everything that compares records.
-
-Run records as data frames, for questions that no table answers.
-"""
+"""What the samples of a record add to its collision rates, for everything that compares records."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -10,10 +7,8 @@ from types import MappingProxyType
 from typing import Final
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
-from benchmark.constants import HORIZON_STEPS
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.metrics.rates import HORIZONS, SceneSums, sums_by_scene, with_average
@@ -136,39 +131,3 @@ def source_of_scenes(record: RunRecord) -> Mapping[str, str]:
 def named(record: RunRecord) -> str:
     """A record in words; its path would make tables differ from machine to machine."""
     return f"{record.planner} on {record.run.split} of {record.run.data.name}"
-
-
-_COLUMNS = ("collision", "l2")
-
-
-def samples_frame(record: RunRecord) -> pd.DataFrame:
-    """One row a sample; the mean of a number's column is the published rate.
-
-    Args:
-        record: A run record.
-
-    Returns:
-        Columns ``scene``, ``sample``, ``index``, ``status``, ``place`` and ``speed_m_s`` (null in older records); then
-        for each protocol that judged the record ``<protocol> collision <horizon>`` (0 to 1) and ``<protocol> l2
-        <horizon>`` (metres) at ``1s``, ``2s`` and ``3s``, each as the protocol averages it. NaN where there is no plan,
-        the protocol does not count the sample, or nothing is known of it, at the horizon or at all.
-
-    Raises:
-        InputError: If a protocol judged the record in another version than the present one, or is not known here.
-    """
-    said = ("scene", "sample_token", "index", "status", "place", "speed_m_s")
-    of_rows = list(zip(*(record.columns.values(name) for name in said)))
-    frame = pd.DataFrame(of_rows, columns=[name.removesuffix("_token") for name in said])
-    planned = (frame["status"] == "ok").to_numpy()
-    columns: dict[str, Floats] = {}
-    for name in dict.fromkeys([*PROTOCOLS, *record.run.protocols]):
-        if name not in record.run.protocols:
-            continue
-        require_current(record, name)
-        outcomes = outcomes_of(record.rows, name)
-        values = published_values(PROTOCOLS[name], outcomes)
-        for column in _COLUMNS:
-            table = np.full((len(frame), len(HORIZON_STEPS)), np.nan)
-            table[planned] = np.where(outcomes.counted[:, None], values[column], np.nan)
-            columns |= {f"{name} {column} {horizon}": table[:, place] for place, horizon in enumerate(HORIZON_STEPS)}
-    return pd.concat([frame, pd.DataFrame(columns)], axis=1)

@@ -11,7 +11,8 @@ from benchmark.geometry import Floats
 from benchmark.pdm.definition import DT_S
 from benchmark.pdm.motion import all_headed, disagreement, extended_comfort, states_between, tracked
 from benchmark.pdm.recording import RecordedScene
-from benchmark.pdm.scoring import DrivenPlan, Judged, Surroundings, beside, human_scores, judged
+from benchmark.pdm.scoring import Judged, Surroundings, beside, human_scores, judged
+from benchmark.pdm.totals import DrivenPlan
 from benchmark.planning import Plan
 from benchmark.scene import Scene
 

@@ -8,7 +8,7 @@ import numpy as np
 from benchmark.geometry import Bools, Floats
 from benchmark.metrics.rates import ratios_over_scenes
 from benchmark.pdm.definition import DEFINITION, NOTE, PDM, VERSION
-from benchmark.pdm.scoring import FILTERED, DrivenPlan, SubScores
+from benchmark.pdm.totals import FILTERED, DrivenPlan, SubScores
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run_schema import DrivingSummary
 

@@ -6,7 +6,7 @@ from typing import Any, Final, Literal, get_args
 
 from pydantic import Field, model_validator
 
-from benchmark.pdm.scoring import DrivenPlan
+from benchmark.pdm.totals import DrivenPlan
 from benchmark.protocols.raster import touches_adversary
 from benchmark.records.judgement import Impact, NotNegative, Text
 from benchmark.records.stored import Stored

@@ -44,7 +44,7 @@ WORTH_WORKERS_BYTES: Final = 1 << 27
 _FOLDER: Final = "records"
 _CODE: Final = (
     *(f"records/{name}" for name in ("columns", "driving", "judgement", "row_schema", "rows", "run", "stored")),
-    *("constants", "geometry", "waypoints", "untrusted/text_files", "untrusted/files", "pdm/scoring"),
+    *("constants", "geometry", "waypoints", "untrusted/text_files", "untrusted/files", "pdm/totals"),
     "protocols/contract",
 )
 _LINES_AT_ONCE: Final = 64

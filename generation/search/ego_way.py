@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME, PLAN_STEP_S, PLAN_STEPS
 from benchmark.geometry import Floats, wrap_angle
-from benchmark.machine.kept_arrays import LastMade
+from benchmark.machine.last_made import LastMade
 from benchmark.scene import Scene
 from generation.labels.encounters import PathFrame
 

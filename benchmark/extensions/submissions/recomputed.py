@@ -17,7 +17,7 @@ from benchmark.datasets.annotated import AnnotationCount
 from benchmark.datasets.scene_facts import with_truth
 from benchmark.errors import InputError
 from benchmark.pdm.definition import DEFINITION, VERSION
-from benchmark.pdm.scoring import DrivenPlan
+from benchmark.pdm.totals import DrivenPlan
 from benchmark.protocols import PROTOCOLS
 from benchmark.protocols.raster import ADVERSARY_S, HIT_ADVERSARY, TOUCHED, TOUCHED_ADVERSARY
 from benchmark.records.drives import DriveRecord, columns_of

@@ -19,7 +19,7 @@ from benchmark.constants import FRAME_HZ
 from benchmark.dynamics.bicycle import SimulatedMotion
 from benchmark.geometry import Bools, Floats
 from benchmark.interactions.reaction import CAREFUL_TIME_S, HARDEST_BRAKING, REACTION_S
-from benchmark.machine.kept_arrays import LastMade
+from benchmark.machine.last_made import LastMade
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.search.ego_way import EgoWay, ego_way

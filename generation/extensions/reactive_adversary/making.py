@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmark.closed_loop.contract import AgentPolicy
 from benchmark.errors import InputError
-from benchmark.machine.kept_arrays import LastMade
+from benchmark.machine.last_made import LastMade
 from benchmark.scene import Scene
 from generation.extensions.reactive_adversary.policy import Adversary
 from generation.extensions.reactive_adversary.settings import AdversarySettings

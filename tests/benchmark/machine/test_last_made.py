@@ -1,6 +1,6 @@
 """What is remembered is what was made of the same object."""
 
-from benchmark.machine.kept_arrays import LastMade
+from benchmark.machine.last_made import LastMade
 
 
 def test_it_is_made_once_for_each_object_and_value_and_the_oldest_is_forgotten() -> None:

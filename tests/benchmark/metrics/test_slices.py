@@ -24,7 +24,7 @@ from benchmark.metrics.slices import (
     slice_sums,
     slicing,
 )
-from benchmark.pdm.scoring import DrivenPlan
+from benchmark.pdm.totals import DrivenPlan
 from benchmark.records.driving import summarise_driving
 from benchmark.records.row_schema import DiagnosisRow, SampleRow
 from benchmark.records.run import RunRecord, summarise

@@ -9,7 +9,7 @@ from shapely.geometry import MultiPolygon
 
 from benchmark.pdm import judging
 from benchmark.pdm.judging import judge_scene
-from benchmark.pdm.scoring import DrivenPlan
+from benchmark.pdm.totals import DrivenPlan
 from benchmark.planning import Plan, PlanFrame
 from benchmark.road_map import RoadMap
 from benchmark.scene import Scene

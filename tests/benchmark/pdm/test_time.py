@@ -11,7 +11,7 @@ from benchmark.geometry import Floats
 from benchmark.pdm.judging import judge_scene
 from benchmark.pdm.motion import comfort_series, extremes_of, tracked
 from benchmark.pdm.recording import RecordedScene
-from benchmark.pdm.scoring import DrivenPlan
+from benchmark.pdm.totals import DrivenPlan
 from benchmark.planning import Plan, PlanFrame
 from benchmark.scene import EgoTrack, Scene
 from tests.benchmark.irregular_time import at_other_times, with_key_frames, without_key_frames

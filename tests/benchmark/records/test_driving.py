@@ -9,7 +9,7 @@ import pytest
 
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.pdm.definition import VERSION
-from benchmark.pdm.scoring import DrivenPlan
+from benchmark.pdm.totals import DrivenPlan
 from benchmark.records.driving import COLUMNS, SUB_SCORES, sample_scores, summarise_driving
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import load_record, summarise

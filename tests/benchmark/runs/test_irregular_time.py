@@ -9,8 +9,9 @@ from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.schema.check import check_tables
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.metrics.disagreement import comparisons
+from benchmark.metrics.frames import samples_frame
 from benchmark.metrics.rates import HORIZONS
-from benchmark.metrics.scores import samples_frame, scored
+from benchmark.metrics.scores import scored
 from benchmark.metrics.significance import compare_planners
 from benchmark.protocols import PROTOCOLS, STANDARD
 from benchmark.records.caveats import Caveat

@@ -13,7 +13,8 @@ from benchmark.datasets.roots import open_data
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.metrics.attacks import scene_attacks
-from benchmark.metrics.scores import samples_frame, scored
+from benchmark.metrics.frames import samples_frame
+from benchmark.metrics.scores import scored
 from benchmark.metrics.slices import rates_by
 from benchmark.metrics.transfer import transfer
 from benchmark.protocols import PROTOCOLS

@@ -12,7 +12,7 @@ from benchmark.fairness.plan_severity import plan_severities
 from benchmark.geometry import Bools, Floats, wrap_angle
 from benchmark.machine.storage import content_key, content_seed
 from benchmark.metrics.disagreement import MISS
-from benchmark.pdm.scoring import DrivenPlan
+from benchmark.pdm.totals import DrivenPlan
 from benchmark.planning import Command, PlanFrame
 from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes
 from benchmark.records.judgement import JudgementSummary

@@ -22,17 +22,8 @@ from benchmark.pdm.definition import (
 )
 from benchmark.pdm.layers import Layer, Road
 from benchmark.pdm.motion import comfort_checks, disagreement, extended_comfort, history_rows
-from benchmark.pdm.scoring import (
-    FILTERED,
-    Judged,
-    SubScores,
-    Surroundings,
-    beside,
-    human_scores,
-    judged,
-    log_replay,
-    offsets,
-)
+from benchmark.pdm.scoring import Judged, Surroundings, beside, human_scores, judged, log_replay, offsets
+from benchmark.pdm.totals import FILTERED, SubScores
 from benchmark.pdm.traffic import KeyFrames, at_states
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays

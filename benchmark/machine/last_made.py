@@ -1,0 +1,31 @@
+"""What was made of the last few objects, while it is asked for again: scenes are large, and many drives are of one."""
+
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+Source = TypeVar("Source")
+Made = TypeVar("Made")
+
+
+class LastMade(Generic[Source, Made]):
+    """Makes something of an object and of plain values, and remembers the last few.
+
+    Two objects are the same if they are one, even if others are equal. Neither they nor what was made may change.
+
+    Args:
+        make: Takes the object and the values.
+        kept: How many are remembered.
+    """
+
+    def __init__(self, make: Callable[..., Made], kept: int = 1) -> None:
+        self._make, self._kept = make, kept
+        self._last: list[tuple[Source, tuple[object, ...], Made]] = []
+
+    def __call__(self, source: Source, *values: object) -> Made:
+        """What was made of them, or is made now."""
+        for known, others, made in self._last:
+            if known is source and others == values:
+                return made
+        made = self._make(source, *values)
+        self._last = [(source, values, made), *self._last][: self._kept]
+        return made
