@@ -100,8 +100,8 @@ def camera_images(observation: Observation, image_format: ImageFormat, normalisa
     images = np.zeros((len(CAMERA_NAMES), 3, *image_format.padded), np.float32)
     rows = image_format.height - image_format.crop_top
     for image, view in zip(images, _six_views(observation), strict=True):
-        shown = image[:, :rows, : image_format.width]
-        _write_network_image(shown, _loaded(view), image_format, normalisation)
+        unpadded = image[:, :rows, : image_format.width]
+        _write_network_image(unpadded, _loaded(view), image_format, normalisation)
     return images
 
 

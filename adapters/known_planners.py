@@ -62,11 +62,11 @@ def known_planners(
     Returns:
         Those of this package in the order of the table, then those of others.
     """
-    folder, others = cache or weights_folder(), installed_planners() if installed is None else installed
-    own = [_built_in(model, folder) for name, model in MODELS.items() if name == model.name]
+    folder, packages = cache or weights_folder(), installed_planners() if installed is None else installed
+    built_in = [_built_in(model, folder) for name, model in MODELS.items() if name == model.name]
     return (
-        *own,
-        *(KnownPlanner(name, "?", "its own", "?", comes_from=point.value) for name, point in others.items()),
+        *built_in,
+        *(KnownPlanner(name, "?", "its own", "?", comes_from=point.value) for name, point in packages.items()),
     )
 
 
@@ -88,7 +88,7 @@ def own_planner_like(planner: PlannerFacts) -> PlannerFacts | None:
 
 def planners_text(planners: tuple[KnownPlanner, ...], width: int | None = None) -> str:
     """The planners as a table, and how to get what is missing."""
-    missing = dict.fromkeys(each.comes_from for each in planners if each.weights == "missing")
+    missing = dict.fromkeys(planner.comes_from for planner in planners if planner.weights == "missing")
     lines = [planners_table(planners).plain(width=width)]
     if missing:
         lines.append("Weights that are missing, and how to get them:")
@@ -101,14 +101,20 @@ def planners_table(planners: tuple[KnownPlanner, ...]) -> Table:
     """One row for each planner."""
     rows = [
         (
-            Shown(f"{each.name} {MINIATURE_MARK}" if each.miniature else each.name, miniature=each.miniature),
-            *(each.sees, each.weights, each.gpu, _extra(each)),
+            Shown(
+                f"{planner.name} {MINIATURE_MARK}" if planner.miniature else planner.name, miniature=planner.miniature
+            ),
+            *(planner.sees, planner.weights, planner.gpu, _extra(planner)),
         )
-        for each in planners
+        for planner in planners
     ]
-    others = [f"{each.name} is from an installed package: {each.comes_from}." for each in planners if each.gpu == "?"]
-    extras = dict.fromkeys(each.extra for each in planners if each.extra)
-    also = [f"{name} is short for {each.name}." for each in planners for name in each.also]
+    installed_notes = [
+        f"{planner.name} is from an installed package: {planner.comes_from}."
+        for planner in planners
+        if planner.gpu == "?"
+    ]
+    extras = dict.fromkeys(planner.extra for planner in planners if planner.extra)
+    also = [f"{name} is short for {planner.name}." for planner in planners for name in planner.also]
     return table_of(
         "models",
         "Planners that --model takes; your own is --model package.module:Class",
@@ -121,7 +127,7 @@ def planners_table(planners: tuple[KnownPlanner, ...]) -> Table:
             "Packaged weights have the licences of what they learned from: adapters/weights/*.md.",
             *(f"{extra} is an extra of this package: pip install challenger-bench{extra}." for extra in extras),
             *also,
-            *others,
+            *installed_notes,
         ),
         text_columns=5,
     )

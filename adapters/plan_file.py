@@ -100,10 +100,10 @@ class PlanFile:
         present = set(self.keys)
         missing = [key for scene in scenes for key in sorted(samples[scene].keys() - present, key=str)]
         if missing and not (allow_partial and len(missing) < sum(len(samples[scene]) for scene in scenes)):
-            what = (
+            rule = (
                 "no sample has one" if allow_partial else "every sample needs a plan, unless --allow-partial is given"
             )
-            raise InputError(f"{self.path} has no row for {_listed(missing)} of split {split!r}; {what}")
+            raise InputError(f"{self.path} has no row for {_listed(missing)} of split {split!r}; {rule}")
         known = set().union(*samples.values())
         extra = [key for key in self.keys if key not in known]
         if extra:
@@ -190,8 +190,8 @@ class PlanFileFactory:
     def sentences(self) -> list[str]:
         """Sentences about the file."""
         rows = "sample_token holds tokens of sample_data rows; each stands for the sample of its keyframe"
-        told = [f"{self.path}: {rows}"] if self.tokens else []
-        return [*told, f"{self.path}: {checks_said(self.measured)}"]
+        notes = [f"{self.path}: {rows}"] if self.tokens else []
+        return [*notes, f"{self.path}: {checks_said(self.measured)}"]
 
 
 def plan_file_factory(
@@ -239,9 +239,9 @@ def plan_file_factory(
         plans.require(samples, split, chosen, allow_partial=allow_partial)
     except InputError as error:
         raise _foreign(plans, data, split, samples, records) or error from None
-    found = plausibility_of(plans.compared(samples))
-    if found.misreading is not None and not as_is:
-        raise InputError(refusal_of(path, found.misreading))
+    plausibility = plausibility_of(plans.compared(samples))
+    if plausibility.misreading is not None and not as_is:
+        raise InputError(refusal_of(path, plausibility.misreading))
     facts = PlannerFacts(
         name=name or path.stem,
         privileged=False,
@@ -251,8 +251,8 @@ def plan_file_factory(
         native_protocol=native,
         published_as=published_as(name or path.stem),
     )
-    caveats = () if found.misreading is None else (caveat_as_is(found.misreading),)
-    return PlanFileFactory(path, facts, tokens, frame, caveats, found.measured)
+    caveats = () if plausibility.misreading is None else (caveat_as_is(plausibility.misreading),)
+    return PlanFileFactory(path, facts, tokens, frame, caveats, plausibility.measured)
 
 
 def _tokens_of_keyframes(plans: PlanFile, data: "DataSet", samples: "SplitSamples") -> dict[str, str]:
@@ -275,16 +275,23 @@ def _foreign(
     present = set(plans.keys)
     if not present.isdisjoint(set().union(*samples.values())):
         return None
-    others = (other for other in scenes_by_split(data)[0] if other != split)
-    mine = next(
-        (each for each in others if not present.isdisjoint(set().union(*plans.samples_of(data, each).values()))), None
+    other_splits = (other for other in scenes_by_split(data)[0] if other != split)
+    own_split = next(
+        (
+            split_name
+            for split_name in other_splits
+            if not present.isdisjoint(set().union(*plans.samples_of(data, split_name).values()))
+        ),
+        None,
     )
-    there = where_planned(records, [tuple(json.dumps(part) for part in key) for key in plans.keys[:_SHOWN]])
+    recorded_split = where_planned(records, [tuple(json.dumps(part) for part in key) for key in plans.keys[:_SHOWN]])
     seems = "whose samples it names is not known here; name the data set that it was made for with --data"
-    if mine is not None:
-        seems = f"they are samples of its split {mine!r}; name that with --split"
-    elif there is not None:
-        seems = f"they are samples of split {there.split!r} of {there.data}, of which there are records"
+    if own_split is not None:
+        seems = f"they are samples of its split {own_split!r}; name that with --split"
+    elif recorded_split is not None:
+        seems = (
+            f"they are samples of split {recorded_split.split!r} of {recorded_split.data}, of which there are records"
+        )
     return InputError(
         f"{plans.path}: none of its {len(plans.keys)} rows belongs to split {split!r} of {data.name}; {seems}"
     )
@@ -304,11 +311,13 @@ def read_plan_file(path: Path, frame: FrameName | None = None) -> PlanFile:
     keys = tuple(_row_key(path, key_columns, values) for values in zip(*(table[column] for column in key_columns)))
     _require_once(path, keys)
     waypoints = _numbers(path, table, keys)
-    frames = tuple(str(own) for own in table["frame"])
-    wrong = [f"{own!r} ({_shown(key)})" for own, key in zip(frames, keys) if own not in set(PlanFrame)]
+    frames = tuple(str(frame_name) for frame_name in table["frame"])
+    wrong = [
+        f"{frame_name!r} ({_shown(key)})" for frame_name, key in zip(frames, keys) if frame_name not in set(PlanFrame)
+    ]
     if wrong:
         raise InputError(f"{path} has the unknown frame {_counted(wrong)}; a frame is 'lidar' or 'ego'")
-    read_as = tuple(PlanFrame(frame or own) for own in frames)
+    read_as = tuple(PlanFrame(frame or frame_name) for frame_name in frames)
     return PlanFile(path, key_columns == _BY_TOKEN, keys, read_as, waypoints)
 
 
@@ -326,14 +335,14 @@ def _read_table(path: Path) -> Any:
 
 def _require_columns(path: Path, columns: list[str], key_columns: tuple[str, ...]) -> None:
     steps = _waypoint_columns(columns)
-    wanted = (*key_columns, "frame", *steps)
-    missing = [column for column in wanted if column not in columns]
+    expected = (*key_columns, "frame", *steps)
+    missing = [column for column in expected if column not in columns]
     if missing:
         hint = "; rows are named by sample_token, or by scene and timestamp" if key_columns == _BY_TIME else ""
         raise InputError(f"{path} has no column {', '.join(missing)}{hint}")
-    unknown = [column for column in columns if column not in (*wanted, *_BY_TOKEN, *_BY_TIME)]
+    unknown = [column for column in columns if column not in (*expected, *_BY_TOKEN, *_BY_TIME)]
     if unknown:
-        raise InputError(f"{path} has unknown columns {', '.join(unknown[:_SHOWN])}; columns are {', '.join(wanted)}")
+        raise InputError(f"{path} has unknown columns {', '.join(unknown[:_SHOWN])}; columns are {', '.join(expected)}")
 
 
 def _waypoint_columns(columns: Sequence[str]) -> tuple[str, ...]:

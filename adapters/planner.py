@@ -175,11 +175,11 @@ def forecasts_of(
     `boxes` are (N, 7 or more) centre x, y, z, width, length, height, yaw; `scores` (N,) 0 to 1; `trajectories` (N,
     modes, steps, 2) centres, at least as many steps as a plan has; `shares` (N, modes) probabilities.
     """
-    kept = (scores >= reporting.least_score).nonzero()[:, 0]
-    kept = kept[said_once(boxes[kept][:, :2], boxes[kept][:, 4], scores[kept], reporting.apart)]
+    rows = (scores >= reporting.least_score).nonzero()[:, 0]
+    rows = rows[said_once(boxes[rows][:, :2], boxes[rows][:, 4], scores[rows], reporting.apart)]
     # Length before width, as boxes are everywhere here; networks have them the other way round.
-    listed, paths = numbers(boxes[kept][:, [0, 1, 4, 3, 6]]), numbers(trajectories[kept][:, :, :PLAN_STEPS])
-    likely = numbers(shares[kept])
-    near = (np.abs(listed) <= FARTHEST_WAYPOINT_M).all(1) & (np.abs(paths) <= FARTHEST_WAYPOINT_M).all((1, 2, 3))
-    sound = near & (listed[:, 2:4] > 0).all(1) & np.isfinite(likely).all(1)
+    listed, paths = numbers(boxes[rows][:, [0, 1, 4, 3, 6]]), numbers(trajectories[rows][:, :, :PLAN_STEPS])
+    likely = numbers(shares[rows])
+    plausible = (np.abs(listed) <= FARTHEST_WAYPOINT_M).all(1) & (np.abs(paths) <= FARTHEST_WAYPOINT_M).all((1, 2, 3))
+    sound = plausible & (listed[:, 2:4] > 0).all(1) & np.isfinite(likely).all(1)
     return Forecasts(boxes=listed[sound], trajectories=paths[sound], scores=likely[sound])

@@ -153,8 +153,8 @@ def _maker(
     as_published: tuple[str, ...],
 ) -> Maker:
     require_known(name)
-    given = {"checkpoint": checkpoint, "seed": seed, "device": device, "precision": precision}
-    return Maker(name, _BUILT_FROM, {"name": name, **given, "as_published": as_published})
+    options = {"checkpoint": checkpoint, "seed": seed, "device": device, "precision": precision}
+    return Maker(name, _BUILT_FROM, {"name": name, **options, "as_published": as_published})
 
 
 def planner(
@@ -190,16 +190,16 @@ def planner(
     require_known(name)
     installed = installed_planners()
     if name in MODELS and MODELS[name].network is not None:
-        made = partial(_import(_MAKER_OF_NETWORKS, name), MODELS[name])
+        maker = partial(_import(_MAKER_OF_NETWORKS, name), MODELS[name])
     elif name in MODELS:
-        made = _import(MODELS[name].planner, name)
+        maker = _import(MODELS[name].planner, name)
     elif name in installed:
-        made = _load(installed[name])
+        maker = _load(installed[name])
     elif is_address(name):
-        made = partial(imported(_MAKER_OVER_HTTP), name)
+        maker = partial(imported(_MAKER_OVER_HTTP), name)
     else:
         _look_here()
-        made = _import(name, name)
+        maker = _import(name, name)
     if checkpoint is not None and not checkpoint.exists():
         raise InputError(f"there is no checkpoint {checkpoint}")
     offered = {"checkpoint": checkpoint, "data": data, "seed": seed, "device": device, "precision": precision}
@@ -207,7 +207,7 @@ def planner(
         offered["as_published"] = tuple(as_published)
     if is_address(name):
         offered |= over_http or {}
-    return _checked(_build(made, name, offered), name)
+    return _checked(_build(maker, name, offered), name)
 
 
 def require_known(name: str) -> None:
@@ -236,15 +236,15 @@ def made_by(name: str) -> str:
 
 def installed_planners() -> dict[str, EntryPoint]:
     """Planners of installed packages, by name; built-in names cannot be taken over."""
-    found = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name)
-    return {point.name: point for point in found if point.name not in MODELS}
+    points = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name)
+    return {point.name: point for point in points if point.name not in MODELS}
 
 
 def _look_here() -> None:
     """Find modules in the current folder as ``python -m`` does; an installed command does not look there by itself."""
-    here = str(Path.cwd())
-    if not {"", here} & set(sys.path):
-        sys.path.insert(0, here)
+    folder = str(Path.cwd())
+    if not {"", folder} & set(sys.path):
+        sys.path.insert(0, folder)
 
 
 def _import(reference: str, name: str) -> Any:
@@ -263,12 +263,12 @@ def _import(reference: str, name: str) -> Any:
         raise _raised(name, f"importing {module_name}", error) from error
     except FAILURES as error:
         raise _raised(name, f"importing {module_name}", error) from error
-    made: Any = module
+    target: Any = module
     for part in attribute.split("."):
-        if not hasattr(made, part):
+        if not hasattr(target, part):
             raise InputError(f"model {name!r}: module {module_name} has no {attribute!r}")
-        made = getattr(made, part)
-    return made
+        target = getattr(target, part)
+    return target
 
 
 def _load(point: EntryPoint) -> Any:
@@ -281,20 +281,20 @@ def _load(point: EntryPoint) -> Any:
         ) from error
 
 
-def _build(made: Any, name: str, offered: dict[str, Any]) -> Any:
+def _build(maker: Any, name: str, offered: dict[str, Any]) -> Any:
     """Call a class or function with those of our arguments that it takes."""
-    if not callable(made):
-        raise InputError(f"model {name!r} is a {type(made).__name__}, not a class or a function that makes a planner")
+    if not callable(maker):
+        raise InputError(f"model {name!r} is a {type(maker).__name__}, not a class or a function that makes a planner")
     try:
-        parameters = inspect.signature(made).parameters.values()
+        parameters = inspect.signature(maker).parameters.values()
     except ValueError as error:
-        raise InputError(f"model {name!r} is {made!r}, not a class or a function that makes a planner") from error
+        raise InputError(f"model {name!r} is {maker!r}, not a class or a function that makes a planner") from error
     takes_any = any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters)
     taken = {parameter.name for parameter in parameters}
     for option in ("checkpoint", "device", "precision", "as_published"):
         if offered.get(option) is not None and not takes_any and option not in taken:
-            said = option.replace("_", "-")
-            raise InputError(f"model {name!r} takes no {said}; leave --{said} out")
+            option_name = option.replace("_", "-")
+            raise InputError(f"model {name!r} takes no {option_name}; leave --{option_name} out")
     missing = [
         parameter.name
         for parameter in parameters
@@ -304,10 +304,10 @@ def _build(made: Any, name: str, offered: dict[str, Any]) -> Any:
     ]
     if missing:
         raise InputError(f"model {name!r} cannot be built without {', '.join(missing)}")
-    given = {key: value for key, value in offered.items() if (takes_any or key in taken) and value is not None}
+    arguments = {key: value for key, value in offered.items() if (takes_any or key in taken) and value is not None}
     try:
         with _stdout_kept():
-            return made(**given)
+            return maker(**arguments)
     except InputError:
         raise
     except FAILURES as error:

@@ -49,7 +49,7 @@ def main() -> None:
         # A child that collects garbage would copy every page that it shares with this process.
         gc.freeze()
         wanted, kinds = options.kind or [""], enumerate(campaign.kinds(options.count))
-        numbers = [number for number, kind in kinds if any(each in kind for each in wanted)][: options.count]
+        numbers = [number for number, kind in kinds if any(word in kind for word in wanted)][: options.count]
         results = list(run_campaign(campaign, options.only or numbers, again=bool(options.only)))
     print(table(results))
     for result in results:
@@ -83,8 +83,8 @@ def table(results: Sequence[Result]) -> str:
     kinds = list(dict.fromkeys(result.kind for result in results))
     for kind in (*kinds, ""):
         mine = Counter(result.verdict for result in results if kind in ("", result.kind))
-        fell = ", ".join(f"{mine[each]} {each}" for each in FALLEN if mine[each]) or "0"
-        fine = " | ".join(str(mine[each]) for each in FINE[:3])
+        fell = ", ".join(f"{mine[outcome]} {outcome}" for outcome in FALLEN if mine[outcome]) or "0"
+        fine = " | ".join(str(mine[outcome]) for outcome in FINE[:3])
         lines.append(f"| {kind or 'all'} | {mine.total()} | {fine} | {fell} |")
     return "\n".join(lines)
 

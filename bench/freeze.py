@@ -73,24 +73,24 @@ def run_side(tree: Tree, names: list[str], kept: Path | None = None) -> Seens:
             raise SystemExit("stopped")
         file = kept / f"{name}.json" if kept else None
         if file is not None and file.exists():
-            found: Seen = json.loads(file.read_text())
-            return found
+            outputs: Seen = json.loads(file.read_text())
+            return outputs
         case_began = time.monotonic()
         try:
-            found = tree.run(CASES[name])
+            outputs = tree.run(CASES[name])
         except BaseException:
             stopped.set()
             raise
         print(f"{tree.name}: {name} took {time.monotonic() - case_began:.0f} s", file=sys.stderr, flush=True)
         if file is not None:
-            file.write_text(json.dumps(found))
-        return found
+            file.write_text(json.dumps(outputs))
+        return outputs
 
     # Every case is submitted behind what it reads, so one that waits waits for a case that runs.
     with ThreadPoolExecutor(_AT_A_TIME) as pool:
         for name in names:
             running[name] = pool.submit(outcome, name)
-    failed = [error for each in running.values() if (error := each.exception()) and str(error) != "stopped"]
+    failed = [error for future in running.values() if (error := future.exception()) and str(error) != "stopped"]
     if failed:
         raise failed[0]
     print(f"{tree.name}: {time.monotonic() - began:.0f} s", file=sys.stderr, flush=True)
@@ -121,22 +121,22 @@ def differences(old: Seens, new: Seens, *, numbers: bool = False) -> list[str]:
     Returns:
         Names of cases.
     """
-    found = []
+    differing_cases = []
     for name, seen in new.items():
-        before = {path: said[numbers] for path, said in old.get(name, {}).items()}
-        after = {path: said[numbers] for path, said in seen.items()}
+        before = {path: hashes[numbers] for path, hashes in old.get(name, {}).items()}
+        after = {path: hashes[numbers] for path, hashes in seen.items()}
         paths = dict.fromkeys([*before, *after])
         differing = [path for path in paths if before.get(path) != after.get(path)]
         if not differing:
             print(f"equal    {name} ({len(paths)})")
             continue
-        found.append(name)
+        differing_cases.append(name)
         first = differing[0]
         print(
             f"differs  {name}: {len(differing)} of {len(paths)}, first {first}"
             f"{first_difference(before.get(first), after.get(first))}"
         )
-    return found
+    return differing_cases
 
 
 def chosen(only: list[str] | None, *, quick: bool) -> list[str]:
@@ -146,7 +146,7 @@ def chosen(only: list[str] | None, *, quick: bool) -> list[str]:
         missing = [package for package in CASES[name].needs if find_spec(package) is None]
         if missing:
             print(f"left out {name}: {missing[0]} is not installed")
-            names = [each for each in names if each != name]
+            names = [other for other in names if other != name]
     return names
 
 

@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None, pieces: tuple[Piece, ...] = PIE
             return 0
         device_of(chosen.device)
         kept = {piece.name: kept_outcome(setting, piece) for piece in pieces}
-        left = [name for name, found in kept.items() if found is None or not found[0].finished]
+        left = [name for name, outcome in kept.items() if outcome is None or not outcome[0].finished]
         wanted = [piece_named(pieces, name) for name in chosen.piece or left]
     except InputError as error:
         print(f"{error} (--device cpu --tiny is a trial)" if "GPU" in str(error) else error, file=sys.stderr)

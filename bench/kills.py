@@ -49,14 +49,18 @@ def main() -> None:
     adapters.extensions.training.ego_status.TrainingSettings = short  # type: ignore[assignment, misc]
     bench = Bench(options.folder, options.seed)
     try:
-        found = list(_series(bench, options))
+        results = list(_series(bench, options))
     finally:
         bench.end()
-    print(table(found))
-    for each in found:
-        if not each.same:
-            print(f"\n{each.command}, {each.how}, case {each.number}: {each.said}", *each.differences, sep="\n  ")
-    sys.exit(not all(each.same for each in found))
+    print(table(results))
+    for series in results:
+        if not series.same:
+            print(
+                f"\n{series.command}, {series.how}, case {series.number}: {series.said}",
+                *series.differences,
+                sep="\n  ",
+            )
+    sys.exit(not all(series.same for series in results))
 
 
 def cases(options: argparse.Namespace) -> Iterator[tuple[Killed, str, int, int]]:
@@ -103,12 +107,12 @@ def _require_commit(folder: Path) -> None:
 
 def table(found: list[Series]) -> str:
     """A row for each command and way: how often it was disturbed, and how often nothing shows it."""
-    rows = sorted({(each.command, each.how) for each in found})
+    rows = sorted({(series.command, series.how) for series in found})
     head = "| command | disturbed by | cases | of them hit | files compared | same bytes |"
     lines = [head, "|---|---|--:|--:|--:|--:|"]
     for row in rows:
-        own = [each for each in found if (each.command, each.how) == row]
-        hit, same = sum(each.killed > 0 for each in own), sum(each.same for each in own)
+        own = [series for series in found if (series.command, series.how) == row]
+        hit, same = sum(series.killed > 0 for series in own), sum(series.same for series in own)
         lines.append(f"| {row[0]} | {row[1]} | {len(own)} | {hit} | {own[0].files} | {same} |")
     exempt = "; ".join(f"`{name}/`: {why}" for name, why in EXEMPT.items())
     return "\n".join([*lines, "", f"Not compared: {exempt}."])

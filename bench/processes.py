@@ -6,17 +6,17 @@ from pathlib import Path
 
 def children(process: int) -> list[int]:
     """Processes that one began and that are still there."""
-    found = []
+    processes = []
     for path in Path(f"/proc/{process}/task").glob("*/children"):
         with contextlib.suppress(OSError):
-            found += list(map(int, path.read_text().split()))
-    return sorted(found)
+            processes += list(map(int, path.read_text().split()))
+    return sorted(processes)
 
 
 def descendants(process: int) -> list[int]:
     """Its children, their children, and so on."""
     below = children(process)
-    return [*below, *(each for child in below for each in descendants(child))]
+    return [*below, *(grandchild for child in below for grandchild in descendants(child))]
 
 
 def command_line(process: int) -> str:
@@ -36,8 +36,8 @@ def processor_ticks(process: int) -> int:
 
 def resident_mb(process: int) -> float:
     """Memory that it holds now; 0 where it is gone."""
-    said = _read(process, "status").partition("VmRSS:")[2].split()
-    return float(said[0]) / 1024 if said else 0.0
+    words = _read(process, "status").partition("VmRSS:")[2].split()
+    return float(words[0]) / 1024 if words else 0.0
 
 
 def _stat(process: int) -> list[str]:

@@ -65,7 +65,7 @@ def folder_size(folder: Path, pattern: str = "**/*") -> int:
 def thread_seconds(browser: Browser) -> float:
     """Processor time of the page's main thread."""
     metrics = browser.driver.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
-    return float(next(each["value"] for each in metrics if each["name"] == "TaskDuration"))
+    return float(next(metric["value"] for metric in metrics if metric["name"] == "TaskDuration"))
 
 
 def chromium_seconds(browser: Browser) -> float:

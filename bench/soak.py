@@ -69,14 +69,14 @@ class Held:
         """What is there that was not before, as sentences."""
         # Numbers are given again; what they lead to tells.
         new = sorted(self.descriptors.values())
-        for each in before.descriptors.values():
+        for descriptor in before.descriptors.values():
             with suppress(ValueError):
-                new.remove(each)
-        said = [f"{len(new)} file descriptors are left: {', '.join(new[:4])}"] if new else []
+                new.remove(descriptor)
+        sentences = [f"{len(new)} file descriptors are left: {', '.join(new[:4])}"] if new else []
         if self.threads[0] > before.threads[0]:
-            said.append(f"{self.threads[0] - before.threads[0]} threads are left: {', '.join(self.threads[1])}")
+            sentences.append(f"{self.threads[0] - before.threads[0]} threads are left: {', '.join(self.threads[1])}")
         more = sorted(set(self.children) - set(before.children))
-        return [*said, *([f"children are left: {more}"] if more else [])]
+        return [*sentences, *([f"children are left: {more}"] if more else [])]
 
 
 Work = Callable[[DataSet, Planner, Path], int]
@@ -148,9 +148,9 @@ def main() -> None:
         print("|---|--:|--:|--:|--:|--:|--:|--:|")
         faults = []
         for what, work in (("evaluated", evaluated), ("driven without images", driven)):
-            row, found = soak(what, work, data, options.scenes, folder / work.__name__)
+            row, leaks = soak(what, work, data, options.scenes, folder / work.__name__)
             print(row, flush=True)
-            faults += found
+            faults += leaks
     print(*faults, sep="\n", file=sys.stderr)
     sys.exit(bool(faults))
 

@@ -86,8 +86,8 @@ class Scene:
 
         def asked(observation: Observation) -> Plan:
             self._asked.append(clocks(self._process))
-            found: Plan = plan(planner, observation)
-            return found
+            answer: Plan = plan(planner, observation)
+            return answer
 
         planner.plan = asked
         reading = SceneReading(self.data, self.name)
@@ -110,8 +110,8 @@ class Scene:
 
 def planners_process() -> int | None:
     """The planner's process: the child of this process' child."""
-    found = [each for each in descendants(os.getpid()) if "guardian" in command_line(each)]
-    return found[-1] if len(found) > 1 else None
+    processes = [process for process in descendants(os.getpid()) if "guardian" in command_line(process)]
+    return processes[-1] if len(processes) > 1 else None
 
 
 def main() -> None:

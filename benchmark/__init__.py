@@ -16,13 +16,13 @@ __version__ = VERSION
 
 def _declared() -> tuple[list[str], dict[str, str]]:
     """Names that are shown, and of every name ``module:attribute``, as the stub declares them."""
-    shown, places = [], {}
+    names, places = [], {}
     for node in ast.parse(Path(__file__).with_name("__init__.pyi").read_text("utf-8")).body:
         if isinstance(node, ast.ImportFrom):
-            places |= {str(each.asname): f"{node.module}:{each.name}" for each in node.names}
+            places |= {str(alias.asname): f"{node.module}:{alias.name}" for alias in node.names}
         elif isinstance(node, ast.Assign):
-            shown = ast.literal_eval(node.value)
-    return shown, places
+            names = ast.literal_eval(node.value)
+    return names, places
 
 
 __all__, _PLACES = _declared()
@@ -35,11 +35,11 @@ def __getattr__(name: str) -> Any:
     from benchmark.machine.extension import imported
 
     try:
-        found = imported(_PLACES[name])
+        value = imported(_PLACES[name])
     except InputError as absent:
         raise AttributeError(f"benchmark.{name}: {absent}") from None
-    globals()[name] = found
-    return found
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

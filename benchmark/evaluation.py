@@ -197,7 +197,7 @@ def plan_shard(
         InputError: As for `evaluate`, and for planners that remember across scenes.
     """
     single_threaded()
-    found = []
+    finished = []
     for planner, settings in planners:
         planned = _planned(data, split, planner, out, settings)
         run, ready = planned.run, planned.ready
@@ -206,16 +206,16 @@ def plan_shard(
                 f"{ready.name} remembers across scenes, so that the whole split is planned in one process; leave "
                 "--shard out"
             )
-        mine = shard.part(planned.scenes)
+        shard_scenes = shard.part(planned.scenes)
         costs: dict[str, SceneCost | None] = {}
         label = f"{run.planner.name} on {split}, shard {shard}"
-        for scene in progress(mine, total=len(mine), label=label, count=Count()):
+        for scene in progress(shard_scenes, total=len(shard_scenes), label=label, count=Count()):
             key = scene_key(run.fingerprint, split, scene, run.planner)
             costs[scene] = plan_scene(ready, data, scene, run.directory, key, fresh=settings.fresh).cost
-        if (noted := _cost_path(planned, out)) is not None:
-            note_cost(shard_cost_path(noted, shard.number, shard.of), run.planner, costs)
-        found.append(FinishedShard(run.directory, len(mine), len(planned.scenes)))
-    return found
+        if (timings_path := _cost_path(planned, out)) is not None:
+            note_cost(shard_cost_path(timings_path, shard.number, shard.of), run.planner, costs)
+        finished.append(FinishedShard(run.directory, len(shard_scenes), len(planned.scenes)))
+    return finished
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,8 +267,8 @@ def _planned(
     own = () if facts.native_protocol is None else (facts.native_protocol,)
     require_vocabulary(counts, (*settings.asked, *own), settings.protocols, str(data.root))
     directory = run_directory(out, data.name, split, facts, () if len(scenes) == len(every_scene) else scenes)
-    silent = unjudged(counts, settings.protocols)
-    run = Run(directory, data.fingerprint(), split, facts, settings.protocols, settings.fresh, silent)
+    unjudged_protocols = unjudged(counts, settings.protocols)
+    run = Run(directory, data.fingerprint(), split, facts, settings.protocols, settings.fresh, unjudged_protocols)
     return _Planned(run, ready, factory, settings, scenes)
 
 
@@ -282,29 +282,31 @@ def _evaluated(
     """Records of runs that go together, or of a single one."""
     if not planned:
         return []
-    runs, workers, scenes = [each.run for each in planned], planned[0].settings.workers, planned[0].scenes
+    runs, workers, scenes = [prepared.run for prepared in planned], planned[0].settings.workers, planned[0].scenes
     elsewhere = None
-    if workers > 1 and all(each.portable for each in planned):
+    if workers > 1 and all(prepared.portable for prepared in planned):
         opener = reopen or reopening(data)
-        elsewhere = partial(work_in_worker, runs, opener, [each.factory for each in planned if each.factory])
+        elsewhere = partial(
+            work_in_worker, runs, opener, [prepared.factory for prepared in planned if prepared.factory]
+        )
     shared = described(JudgedScenes(data, split, scenes, out, LocalProcesses(workers)))
     with ExitStack() as writing:
         for run in runs:
             writing.enter_context(only_writer(run.directory))
         label = f"{', '.join(run.planner.name for run in runs[:3])}{', ...' if len(runs) > 3 else ''} on {split}"
         if remembers_across_scenes(planned[0].ready):
-            found: Iterator[list[SceneResult]] = (
+            scene_results: Iterator[list[SceneResult]] = (
                 [result] for result in work_through(runs[0], data, planned[0].ready, scenes)
             )
         else:
-            here = partial(work_here, runs, data, [each.ready for each in planned])
+            here = partial(work_here, runs, data, [prepared.ready for prepared in planned])
             # A network takes longer than a worker needs to begin, if what it is copied from is there.
-            sure = workers_at_hand() and len(scenes) > 1 and not all(each.light for each in planned)
-            found = _results(scenes, here, elsewhere, workers, label, sure=sure)
+            sure = workers_at_hand() and len(scenes) > 1 and not all(prepared.light for prepared in planned)
+            scene_results = _results(scenes, here, elsewhere, workers, label, sure=sure)
         rows: list[Rows] = [Rows() for _ in runs]
         costs: list[dict[str, SceneCost | None]] = [{} for _ in runs]
         truths: dict[str, TruthFacts] = {}
-        for results in progress(found, total=len(scenes), label=label, count=Count(kept=_was_there)):
+        for results in progress(scene_results, total=len(scenes), label=label, count=Count(kept=_was_there)):
             for place, result in enumerate(results):
                 rows[place].add(result.rows)
                 costs[place][result.scene] = result.cost
@@ -312,8 +314,8 @@ def _evaluated(
         shared["scene_facts"] = with_truth(shared["scene_facts"], truths)
         return [
             # Rows are by scene and time, in whatever order scenes were planned.
-            _written(each, shared, own.in_order_of(scenes), spent, out, data.categories)
-            for each, own, spent in zip(planned, rows, costs, strict=True)
+            _written(prepared, shared, own.in_order_of(scenes), spent, out, data.categories)
+            for prepared, own, spent in zip(planned, rows, costs, strict=True)
         ]
 
 
@@ -327,7 +329,7 @@ def _written(
 ) -> RunRecord:
     """Write the record of one run."""
     facts, settings, directory = planned.run.planner, planned.settings, planned.run.directory
-    said = {
+    run_facts = {
         **shared,
         "caveats": run_caveats(facts, shared["scene_facts"], rows, getattr(planned.factory, "caveats", ())),
         "planner": facts,
@@ -340,16 +342,16 @@ def _written(
         },
     }
     versions = {name: protocol(name).version for name in settings.protocols}
-    record = write_record(directory, said, rows, versions, seed=settings.seed)
+    record = write_record(directory, run_facts, rows, versions, seed=settings.seed)
     record = with_partner(record, out, settings.unchanged)
     write_failures(directory, record.rows)
     plan_store(directory).tidy(costs)
-    if (noted := _cost_path(planned, out)) is not None:
+    if (timings_path := _cost_path(planned, out)) is not None:
         beside = {
             scene: cost and cost.model_copy(update={"workers": settings.workers}) for scene, cost in costs.items()
         }
-        gather_costs(noted, facts)
-        note_cost(noted, facts, beside)
+        gather_costs(timings_path, facts)
+        note_cost(timings_path, facts, beside)
     return record
 
 

@@ -196,7 +196,9 @@ def published_planning(model: str, protocol: str) -> tuple[StandingValue, ...]:
 
     A number that is printed twice was measured twice. ``model`` is our model that loads the checkpoint.
     """
-    return tuple(each for each in STANDING if model in each.ours and (each.split, each.protocol) == ("val", protocol))
+    return tuple(
+        result for result in STANDING if model in result.ours and (result.split, result.protocol) == ("val", protocol)
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -227,11 +227,11 @@ def _drivable_nodes(area: RoadMap, steps: Floats, pose: Floats, spacing_m: float
     firsts = np.arange(0, len(steps), BLOCK)
     right, forward = np.meshgrid(firsts, firsts, indexing="ij")
     verdicts = area.is_drivable(_nodes(steps, pose, right, forward))
-    drivable, asked = (
-        each.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1)[: len(steps), : len(steps)]
-        for each in (verdicts, _with_border(area, steps, pose, spacing_m))
+    drivable, undecided = (
+        blocks.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1)[: len(steps), : len(steps)]
+        for blocks in (verdicts, _with_border(area, steps, pose, spacing_m))
     )
-    right, forward = np.nonzero(asked)
+    right, forward = np.nonzero(undecided)
     drivable[right, forward] = area.is_drivable(_nodes(steps, pose, right, forward))
     return drivable
 
@@ -244,7 +244,7 @@ def _nodes(steps: Floats, pose: Floats, right: NDArray[np.int64], forward: NDArr
 def _with_border(area: RoadMap, steps: Floats, pose: Floats, spacing_m: float) -> NDArray[np.bool_]:
     """Which blocks of a grid have the border between their nodes; a few more, and none less."""
     count = -(-len(steps) // BLOCK)
-    found = np.zeros((count, count), np.bool_)
+    has_border = np.zeros((count, count), np.bool_)
     border = shapely.get_coordinates(shapely.segmentize(area.drivable_area.boundary, BORDER_STEP_M))
     local = to_local(border, pose)
     places = (np.stack([-local[:, 1], local[:, 0]]) - steps[0]) / spacing_m
@@ -253,8 +253,8 @@ def _with_border(area: RoadMap, steps: Floats, pose: Floats, spacing_m: float) -
     for right in _between(first[0], last[0]):
         for forward in _between(first[1], last[1]):
             inside = (right >= 0) & (right < count) & (forward >= 0) & (forward < count)
-            found[right[inside], forward[inside]] = True
-    return found
+            has_border[right[inside], forward[inside]] = True
+    return has_border
 
 
 def _between(first: Floats, last: Floats) -> list[NDArray[np.int64]]:

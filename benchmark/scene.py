@@ -35,8 +35,8 @@ class Look(StrEnum):
     @classmethod
     def of_description(cls, description: str) -> "Look":
         """Read the look from a nuScenes scene description, which names night and rain in words."""
-        said = cls.said_in(description)
-        return next((look for look in (cls.RAIN, cls.NIGHT, cls.DUSK) if look in said), cls.DAY)
+        named = cls.said_in(description)
+        return next((look for look in (cls.RAIN, cls.NIGHT, cls.DUSK) if look in named), cls.DAY)
 
 
 @dataclass(frozen=True, slots=True)

@@ -101,17 +101,20 @@ def _picture(folder: str, name: str, suffix: str = ".png") -> str:
 
 def _made(results: Results, *, site: bool = False) -> _Made:
     """Tables and figures; ``README.md`` names the site if there is one."""
-    made = _Made()
-    made.page += ["# Leaderboard", "", "Made from run records by `challenger-bench leaderboard`; do not edit.", ""]
+    contents = _Made()
+    contents.page += ["# Leaderboard", "", "Made from run records by `challenger-bench leaderboard`; do not edit.", ""]
     if site:
         page = f"{SITE_FOLDER}/index.html"
-        made.page += [f"To sort, to filter, and every scene to play: [{page}]({page}), which any browser opens.", ""]
-    made.page += ["What each number is: `docs/metrics.md` of challenger-bench.", ""]
+        contents.page += [
+            f"To sort, to filter, and every scene to play: [{page}]({page}), which any browser opens.",
+            "",
+        ]
+    contents.page += ["What each number is: `docs/metrics.md` of challenger-bench.", ""]
     for sections in SECTIONS:
         for section in sections(results):
-            made.add(section)
-    made.files["README.md"] = "\n".join(made.page).encode()
-    return made
+            contents.add(section)
+    contents.files["README.md"] = "\n".join(contents.page).encode()
+    return contents
 
 
 def write_leaderboard(results: Results, folder: Path, *, site: bool = True) -> list[Path]:
@@ -138,29 +141,31 @@ def write_leaderboard(results: Results, folder: Path, *, site: bool = True) -> l
 
 def stale_files(results: Results, folder: Path, *, site: bool = True) -> list[str]:
     """One sentence for each file that is missing, left over or not as `write_leaderboard` would write it there."""
-    found, files = [], _all_files(results, site=site)
+    sentences, files = [], _all_files(results, site=site)
     for name, content in files.items():
         path = folder / name
         if not path.is_file():
-            found.append(f"{path} is missing")
+            sentences.append(f"{path} is missing")
         elif not _same(path, content):
-            found.append(f"{path} differs from what the run records say")
+            sentences.append(f"{path} differs from what the run records say")
     return [
-        *found,
+        *sentences,
         *(f"{path} is a file that the run records no longer give" for path in _left_over(files, folder)),
     ]
 
 
 def _all_files(results: Results, *, site: bool) -> dict[str, bytes | Path]:
     """Every file; a path as value means a copy of that file, so that pictures are not all held at once."""
-    made = _made(results, site=site)
+    contents = _made(results, site=site)
     if not site:
-        return dict(made.files)
-    shown = {figure.path for figure in made.figures}
-    downloads = {name: data for name, data in made.files.items() if name in shown or name.endswith(_ON_THE_SITE)}
-    downloads |= {name: draw() for name, draw in made.of_site.items()}
-    pages = site_files(results, made.tables, made.figures, downloads)
-    return made.files | {f"{SITE_FOLDER}/{name}": content for name, content in pages.items()}
+        return dict(contents.files)
+    shown_paths = {figure.path for figure in contents.figures}
+    downloads = {
+        name: data for name, data in contents.files.items() if name in shown_paths or name.endswith(_ON_THE_SITE)
+    }
+    downloads |= {name: draw() for name, draw in contents.of_site.items()}
+    pages = site_files(results, contents.tables, contents.figures, downloads)
+    return contents.files | {f"{SITE_FOLDER}/{name}": content for name, content in pages.items()}
 
 
 def _require_own(folder: Path) -> None:
@@ -185,8 +190,8 @@ def _same(path: Path, content: bytes | Path) -> bool:
 
 def _left_over(files: Mapping[str, bytes | Path], folder: Path) -> list[Path]:
     """Files in a leaderboard's folder that are no longer among its own: tables, figures, anything in a site of ours."""
-    found = [path for place in (TABLES_FOLDER, FIGURES_FOLDER) for path in sorted((folder / place).glob("*/*"))]
-    found = [path for path in found if path.suffix in OURS]
+    paths = [path for place in (TABLES_FOLDER, FIGURES_FOLDER) for path in sorted((folder / place).glob("*/*"))]
+    paths = [path for path in paths if path.suffix in OURS]
     if f"{SITE_FOLDER}/{INDEX_PATH}" in files and (folder / SITE_FOLDER / INDEX_PATH).is_file():
-        found += [path for path in sorted((folder / SITE_FOLDER).rglob("*")) if path.is_file()]
-    return [path for path in found if path.relative_to(folder).as_posix() not in files]
+        paths += [path for path in sorted((folder / SITE_FOLDER).rglob("*")) if path.is_file()]
+    return [path for path in paths if path.relative_to(folder).as_posix() not in files]

@@ -44,10 +44,10 @@ def one_run_each(records: Sequence[RunRecord]) -> list[RunRecord]:
                 f"{first.directory} and {record.directory} both hold {record.planner} on split {record.run.split}; "
                 "move one of them away or name the records' folder with --records"
             )
-    found = list(chosen.values())
-    _require_same_content(found)
-    _require_one_split(found)
-    return sorted(found, key=lambda record: (record.run.data.name, record.run.split, record.planner))
+    selected = list(chosen.values())
+    _require_same_content(selected)
+    _require_one_split(selected)
+    return sorted(selected, key=lambda record: (record.run.data.name, record.run.split, record.planner))
 
 
 def _preference(record: RunRecord) -> tuple[bool, int, list[str], str]:
@@ -56,9 +56,9 @@ def _preference(record: RunRecord) -> tuple[bool, int, list[str], str]:
 
 def _require_same_content(records: Sequence[RunRecord]) -> None:
     """Numbers on different scenes under one name would be taken for comparable."""
-    seen: dict[tuple[str, str], RunRecord] = {}
+    records_by_split: dict[tuple[str, str], RunRecord] = {}
     for record in records:
-        first = seen.setdefault((record.run.data.name, record.run.split), record)
+        first = records_by_split.setdefault((record.run.data.name, record.run.split), record)
         if first.judged_content[1] != record.judged_content[1]:
             raise InputError(
                 f"{first.directory} and {record.directory} ran under different verdicts of inspectors on "
@@ -89,10 +89,12 @@ def _require_one_split(records: Sequence[RunRecord]) -> None:
                 f"{record.directory} and {same.directory} hold the same scenes of {record.run.data.name} as split "
                 f"{record.run.split} and as split adv; remove the first, which is no {record.run.split}"
             )
-        made = sorted(name for name, facts in record.run.scene_facts.items() if facts.manoeuvre is not None)
-        if made and record.run.split == "val":
+        adversarial_scenes = sorted(
+            name for name, facts in record.run.scene_facts.items() if facts.manoeuvre is not None
+        )
+        if adversarial_scenes and record.run.split == "val":
             raise InputError(
-                f"{record.directory} calls scenes val that have a generated adversary ({made[0]}); remove it and run "
+                f"{record.directory} calls scenes val that have a generated adversary ({adversarial_scenes[0]}); remove it and run "
                 "challenger-bench eval --split adv"
             )
 

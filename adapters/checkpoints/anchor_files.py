@@ -50,9 +50,9 @@ def read_motion_anchors(path: Path) -> Tensor:
         raise InputError(f"{path} has no list {_LIST!r}, so it holds no motion anchors; get {FILE} (weights list)")
     shapes = {_shape(group) for group in groups}
     if len(groups) != _SHAPE[0] or shapes != {_SHAPE[1:]}:
-        found = f"{len(groups)} of {', '.join(map(str, sorted(shapes, key=str))) or 'nothing'}"
+        summary = f"{len(groups)} of {', '.join(map(str, sorted(shapes, key=str))) or 'nothing'}"
         raise InputError(
-            f"the motion anchors in {path} are {found}, and UniAD needs {_SHAPE[0]} arrays of {_SHAPE[1:]}; get {FILE} "
+            f"the motion anchors in {path} are {summary}, and UniAD needs {_SHAPE[0]} arrays of {_SHAPE[1:]}; get {FILE} "
             "(weights list)"
         )
     anchors = np.stack([np.asarray(group, np.float64) for group in groups])
@@ -82,8 +82,8 @@ def with_motion_anchors(path: Path, tensors: Mapping[str, Tensor], anchors: Path
             "give what weights anchors has written, or leave --anchors out"
         )
     read = read_motion_anchors(anchors)
-    own = tensors.get(MOTION_ANCHORS)
-    if own is not None and not (own.shape == read.shape and bool(torch.equal(own.float(), read))):
+    present = tensors.get(MOTION_ANCHORS)
+    if present is not None and not (present.shape == read.shape and bool(torch.equal(present.float(), read))):
         raise InputError(f"{path} has motion anchors of its own, which are not those of {anchors}; leave --anchors out")
     return {**tensors, MOTION_ANCHORS: read}
 
@@ -130,8 +130,8 @@ def sightings_of(data: DataSet, split: str | None, config: SparseConfig) -> Sigh
     return Sightings(
         box_centres=np.concatenate(boxes),
         line_centres=np.concatenate(middles),
-        futures=[np.concatenate(found) for found in futures],
-        plans=[np.concatenate(found) for found in plans],
+        futures=[np.concatenate(parts) for parts in futures],
+        plans=[np.concatenate(parts) for parts in plans],
     )
 
 
@@ -142,12 +142,12 @@ def box_centres(scene: Scene, classes: Sequence[int]) -> Floats:
     """
     known, detected = scene.annotations, np.asarray(classes, np.int64) >= 0
     ego_T_lidar = transform_matrix(scene.lidar.rotation, scene.lidar.translation)
-    found = [np.zeros((0, 3))]
+    parts = [np.zeros((0, 3))]
     for keyframe, frame in enumerate(scene.keyframes):
         global_T_lidar = transform_matrix(scene.ego.rotation[frame], scene.ego.position[frame]) @ ego_T_lidar
         centres = known.position[known.valid[:, keyframe] & detected, keyframe]
-        found.append((centres - global_T_lidar[:3, 3]) @ global_T_lidar[:3, :3])
-    return np.concatenate(found)
+        parts.append((centres - global_T_lidar[:3, 3]) @ global_T_lidar[:3, :3])
+    return np.concatenate(parts)
 
 
 def line_centres(road_map: RoadMap, pose: Floats, points_per_line: int) -> Floats:
@@ -170,15 +170,15 @@ def map_lines(road_map: RoadMap, pose: Floats, points_per_line: int) -> tuple[Fl
     ]
     kinds = [1, *(0 for _ in road_map.dividers), 2]
     shares = np.linspace(0.0, 1.0, points_per_line)
-    found, classes = [np.zeros((0, points_per_line, 2))], []
-    for seen, kind in zip(shapely.intersection(elements, window), kinds, strict=True):
-        for line in shapely.get_parts(shapely.line_merge(seen)):
+    lines, classes = [np.zeros((0, points_per_line, 2))], []
+    for clipped, kind in zip(shapely.intersection(elements, window), kinds, strict=True):
+        for line in shapely.get_parts(shapely.line_merge(clipped)):
             # A line that only touches the rectangle leaves a point.
             if isinstance(line, shapely.LineString) and line.length > 0:
                 points = shapely.get_coordinates(shapely.line_interpolate_point(line, shares, normalized=True))
-                found.append(points[None])
+                lines.append(points[None])
                 classes.append(kind)
-    local = to_local(np.concatenate(found), pose)
+    local = to_local(np.concatenate(lines), pose)
     return np.stack([-local[..., 1], local[..., 0]], axis=-1), np.array(classes, np.int64)
 
 
@@ -189,12 +189,12 @@ def agent_futures(scene: Scene, agent: int, steps: int) -> Floats:
     """
     known = scene.annotations
     yaw = yaw_of_quaternion(known.rotation[agent])
-    found = [np.zeros((0, steps, 2))]
+    futures = [np.zeros((0, steps, 2))]
     for start in range(len(yaw) - steps):
         if known.valid[agent, start : start + steps + 1].all():
             path = known.position[agent, start : start + steps + 1, :2]
-            found.append(to_local(path[1:], np.array([*path[0], yaw[start]]))[None])
-    return np.concatenate(found)
+            futures.append(to_local(path[1:], np.array([*path[0], yaw[start]]))[None])
+    return np.concatenate(futures)
 
 
 def detected_classes(scene: Scene) -> list[int]:
@@ -247,21 +247,21 @@ def write_anchors(model: str, data: DataSet, split: str | None, path: Path) -> A
     Raises:
         InputError: If the model has no anchors, the data set is too small, or the file cannot be written.
     """
-    known = {name: each for name, each in published_models().items() if each.net.clustered}
+    known = {name: entry for name, entry in published_models().items() if entry.net.clustered}
     if model not in known:
         raise InputError(f"{model!r} is no model with anchors; those are {', '.join(known)}")
     config = known[model].configuration()
-    found = sightings_of(data, split, config)
+    samples = sightings_of(data, split, config)
     counts = {
-        "boxes": len(np.asarray(found.box_centres)),
-        "map elements": len(np.asarray(found.line_centres)),
-        "futures": sum(len(np.asarray(futures)) for futures in found.futures),
-        "plans": sum(len(np.asarray(plans)) for plans in found.plans),
+        "boxes": len(np.asarray(samples.box_centres)),
+        "map elements": len(np.asarray(samples.line_centres)),
+        "futures": sum(len(np.asarray(futures)) for futures in samples.futures),
+        "plans": sum(len(np.asarray(plans)) for plans in samples.plans),
     }
-    anchors = anchors_of(found, config)
+    anchors = anchors_of(samples, config)
     source = {"name": data.name, "fingerprint": data.fingerprint()}
-    made = AnchorFile(path, "", model, source, split, counts)
-    write_tensors(path, anchors, _facts(made), entry=_ENTRY)
+    anchor_file = AnchorFile(path, "", model, source, split, counts)
+    write_tensors(path, anchors, _facts(anchor_file), entry=_ENTRY)
     return AnchorFile(path, file_sha256(path), model, source, split, counts)
 
 
@@ -273,5 +273,10 @@ def read_anchors(path: Path) -> dict[str, Tensor]:
     return anchors
 
 
-def _facts(made: AnchorFile) -> dict[str, Any]:
-    return {"model": made.model, "data": made.data, "split": made.split, "sightings": made.sightings}
+def _facts(anchor_file: AnchorFile) -> dict[str, Any]:
+    return {
+        "model": anchor_file.model,
+        "data": anchor_file.data,
+        "split": anchor_file.split,
+        "sightings": anchor_file.sightings,
+    }

@@ -53,7 +53,7 @@ def weights_folder() -> Path:
 def weights_path(folder: Path, provenance: Provenance) -> Path:
     """File of imported weights, ``MODEL-NORMALISATION-HASH.safetensors``: source, then anchors."""
     hashes = (provenance.source_sha256, provenance.anchors_sha256)
-    parts = [provenance.model, provenance.normalisation, *(found[:16] for found in hashes if found is not None)]
+    parts = [provenance.model, provenance.normalisation, *(digest[:16] for digest in hashes if digest is not None)]
     return folder / f"{'-'.join(parts)}.safetensors"
 
 
@@ -89,15 +89,15 @@ def cached_weights(folder: Path, model: str | None = None) -> dict[Path, Provena
 
     A damaged file counts as absent; importing makes it again.
     """
-    found = {}
+    weights = {}
     for path in sorted(folder.glob("*.safetensors")):
         try:
             provenance = read_provenance(path)
         except InputError:
             continue
         if model in (None, provenance.model):
-            found[path] = provenance
-    return found
+            weights[path] = provenance
+    return weights
 
 
 def _provenance(path: Path, facts: Any) -> Provenance:
@@ -120,9 +120,9 @@ class KnownWeights:
     def as_json(self) -> dict[str, Any]:
         """Plain values; what checkpoints and folders both have has the same name."""
         known = self.weights
-        here = [
-            {"path": str(path), **({} if found is None else found.model_dump(mode="json"))}
-            for path, found in self.imported.items()
+        imported = [
+            {"path": str(path), **({} if provenance is None else provenance.model_dump(mode="json"))}
+            for path, provenance in self.imported.items()
         ]
         if not known.is_folder:
             checkpoint, *companions = known.files
@@ -135,7 +135,7 @@ class KnownWeights:
                 "size_bytes": checkpoint.size_bytes,
                 "sha256": checkpoint.sha256,
                 "with": [{"file": file.name, "page": file.page, "url": file.url} for file in companions],
-                "imported": here,
+                "imported": imported,
             }
         return {
             "model": known.name,
@@ -149,7 +149,7 @@ class KnownWeights:
                 {"name": file.name, "url": known.url(file), "size_bytes": file.size_bytes, "sha256": file.sha256}
                 for file in known.files
             ],
-            "imported": here,
+            "imported": imported,
         }
 
     def plain(self) -> str:
@@ -165,9 +165,9 @@ class KnownWeights:
             lines = [f"{known.name}: {checkpoint.name}, {size}, {digest}", f"  {checkpoint.page}", f"  {known.licence}"]
             lines += [f"  needs {file.name}: {file.page}" for file in companions]
             lines += [
-                f"  imported from {found.source} ({found.source_sha256[:16]}), {found.normalisation}: {path}"
-                for path, found in self.imported.items()
-                if found is not None
+                f"  imported from {provenance.source} ({provenance.source_sha256[:16]}), {provenance.normalisation}: {path}"
+                for path, provenance in self.imported.items()
+                if provenance is not None
             ]
         every = lines if self.imported else [*lines, "  not imported"]
         return "\n".join(line for text in every for line in _wrapped(text))

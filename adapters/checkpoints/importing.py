@@ -90,7 +90,7 @@ class TensorMatch:
             (self.misshapen, "of another shape"),
             (self.mistyped, "of another kind of number"),
         )
-        return "; ".join(f"{len(names)} {what} (first: {names[0]})" for names, what in kinds if names)
+        return "; ".join(f"{len(names)} {kind} (first: {names[0]})" for names, kind in kinds if names)
 
 
 def expected_tensors(model: Model, shapes: Mapping[str, Sequence[int]]) -> dict[str, Tensor]:
@@ -103,13 +103,13 @@ def expected_tensors(model: Model, shapes: Mapping[str, Sequence[int]]) -> dict[
 
 def renamed(tensors: Mapping[str, Tensor], model: Model) -> dict[str, Tensor]:
     """Tensors under the names that a model has now, without those that it is known not to need."""
-    found = {}
+    by_name = {}
     for name, tensor in tensors.items():
         for pattern, replacement in model.net.renamed:
             name = re.sub(pattern, replacement, name)
         if not any(re.search(pattern, name) for pattern in model.net.ignored):
-            found[name] = tensor
-    return found
+            by_name[name] = tensor
+    return by_name
 
 
 def matched(path: Path, tensors: Mapping[str, Tensor], wanted: str | None) -> tuple[Model, dict[str, Tensor]]:
@@ -118,13 +118,13 @@ def matched(path: Path, tensors: Mapping[str, Tensor], wanted: str | None) -> tu
     Tensors with NaN or infinity are refused, as are those that fit no model or not the `wanted` one.
     """
     compared = [TensorMatch.of(renamed(tensors, model), model) for model in published_models().values()]
-    fitting = [found for found in compared if found.fits and wanted in (None, found.model.name)]
+    fitting = [candidate for candidate in compared if candidate.fits and wanted in (None, candidate.model.name)]
     if not fitting:
         raise InputError(_does_not_fit(path, compared, wanted))
     model = fitting[0].model
-    found = renamed(tensors, model)
-    expected = expected_tensors(model, {name: tuple(tensor.shape) for name, tensor in found.items()})
-    converted = {name: found[name].to(like.dtype).contiguous() for name, like in expected.items()}
+    candidate = renamed(tensors, model)
+    expected = expected_tensors(model, {name: tuple(tensor.shape) for name, tensor in candidate.items()})
+    converted = {name: candidate[name].to(like.dtype).contiguous() for name, like in expected.items()}
     broken = [name for name, tensor in converted.items() if not bool(torch.isfinite(tensor).all())]
     if broken:
         raise InputError(
@@ -136,17 +136,17 @@ def matched(path: Path, tensors: Mapping[str, Tensor], wanted: str | None) -> tu
 
 
 def _does_not_fit(path: Path, compared: Sequence[TensorMatch], wanted: str | None) -> str:
-    other = next((found.model.name for found in compared if found.fits), None)
+    other = next((match.model.name for match in compared if match.fits), None)
     if other is not None:
         return f"{path} holds the weights of {other}, not of {wanted}; use it with --model {other}"
-    bare = next((found for found in compared if found.lacks_anchors and wanted in (None, found.model.name)), None)
+    bare = next((match for match in compared if match.lacks_anchors and wanted in (None, match.model.name)), None)
     if bare is not None:
         return (
             f"{path} comes without motion anchors, which {bare.model.name} has in a file of its own; get it "
             f"(challenger-bench weights list), then run: challenger-bench weights import {path.name} "
             f"--anchors {ANCHORS_FILE}"
         )
-    by_name = {found.model.name: found for found in compared}
+    by_name = {match.model.name: match for match in compared}
     nearest = by_name[wanted] if wanted else max(compared, key=lambda found: found.agreeing)
     if not nearest.agreeing:
         target = wanted or f"any of {', '.join(by_name)}"
@@ -214,12 +214,12 @@ def import_checkpoint(
         published_model(model)
     checkpoint = read_checkpoint(path)
     anchors = anchors or anchors_beside(path, checkpoint.tensors)
-    found, tensors = matched(path, _with_anchors(path, checkpoint.tensors, anchors), model)
-    wanted, said_by = _normalisation(path, checkpoint.configuration, found, normalisation)
+    matched_model, tensors = matched(path, _with_anchors(path, checkpoint.tensors, anchors), model)
+    wanted, said_by = _normalisation(path, checkpoint.configuration, matched_model, normalisation)
     digest = file_sha256(path)
-    official = official_weights(found.name)
+    official = official_weights(matched_model.name)
     provenance = Provenance(
-        model=found.name,
+        model=matched_model.name,
         source=path.name,
         source_sha256=digest,
         normalisation=wanted,
@@ -270,12 +270,12 @@ def resolve_checkpoint(model: str, checkpoint: Path | None, cache: Path | None =
         return checkpoint
     open_file(checkpoint, CHECKPOINT).close()
     digest = file_sha256(checkpoint)
-    known = {path: found for path, found in cached_weights(folder, model).items() if found.source_sha256 == digest}
+    known = {path: origin for path, origin in cached_weights(folder, model).items() if origin.source_sha256 == digest}
     beside = published_beside(checkpoint) if published_model(model).net.anchors else None
     if beside is not None:
         open_file(beside, PICKLE).close()
-        those = (None, file_sha256(beside))
-        known = {path: found for path, found in known.items() if found.anchors_sha256 in those}
+        anchor_digests = (None, file_sha256(beside))
+        known = {path: origin for path, origin in known.items() if origin.anchors_sha256 in anchor_digests}
     return _only(model, known) if known else import_checkpoint(checkpoint, model, folder).path
 
 
@@ -296,24 +296,24 @@ def _imported(model: str, folder: Path) -> Path:
 
 def _only(model: str, known: Mapping[Path, Provenance]) -> Path:
     if len(known) > 1:
-        some = ", ".join(f"{path} (from {found.source})" for path, found in known.items())
-        raise InputError(f"there are several weights for {model}: {some}; choose one with --checkpoint")
+        listing = ", ".join(f"{path} (from {provenance.source})" for path, provenance in known.items())
+        raise InputError(f"there are several weights for {model}: {listing}; choose one with --checkpoint")
     return next(iter(known))
 
 
-def _normalisation(path: Path, configuration: str, model: Model, asked: str | None) -> tuple[str, str]:
+def _normalisation(path: Path, configuration: str, model: Model, requested: str | None) -> tuple[str, str]:
     """Normalisation of the pixels that the weights want, and who says so."""
-    if asked is not None:
-        return normalisation_of(asked).name, "user"
-    found = _NORM.search(configuration)
-    if found is None:
+    if requested is not None:
+        return normalisation_of(requested).name, "user"
+    match = _NORM.search(configuration)
+    if match is None:
         return model.net.published_normalisation, "publication"
-    mean, std = _numbers(found[1]), _numbers(found[2])
+    mean, std = _numbers(match[1]), _numbers(match[2])
     for name, variant in NORMALISATIONS.items():
-        if mean == list(variant.mean) and std == list(variant.std) and (found[3] == "True") == variant.rgb:
+        if mean == list(variant.mean) and std == list(variant.std) and (match[3] == "True") == variant.rgb:
             return name, "configuration"
     raise InputError(
-        f"{path} was trained with pixel values that no normalisation here has ({' '.join(found[0].split())}); say "
+        f"{path} was trained with pixel values that no normalisation here has ({' '.join(match[0].split())}); say "
         f"which to use with --normalisation, one of {', '.join(NORMALISATIONS)}"
     )
 

@@ -98,7 +98,7 @@ def planner_of(
     path = _weights_file(model, checkpoint)
     network = model.build(read_shapes(path) if model.net.fitted else None, seed=seed, as_published=options)
     provenance = load_weights(network, path)
-    made: NativePlanner[Any] = resolve(model.planner)(
+    planner: NativePlanner[Any] = resolve(model.planner)(
         network,
         name=model.name,
         normalisation=normalisation_of(provenance.normalisation),
@@ -109,7 +109,7 @@ def planner_of(
         precision=precision,
         as_published=options,
     )
-    return made
+    return planner
 
 
 def _weights_file(model: Model, checkpoint: Path | None) -> Path:

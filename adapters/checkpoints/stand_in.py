@@ -19,8 +19,10 @@ def stand_in(name: str, checkpoint: Path | None, data_name: str) -> str:
 def miniature_of(name: str) -> str | None:
     """The miniature of a full model whose weights are in this installation, or ``None``."""
     full = MODELS[name].name if name in MODELS else name
-    found = (each for each in miniatures().values() if full in each.small.stands_for and each.packaged.is_file())
-    return next((each.name for each in found), None)
+    candidates = (
+        model for model in miniatures().values() if full in model.small.stands_for and model.packaged.is_file()
+    )
+    return next((model.name for model in candidates), None)
 
 
 def has_weights(name: str) -> bool:

@@ -19,8 +19,8 @@ def example_images(image_format: ImageFormat) -> Pixels:
     generator = np.random.default_rng(content_seed("example images"))
     images = np.zeros((len(CAMERA_NAMES), 3, *image_format.padded), np.float32)
     rows = image_format.height - image_format.crop_top
-    shown = images[:, :, :rows, : image_format.width]
-    shown[:] = generator.standard_normal(shown.shape, np.float32)
+    unpadded = images[:, :, :rows, : image_format.width]
+    unpadded[:] = generator.standard_normal(unpadded.shape, np.float32)
     return images
 
 

@@ -133,9 +133,9 @@ def motion_of(observation: Observation) -> EgoMotion:
     known = min(PAST_STEPS, len(observation.past_poses) - 1)
     past, valid = np.zeros((1, PAST_STEPS, 3)), np.zeros((1, PAST_STEPS), dtype=np.bool_)
     if known:
-        before = observation.past_poses[-1 - known : -1]
+        past_poses = observation.past_poses[-1 - known : -1]
         now = observation.past_poses[-1]
-        past[0, -known:] = np.column_stack([to_local(before[:, :2], now), wrap_angle(before[:, 2] - now[2])])
+        past[0, -known:] = np.column_stack([to_local(past_poses[:, :2], now), wrap_angle(past_poses[:, 2] - now[2])])
         valid[0, -known:] = observation.past_valid[-1 - known : -1]
     return EgoMotion(
         past=past,

@@ -201,8 +201,8 @@ def drive(path: Path, speed: float, obstacles: Obstacles, driver: DriverSettings
 
     `speed` is that of now, m/s.
     """
-    wanted = max(speed, driver.speed_limit)
-    allowed = np.minimum(np.sqrt(driver.lateral_acceleration / np.maximum(path.curvature, 1e-4)), wanted)
+    desired_speed = max(speed, driver.speed_limit)
+    allowed = np.minimum(np.sqrt(driver.lateral_acceleration / np.maximum(path.curvature, 1e-4)), desired_speed)
     travelled, distances = 0.0, []
     for step in range(PLAN_STEPS * _SUBSTEPS):
         free_speed = _speed_for_bends(path, allowed, travelled, driver)
@@ -239,17 +239,17 @@ def _others_now(scene: Scene, observation: Observation, sight_m: float) -> tuple
     The velocity is that of the last half second, or of the next one for what has just appeared, as in the devkit.
     """
     now, agents = observation.index, scene.agents
-    frame, before, after = (int(scene.keyframes[at]) for at in (now, max(now - 1, 0), min(now + 1, _last(scene))))
-    near = np.hypot(*(agents.position[:, frame, :2] - observation.ego.pose[:2]).T) < sight_m
-    rows = np.flatnonzero(agents.valid[:, frame] & near)
-    here, seconds = agents.position[rows, frame, :2], scene.seconds
+    frame, previous, following = (int(scene.keyframes[at]) for at in (now, max(now - 1, 0), min(now + 1, _last(scene))))
+    in_sight = np.hypot(*(agents.position[:, frame, :2] - observation.ego.pose[:2]).T) < sight_m
+    rows = np.flatnonzero(agents.valid[:, frame] & in_sight)
+    positions, seconds = agents.position[rows, frame, :2], scene.seconds
     velocity = np.zeros((len(rows), 2))
-    for start, end in ((frame, after), (before, frame)):
+    for start, end in ((frame, following), (previous, frame)):
         if end > start:
             moved = agents.position[rows, end, :2] - agents.position[rows, start, :2]
             known = agents.valid[rows, start] & agents.valid[rows, end]
             velocity = np.where(known[:, None], moved / (seconds[end] - seconds[start]), velocity)
-    return np.column_stack([here, agents.boxes[rows, frame, 2:]]), velocity
+    return np.column_stack([positions, agents.boxes[rows, frame, 2:]]), velocity
 
 
 def _forecasts(boxes: Floats, centres: Floats, pose: Floats) -> Forecasts:

@@ -52,9 +52,9 @@ class LogReplay:
         if self._route is not None:
             seconds = self._route.seconds_of(observation.timestamp_us) + PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
             return Plan(to_local(self._route.recorded_at(seconds), observation.ego.pose), PlanFrame.EGO)
-        start, here = self._lidar_path[observation.index], observation.index + 1
+        start, first = self._lidar_path[observation.index], observation.index + 1
         pose = np.array([start[0], start[1], observation.ego.pose[2]])
-        forward_left = to_local(self._lidar_path[here : here + PLAN_STEPS], pose)
+        forward_left = to_local(self._lidar_path[first : first + PLAN_STEPS], pose)
         return Plan(np.column_stack([-forward_left[:, 1], forward_left[:, 0]]), PlanFrame.LIDAR)
 
 

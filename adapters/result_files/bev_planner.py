@@ -92,8 +92,8 @@ def _row(path: Path, name: Any, samples: RecordedSamples) -> int:
 def _require_pose(path: Path, row: int, start: Floats, samples: RecordedSamples) -> None:
     away_m = float(np.linalg.norm(start - samples.ego_pose[row, :2]))
     if away_m > SAME_M:
-        what = f"the way of sample {samples.tokens[row]} begins {away_m:.2f} m from its ego pose"
-        refuse(path, "order", what, _ADVICE)
+        fault = f"the way of sample {samples.tokens[row]} begins {away_m:.2f} m from its ego pose"
+        refuse(path, "order", fault, _ADVICE)
 
 
 def _require_recorded(path: Path, row: int, recorded: Floats, samples: RecordedSamples) -> None:
@@ -101,8 +101,8 @@ def _require_recorded(path: Path, row: int, recorded: Floats, samples: RecordedS
     valid = samples.valid[row]
     away_m = float(np.where(valid, np.linalg.norm(recorded - ours, axis=1), 0.0).max())
     if away_m > SAME_M:
-        what = f"the recorded displacement of sample {samples.tokens[row]} in the file is {away_m:.2f} m from ours"
-        refuse(path, "order", what, _ADVICE)
+        fault = f"the recorded displacement of sample {samples.tokens[row]} in the file is {away_m:.2f} m from ours"
+        refuse(path, "order", fault, _ADVICE)
 
 
 OUT: Final = ResultFormat("bev-planner", "BEV-Planner (--out)", "bev-planner", read_out)

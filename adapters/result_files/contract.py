@@ -110,8 +110,8 @@ def rows_of(path: Path, tokens: list[Any], samples: RecordedSamples) -> Rows:
         which = f"{len(unknown)} of its {len(tokens)} samples, the first {one_line(unknown[0], 64)!r},"
         other = None if samples.others is None else samples.others.first(lambda tokens: unknown[0] in tokens)
         if other is not None:
-            what = f"{which} are samples of split {other!r}, not of {samples.name}"
-            refuse(path, "token", what, f"judge it with --split {other}")
+            fault = f"{which} are samples of split {other!r}, not of {samples.name}"
+            refuse(path, "token", fault, f"judge it with --split {other}")
         advice = "name the data and the split that the planner ran on with --data and --split"
         refuse(path, "token", f"{which} are none of {samples.name}", advice)
     return np.array([known[token] for token in tokens], np.int64)
@@ -119,9 +119,9 @@ def rows_of(path: Path, tokens: list[Any], samples: RecordedSamples) -> Rows:
 
 def refuse_twice(path: Path, rows: Rows, samples: RecordedSamples) -> None:
     """Refuse a file with a sample twice."""
-    kept, counts = np.unique(rows, return_counts=True)
+    distinct, counts = np.unique(rows, return_counts=True)
     if (counts > 1).any():
-        token = samples.tokens[int(kept[counts > 1][0])]
+        token = samples.tokens[int(distinct[counts > 1][0])]
         refuse(path, "duplicate", f"sample {token} stands in it {counts.max()} times", "make it again from one run")
 
 
@@ -130,7 +130,7 @@ def numbers_of(path: Path, value: Any, where: str, *shapes: tuple[int | None, ..
 
     `where` says what they are, for messages.
     """
-    wanted = " or ".join(" x ".join("any" if each is None else str(each) for each in shape) for shape in shapes)
+    expected = " or ".join(" x ".join("any" if length is None else str(length) for length in shape) for shape in shapes)
     try:
         array = np.asarray(value)
     except ValueError:
@@ -142,7 +142,7 @@ def numbers_of(path: Path, value: Any, where: str, *shapes: tuple[int | None, ..
     is_numeric = array.dtype.kind in "fiu" and not _has_truths(value)
     if not is_numeric or not fits:
         have = " x ".join(map(str, array.shape)) if is_numeric else f"{type(value).__name__} of no numbers"
-        refuse(path, "shape", f"{where} is {have}, not {wanted}", "make the file again with the official script")
+        refuse(path, "shape", f"{where} is {have}, not {expected}", "make the file again with the official script")
     numbers: Floats = array.astype(np.float64)
     if not np.isfinite(numbers).all():
         refuse(path, "not_finite", f"{where} has NaN or infinity in it", "a plan without numbers is none: leave it out")
@@ -152,7 +152,7 @@ def numbers_of(path: Path, value: Any, where: str, *shapes: tuple[int | None, ..
 def _has_truths(value: Any) -> bool:
     """Whether nested lists hold true or false, which would count as 1 and 0 metres."""
     if isinstance(value, list | tuple):
-        return any(_has_truths(each) for each in value)
+        return any(_has_truths(element) for element in value)
     return isinstance(value, bool)
 
 

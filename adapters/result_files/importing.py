@@ -36,15 +36,15 @@ def require_plausible(
     of the first test that fails, and what would fit.
     """
     complete = samples.complete[rows]
-    found = plausibility_of(ComparedPlans(plans[complete, :PLAN_STEPS], samples.future[rows][complete]))
-    if found.misreading is not None and not as_is:
-        raise RefusedFile(found.misreading.category, refusal_of(path, found.misreading))
+    plausibility = plausibility_of(ComparedPlans(plans[complete, :PLAN_STEPS], samples.future[rows][complete]))
+    if plausibility.misreading is not None and not as_is:
+        raise RefusedFile(plausibility.misreading.category, refusal_of(path, plausibility.misreading))
     far = np.abs(plans).max(axis=(1, 2), initial=0.0)
     if far.max(initial=0.0) > FARTHEST_WAYPOINT_M:
         token = samples.tokens[int(rows[far.argmax()])]
         what = f"the plan of sample {token} reaches {far.max():.3g} m, which is a mistake of units or frame"
         refuse(path, "unit", what, _TOO_FAR)
-    return found
+    return plausibility
 
 
 SHOWN: Final[tuple[SampleOrder, ...]] = ("assumed", "consistent", "proven", "tokens")
@@ -92,31 +92,31 @@ def import_results(
             f"files of the format {first.format.name} name no samples, so each is the whole of what was evaluated; "
             "judge them one by one, with --scenes where they are of some scenes"
         )
-    parts = [_read(each, samples, scenes) for each in opened]
-    found = _joined(parts, opened, samples)
+    parts = [_read(file, samples, scenes) for file in opened]
+    joined = _joined(parts, opened, samples)
     if frame is not None:
-        found = replace(found, frame=FileFrame(frame))
-    plausibility = require_plausible(first.path, lidar_waypoints(found, samples), found.rows, samples, as_is=as_is)
-    tokens = [samples.tokens[row] for row in found.rows.tolist()]
-    plans = dict(zip(tokens, plans_of(found, samples), strict=True))
-    return ImportedPlans(tuple(each.path for each in opened), first.format, found, plans, plausibility)
+        joined = replace(joined, frame=FileFrame(frame))
+    plausibility = require_plausible(first.path, lidar_waypoints(joined, samples), joined.rows, samples, as_is=as_is)
+    tokens = [samples.tokens[row] for row in joined.rows.tolist()]
+    plans = dict(zip(tokens, plans_of(joined, samples), strict=True))
+    return ImportedPlans(tuple(file.path for file in opened), first.format, joined, plans, plausibility)
 
 
 def _read(opened: Recognised, samples: RecordedSamples, scenes: Collection[str] | None) -> FilePlans:
     """Plans of a file; without tokens in the order of info files that it does not contradict, the better shown one."""
     if not opened.format.by_place:
         return opened.format.read(opened.path, opened.content, samples)
-    found: list[FilePlans] = []
+    candidates: list[FilePlans] = []
     refused: RefusedFile | None = None
     for ordered in samples.in_orders():
         try:
-            found.append(_of_part(opened, ordered, scenes))
+            candidates.append(_of_part(opened, ordered, scenes))
         except RefusedFile as error:
             refused = refused or error
-    if refused is not None and not found:
+    if refused is not None and not candidates:
         raise refused
-    best = max(found, key=lambda plans: SHOWN.index(plans.order))
-    if any(other.order == best.order and not np.array_equal(other.rows, best.rows) for other in found):
+    best = max(candidates, key=lambda plans: SHOWN.index(plans.order))
+    if any(other.order == best.order and not np.array_equal(other.rows, best.rows) for other in candidates):
         return replace(best, order="assumed", shown_by=f"{best.shown_by}; another order of info files fits as well")
     return best
 
@@ -140,14 +140,14 @@ def _joined(parts: Sequence[FilePlans], opened: Sequence[Recognised], samples: R
     at: dict[int, int] = {}
     rows: list[int] = []
     waypoints: list[Floats] = []
-    again = 0
+    repeated = 0
     for part, file in zip(parts, opened, strict=True):
         for row, plan in zip(part.rows.tolist(), part.waypoints):
             if row in at:
                 if not np.array_equal(waypoints[at[row]], plan):
-                    what = f"sample {samples.tokens[row]} has another plan than in a file before"
-                    refuse(file.path, "duplicate", what, "name files of one run")
-                again += 1
+                    fault = f"sample {samples.tokens[row]} has another plan than in a file before"
+                    refuse(file.path, "duplicate", fault, "name files of one run")
+                repeated += 1
                 continue
             at[row] = len(rows)
             rows.append(row)
@@ -161,7 +161,7 @@ def _joined(parts: Sequence[FilePlans], opened: Sequence[Recognised], samples: R
         order=first.order,
         shown_by=first.shown_by,
         skipped=skipped,
-        duplicates=again + sum(part.duplicates for part in parts),
+        duplicates=repeated + sum(part.duplicates for part in parts),
         repaired=sum(part.repaired for part in parts),
         mirrored=first.mirrored if len({part.mirrored for part in parts}) == 1 else None,
     )

@@ -74,25 +74,25 @@ class ResultFileFactory:
     @property
     def sentences(self) -> list[str]:
         """Sentences about the import, for the terminal."""
-        found = self.plans_from
-        said = [
-            f"{', '.join(found.files)}: {found.format}, {found.plans} plans for {counted(found.samples, 'sample')}; "
-            f"order {found.order}: {found.shown_by}"
+        plans_from = self.plans_from
+        lines = [
+            f"{', '.join(plans_from.files)}: {plans_from.format}, {plans_from.plans} plans for {counted(plans_from.samples, 'sample')}; "
+            f"order {plans_from.order}: {plans_from.shown_by}"
         ]
-        if found.mirrored is not None:
-            said.append(f"x is {'mirrored in the file and turned back' if found.mirrored else 'not mirrored'}")
-        if found.skipped:
-            first = next(iter(found.skipped.items()))
-            said.append(f"{counted(len(found.skipped), 'sample')} skipped, the first {first[0]}: {first[1]}")
-        if found.repaired:
-            said.append(
-                f"{counted(found.repaired, 'plan')} completed by the repository's own rule (docs/your-results.md)"
+        if plans_from.mirrored is not None:
+            lines.append(f"x is {'mirrored in the file and turned back' if plans_from.mirrored else 'not mirrored'}")
+        if plans_from.skipped:
+            first = next(iter(plans_from.skipped.items()))
+            lines.append(f"{counted(len(plans_from.skipped), 'sample')} skipped, the first {first[0]}: {first[1]}")
+        if plans_from.repaired:
+            lines.append(
+                f"{counted(plans_from.repaired, 'plan')} completed by the repository's own rule (docs/your-results.md)"
             )
-        if found.duplicates:
-            said.append(f"{counted(found.duplicates, 'entry', 'entries')} repeated and left out")
-        if found.steps == LONG_PLAN_STEPS:
-            said.append("plans of 6 s: protocols judge the first 3 s of a planner that was trained for 6 s")
-        return [*said, checks_said(found.checks), f"the record has no {', no '.join(found.lacks)}"]
+        if plans_from.duplicates:
+            lines.append(f"{counted(plans_from.duplicates, 'entry', 'entries')} repeated and left out")
+        if plans_from.steps == LONG_PLAN_STEPS:
+            lines.append("plans of 6 s: protocols judge the first 3 s of a planner that was trained for 6 s")
+        return [*lines, checks_said(plans_from.checks), f"the record has no {', no '.join(plans_from.lacks)}"]
 
 
 def result_file_factory(
@@ -125,7 +125,7 @@ def result_file_factory(
         RefusedFile: If a file is broken, or its plans are not of these samples or cannot be what they must be.
         InputError: If the data is broken, or the native protocol is unknown.
     """
-    paths = [each.path for each in opened]
+    paths = [file.path for file in opened]
     known_native(native, f"result file {paths[0]}")
     every = samples_of_data(data, split)
     imported = import_results(opened, every, scenes, frame=frame, as_is=as_is)
@@ -156,21 +156,21 @@ def result_file_factory(
 
 
 def _described(imported: ImportedPlans, hashes: dict[str, str], samples: int) -> PlansFrom:
-    found = imported.found
-    steps = found.waypoints.shape[1]
-    lacks = [what for what in imported.format.lacks if steps < LONG_PLAN_STEPS or not what.startswith("plans beyond")]
+    file_plans = imported.found
+    steps = file_plans.waypoints.shape[1]
+    lacks = [item for item in imported.format.lacks if steps < LONG_PLAN_STEPS or not item.startswith("plans beyond")]
     return PlansFrom(
         format=imported.format.name,
         files=hashes,
-        order=found.order,
-        shown_by=found.shown_by,
-        plans=len(found.rows),
+        order=file_plans.order,
+        shown_by=file_plans.shown_by,
+        plans=len(file_plans.rows),
         samples=samples,
         steps=steps,
-        skipped=dict(found.skipped),
-        duplicates=found.duplicates,
-        repaired=found.repaired,
-        mirrored=found.mirrored,
+        skipped=dict(file_plans.skipped),
+        duplicates=file_plans.duplicates,
+        repaired=file_plans.repaired,
+        mirrored=file_plans.mirrored,
         checks=imported.plausibility.measured,
         lacks=lacks,
     )

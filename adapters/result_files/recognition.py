@@ -69,7 +69,7 @@ def no_format(name: str, known: Collection[str]) -> InputError:
     The name may be a planner's, for many know a file by who wrote it: the error suggests formats of that name's
     planners, else names that are nearly the same.
     """
-    of_planner = [each.name for each in FORMATS.values() if name.lower() in each.planners]
+    of_planner = [result_format.name for result_format in FORMATS.values() if name.lower() in result_format.planners]
     suggested = f"did you mean {' or '.join(of_planner)}? " if of_planner else did_you_mean(name, known)
     return InputError(f"no format {name!r}; {suggested}known are {', '.join(known)}")
 
@@ -91,18 +91,18 @@ def recognise(path: Path, wanted: str = AUTO) -> Recognised:
     require_name(path)
     if not path.exists():
         raise InputError(f"there is no result file {path}; name one that is there")
-    found = _of_folder(path) if path.is_dir() else _of_file(path)
-    if wanted not in (AUTO, found.format.name):
-        raise InputError(f"{path} has the format {found.format.name}, not {wanted}; leave --format out")
-    return found
+    recognised = _of_folder(path) if path.is_dir() else _of_file(path)
+    if wanted not in (AUTO, recognised.format.name):
+        raise InputError(f"{path} has the format {recognised.format.name}, not {wanted}; leave --format out")
+    return recognised
 
 
 def _of_folder(path: Path) -> Recognised:
     names = []
     for file in path.iterdir():
         if not _TOKEN_NAME.fullmatch(file.name) or not file.is_file():
-            what = f"the folder holds {one_line(file.name, 60)!r}, and a folder of answers holds files named by tokens"
-            refuse(path, "unknown", what, "name the file of results, or the folder of OmniDrive's answers alone")
+            fault = f"the folder holds {one_line(file.name, 60)!r}, and a folder of answers holds files named by tokens"
+            refuse(path, "unknown", fault, "name the file of results, or the folder of OmniDrive's answers alone")
         names.append(file.name)
         if len(names) > RESULT_FILES:
             refuse(path, "size", f"the folder holds more than {RESULT_FILES} files", "name a folder of one run")
@@ -126,9 +126,9 @@ def _of_file(path: Path) -> Recognised:
         return Recognised(path, _of_pickle(path, content), content)
     if start.lstrip()[:1] and start.lstrip()[0] in _JSON_STARTS:
         return _of_json(path)
-    known = next((what for begin, what in _STARTS.items() if start.lstrip().startswith(begin)), None)
-    shown = "".join(chr(byte) if 32 <= byte < 127 else "." for byte in start[:16])
-    refuse(path, "unknown", f"it is {known}" if known else f"it begins with {shown!r}, which no format does", _WHAT)
+    known = next((description for begin, description in _STARTS.items() if start.lstrip().startswith(begin)), None)
+    text = "".join(chr(byte) if 32 <= byte < 127 else "." for byte in start[:16])
+    refuse(path, "unknown", f"it is {known}" if known else f"it begins with {text!r}, which no format does", _WHAT)
 
 
 def _of_json(path: Path) -> Recognised:
@@ -196,8 +196,8 @@ def _of_entries(path: Path, entries: Any) -> ResultFormat:
     if "pred_ego_traj" in first:
         return bev_planner.OUT
     if "metric_results" in first:
-        what = f"its entries hold metrics and no plan, as LAW's do (format {NO_PLANS})"
-        refuse(path, "no_plan", what, "have the planner's own code keep its trajectory, this file has none to judge")
+        fault = f"its entries hold metrics and no plan, as LAW's do (format {NO_PLANS})"
+        refuse(path, "no_plan", fault, "have the planner's own code keep its trajectory, this file has none to judge")
     if any(isinstance(first.get(key), dict) for key in ("img_bbox", "pts_bbox")):
         refuse(path, "no_plan", "its entries hold boxes and no plan", _WHAT)
     refuse(path, "unknown", "its pickle holds a list of entries of no known format", _WHAT)

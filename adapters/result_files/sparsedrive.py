@@ -34,7 +34,7 @@ def read(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
     entries, rows = entries_of(content), samples.by_time
     require_count(path, len(entries), len(rows), samples)
     plans: list[Floats] = []
-    told: set[int] = set()
+    commands: set[int] = set()
     for at, (row, entry) in enumerate(zip(rows.tolist(), entries)):
         held = key_of(path, entry, "img_bbox", f"entry {at}")
         stored = key_of(path, held, "final_planning", f"entry {at}")
@@ -42,15 +42,15 @@ def read(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
         if plans and len(plan) != len(plans[0]):
             refuse(path, "shape", f"entry {at} has {len(plan)} waypoints, others {len(plans[0])}", "make it again")
         if _tells_command(path, at, row, plan, held, samples):
-            told.add(int(samples.commands[row]))
+            commands.add(int(samples.commands[row]))
         plans.append(plan)
-    order: SampleOrder = "consistent" if len(told) > 1 else "assumed"
-    shown = (
+    order: SampleOrder = "consistent" if len(commands) > 1 else "assumed"
+    shown_by = (
         "the number of samples fits, and each plan is the best one of our command"
         if order == "consistent"
         else "the number of samples fits, and nothing in the file could contradict"
     )
-    return FilePlans(FileFrame.LIDAR, rows, np.array(plans), order, shown)
+    return FilePlans(FileFrame.LIDAR, rows, np.array(plans), order, shown_by)
 
 
 def _tells_command(path: Path, at: int, row: int, plan: Floats, held: Any, samples: RecordedSamples) -> bool:
@@ -62,8 +62,8 @@ def _tells_command(path: Path, at: int, row: int, plan: Floats, held: Any, sampl
     best = modes[np.arange(COMMANDS), scores.argmax(axis=1)]
     fits = np.abs(best - plan).max(axis=(1, 2)) <= SAME_M
     if not fits.any() and (np.abs(best * MIRRORED - plan).max(axis=(1, 2)) <= SAME_M).any():
-        what = f"the plan of entry {at} is one of its modes with left and right exchanged"
-        refuse(path, "frame", what, "the list was dumped after its metric had changed it: dump it before")
+        fault = f"the plan of entry {at} is one of its modes with left and right exchanged"
+        refuse(path, "frame", fault, "the list was dumped after its metric had changed it: dump it before")
     if not any(fits[command] and samples.may_be(row, command) for command in range(COMMANDS)):
         refuse(
             path,

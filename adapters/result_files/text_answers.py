@@ -34,12 +34,12 @@ def read_omnidrive(path: Path, content: Mapping[str, Any], samples: RecordedSamp
     skipped = {}
     for row in rows[np.argsort(samples.timestamps_us[rows], kind="stable")].tolist():
         token = samples.tokens[row]
-        found = _PLAN.search(_first_answer(path, content[token], token))
-        pairs = pairs_of(found[1]) if found else []
+        match = _PLAN.search(_first_answer(path, content[token], token))
+        pairs = pairs_of(match[1]) if match else []
         if len(pairs) == PLAN_STEPS:
             plans[row] = np.array(pairs)
         else:
-            skipped[token] = _why(len(pairs)) if found else NO_PLAN
+            skipped[token] = _why(len(pairs)) if match else NO_PLAN
     return _found(path, FileFrame.EGO, plans, skipped)
 
 
@@ -51,13 +51,13 @@ def read_conversation(path: Path, content: Any, samples: RecordedSamples) -> Fil
     answers: dict[str, str] = {}
     duplicates = 0
     for number, line in enumerate(content, start=1):
-        name, given = line.get("id"), line.get("answer")
-        given = given[0] if isinstance(given, list) and given else given
-        if not isinstance(name, str) or not isinstance(given, str) or len(given) > _LONGEST_ANSWER:
+        name, answer = line.get("id"), line.get("answer")
+        answer = answer[0] if isinstance(answer, list) and answer else answer
+        if not isinstance(name, str) or not isinstance(answer, str) or len(answer) > _LONGEST_ANSWER:
             refuse(path, "shape", f"line {number} has no id and answer of ordinary length", "make the file again")
         token = name.removesuffix(SUFFIX)
         duplicates += token in answers
-        answers[token] = given
+        answers[token] = answer
     rows = rows_of(path, list(answers), samples)
     plans: dict[int, Floats] = {}
     skipped, repaired = {}, 0
@@ -109,11 +109,11 @@ def _why(count: int) -> str:
 
 def _first_answer(path: Path, held: Any, token: str) -> str:
     first = held[0] if isinstance(held, list) and held else None
-    given = first.get("A") if isinstance(first, dict) and "Q" in first else None
-    given = given[0] if isinstance(given, list) and given else given
-    if not isinstance(given, str):
+    answer = first.get("A") if isinstance(first, dict) and "Q" in first else None
+    answer = answer[0] if isinstance(answer, list) and answer else answer
+    if not isinstance(answer, str):
         refuse(path, "shape", f"file {one_line(token, 64)} is no list of questions and answers", "make it again")
-    return given
+    return answer
 
 
 def _found(

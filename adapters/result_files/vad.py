@@ -62,9 +62,9 @@ def read_out(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
         _require_command(path, row, command, samples, f"entry {at}, which would be ")
         plans.append(plan)
         compared += _compare_metrics(path, at, row, plan, entry.get("metric_results"), samples)
-    shown = f"commands, ends of scenes and {compared} stored displacements as ours"
+    shown_by = f"commands, ends of scenes and {compared} stored displacements as ours"
     order: SampleOrder = "proven" if compared else "assumed"
-    return FilePlans(FileFrame.LIDAR, rows, np.array(plans), order, shown)
+    return FilePlans(FileFrame.LIDAR, rows, np.array(plans), order, shown_by)
 
 
 def require_count(path: Path, found: int, wanted: int, samples: RecordedSamples) -> None:
@@ -72,12 +72,12 @@ def require_count(path: Path, found: int, wanted: int, samples: RecordedSamples)
     if not found:
         refuse(path, "empty", "it has no entries", "run the planner again")
     if found != wanted:
-        what = f"it has {found} entries without tokens, and {samples.name} has {wanted} samples"
+        fault = f"it has {found} entries without tokens, and {samples.name} has {wanted} samples"
         other = None if samples.others is None else samples.others.first(lambda tokens: len(tokens) == found)
         if other is not None:
-            refuse(path, "count", f"{what}; split {other!r} has {found}", f"judge it with --split {other}")
+            refuse(path, "count", f"{fault}; split {other!r} has {found}", f"judge it with --split {other}")
         advice = "run the planner on exactly this split, or name the scenes that it ran on with --scenes"
-        refuse(path, "count", what, advice)
+        refuse(path, "count", fault, advice)
 
 
 def _chosen(path: Path, offsets: Any, command: Any, where: str) -> tuple[Floats, int]:
@@ -92,7 +92,7 @@ def _chosen(path: Path, offsets: Any, command: Any, where: str) -> tuple[Floats,
 
 def _require_command(path: Path, row: int, command: int, samples: RecordedSamples, place: str = "") -> None:
     if not samples.may_be(row, command):
-        stored, ours = (Command(each).name.lower() for each in (command, int(samples.commands[row])))
+        stored, ours = (Command(number).name.lower() for number in (command, int(samples.commands[row])))
         refuse(
             path,
             "order",
@@ -120,8 +120,8 @@ def _compare_metrics(path: Path, at: int, row: int, plan: Floats, stored: Any, s
             continue
         ours_m = float(away_m[:steps].mean())
         if not abs(float(value) - ours_m) <= SAME_L2_M:
-            what = f"entry {at} stores a displacement of {float(value):.3f} m at {horizon}, and its plan would be"
-            refuse(path, "order", f"{what} {ours_m:.3f} m from the recording of sample {token}", advice)
+            fault = f"entry {at} stores a displacement of {float(value):.3f} m at {horizon}, and its plan would be"
+            refuse(path, "order", f"{fault} {ours_m:.3f} m from the recording of sample {token}", advice)
         compared += 1
     return compared
 

@@ -60,8 +60,8 @@ class Result:
     def of(cls, number: int, kind: str, command: str, name: str, found: Verdict, ended: Ended) -> "Result":
         """That of a command that ended."""
         measured = round(ended.cpu_s, 2), round(ended.wall_s, 2), ended.peak_bytes >> 20
-        said = "\n".join(ended.err.strip().splitlines()[-3:])[-_SHOWN:]
-        return cls(number, kind, command, name, found.value, ended.code, *measured, said)
+        message = "\n".join(ended.err.strip().splitlines()[-3:])[-_SHOWN:]
+        return cls(number, kind, command, name, found.value, ended.code, *measured, message)
 
 
 class Attempts:
@@ -122,27 +122,27 @@ class Campaign(Attempts):
         if not target.files:
             return ""
         whole = self.valid / target.copied
-        found = sorted(whole.glob(chance.choice(target.files)))
-        return chance.choice(found).relative_to(whole).as_posix()
+        files = sorted(whole.glob(chance.choice(target.files)))
+        return chance.choice(files).relative_to(whole).as_posix()
 
     def run(self, number: int) -> Result:
         """Make a variant, give it to its command, and say what became of it; leaves nothing behind."""
         target, file, variant = self.attack(number)
         case = self.folder / f"case-{self.seed}-{number}"
-        given = self.copied(target, case)
-        before = listing(given)
-        variant.change(given, given / file if file else given)
-        kept = listing(given)
-        if kept == before:
-            found, ended = Verdict.UNCHANGED, Ended(0, "", "", 0.0, 0.0, 1.0, 0)
+        copy = self.copied(target, case)
+        before = listing(copy)
+        variant.change(copy, copy / file if file else copy)
+        changed = listing(copy)
+        if changed == before:
+            outcome, ended = Verdict.UNCHANGED, Ended(0, "", "", 0.0, 0.0, 1.0, 0)
         else:
             ended = self._ended(target, case)
-            places, valid_numbers = (given, self.valid), "" if ended.code else self._valid_numbers(target)
-            found = verdict(target, ended, valid_numbers, case / "out", places, may_be_valid=variant.may_be_valid)
-            if found in FINE and listing(given) != kept and not (target.rewrites and ended.code == 0):
-                found = Verdict.WROTE
+            places, valid_numbers = (copy, self.valid), "" if ended.code else self._valid_numbers(target)
+            outcome = verdict(target, ended, valid_numbers, case / "out", places, may_be_valid=variant.may_be_valid)
+            if outcome in FINE and listing(copy) != changed and not (target.rewrites and ended.code == 0):
+                outcome = Verdict.WROTE
         shutil.rmtree(case)
-        return Result.of(number, target.kind, target.command, variant.name, found, ended)
+        return Result.of(number, target.kind, target.command, variant.name, outcome, ended)
 
     def copied(self, target: Target, case: Path) -> Path:
         """A copy of the valid input, in a folder of its own."""
@@ -154,7 +154,7 @@ class Campaign(Attempts):
 
     def _ended(self, target: Target, case: Path) -> Ended:
         places = {"in": case / target.copied, "valid": self.valid, "out": case / "out"}
-        return run_command([each.format(**places) for each in target.arguments], case)
+        return run_command([argument.format(**places) for argument in target.arguments], case)
 
     def _valid_numbers(self, target: Target) -> str:
         """What a command finds in the valid input; empty where it refuses it, as weights of a made-up model."""
@@ -183,15 +183,15 @@ def preload() -> None:
 
 def known_results(path: Path) -> dict[int, Result]:
     """Results of an earlier command; a last line that was cut off is left out."""
-    found: dict[int, Result] = {}
+    results: dict[int, Result] = {}
     if path.is_file():
         for line in path.read_text().splitlines():
             try:
                 result = Result(**json.loads(line))
             except (ValueError, TypeError):
                 continue
-            found[result.number] = result
-    return found
+            results[result.number] = result
+    return results
 
 
 def run_campaign(campaign: Attempts, numbers: Iterable[int], *, again: bool = False) -> Iterator[Result]:

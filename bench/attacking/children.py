@@ -126,8 +126,8 @@ def _await(begun: Begun, deadline: float, until: str) -> tuple[int, resource.str
     """Wait for a child; killed where it takes too long or too much, and interrupted once it has said something."""
     child, waiting = begun.process, bool(until)
     while True:
-        found, status, usage = os.wait4(child, os.WNOHANG)
-        if found:
+        ended_child, status, usage = os.wait4(child, os.WNOHANG)
+        if ended_child:
             return os.waitstatus_to_exitcode(status), usage
         if resident_mb(child) * 2**20 > MEMORY_BYTES * _OVER:
             os.kill(child, signal.SIGKILL)

@@ -108,11 +108,11 @@ class Doors(Attempts):
         tried = self.tries[number]
         if tried.request is not None:
             self.server = self.server or OwnServer(self.folder / "served")
-            found, ended = self.server.asked(tried.request)
-            if found in FALLEN:
+            outcome, ended = self.server.asked(tried.request)
+            if outcome in FALLEN:
                 self.server.end()
                 self.server = None
-            return Result.of(number, tried.kind, tried.command, tried.name, found, ended)
+            return Result.of(number, tried.kind, tried.command, tried.name, outcome, ended)
         case = self.folder / f"door-{self.seed}-{number}"
         self._furnish(case, tried)
         before = listing(self.valid)
@@ -120,13 +120,13 @@ class Doors(Attempts):
         with contextlib.ExitStack() as stack:
             server = "" if tried.server is None else stack.enter_context(OddServer(*tried.server)).url
             # Values hold braces of their own.
-            given = [_put(each, {**places, "server": server}) for each in tried.arguments]
-            ended = run_command(given, case, until=_SERVES if tried.command == "serve" else "")
-        found = door_verdict(ended, case / "out", keeps_work=tried.keeps_work)
+            words = [_put(argument, {**places, "server": server}) for argument in tried.arguments]
+            ended = run_command(words, case, until=_SERVES if tried.command == "serve" else "")
+        outcome = door_verdict(ended, case / "out", keeps_work=tried.keeps_work)
         if listing(self.valid) != before:
-            found = Verdict.WROTE
+            outcome = Verdict.WROTE
         shutil.rmtree(case, ignore_errors=True)
-        return Result.of(number, tried.kind, tried.command, tried.name, found, ended)
+        return Result.of(number, tried.kind, tried.command, tried.name, outcome, ended)
 
     def _furnish(self, case: Path, tried: Try) -> None:
         """Everything that a value may name."""
@@ -151,8 +151,8 @@ def _put(text: str, places: dict[str, Path | str]) -> str:
 def commands_of(command: Any, name: str = "") -> Iterator[tuple[str, Any]]:
     """Every command of the command line, with what is known of it."""
     if getattr(command, "commands", None):
-        for each, below in sorted(command.commands.items()):
-            yield from commands_of(below, f"{name} {each}".strip())
+        for child_name, below in sorted(command.commands.items()):
+            yield from commands_of(below, f"{name} {child_name}".strip())
         if getattr(command, "invoke_without_command", False):
             yield name, command
     else:
@@ -161,24 +161,24 @@ def commands_of(command: Any, name: str = "") -> Iterator[tuple[str, Any]]:
 
 def option_tries() -> list[Try]:
     """Each absurd value for each option and argument of each command that has a base."""
-    found = []
+    tries = []
     for name, command in commands_of(typer.main.get_command(app)):
         if name not in BASES:
             continue
         base, words = BASES[name], name.split()
-        known = {each.opts[0]: getattr(each, "is_flag", False) for each in command.params}
+        known = {entry.opts[0]: getattr(entry, "is_flag", False) for entry in command.params}
         options = [option for option, flag in known.items() if option.startswith("--") and not flag]
-        positional = any(not each.startswith("-") for each in known) and base and not base[0].startswith("--")
-        for what, value in ABSURD.items():
+        positional = any(not entry.startswith("-") for entry in known) and base and not base[0].startswith("--")
+        for kind, value in ABSURD.items():
             lines = {
-                f"{option} is {what}": (*words, *_without(base, option), f"{option}={value}")
+                f"{option} is {kind}": (*words, *_without(base, option), f"{option}={value}")
                 for option in options
                 if option != "--help"
             }
             if positional:
-                lines[f"the argument is {what}"] = (*words, *base[1:], "--", value)
-            found += [Try(f"options of {words[0]}", name, said, line) for said, line in lines.items()]
-    return found
+                lines[f"the argument is {kind}"] = (*words, *base[1:], "--", value)
+            tries += [Try(f"options of {words[0]}", name, description, line) for description, line in lines.items()]
+    return tries
 
 
 def _without(base: tuple[str, ...], option: str) -> tuple[str, ...]:

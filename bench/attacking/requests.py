@@ -71,14 +71,14 @@ class OwnServer:
         """Send it a request, and say what became of it: of the server, and at times of good requests that follow."""
         began = time.monotonic()
         reply = self._answer(request.sent, request.whole)
-        said = self._begun.printed[1].read_text(errors="replace")
+        output = self._begun.printed[1].read_text(errors="replace")
         memory_mb = resident_mb(self.process)
         code = 0 if alive(self.process) else -signal.SIGKILL
         spent = time.monotonic() - began
-        ended = Ended(code, "", said[self._said :], 0.0, spent, HANG_S, int(memory_mb * 2**20))
-        found = fall(ended) or self._verdict(request, reply, memory_mb)
-        self._said = len(said)
-        return found, ended
+        ended = Ended(code, "", output[self._said :], 0.0, spent, HANG_S, int(memory_mb * 2**20))
+        outcome = fall(ended) or self._verdict(request, reply, memory_mb)
+        self._said = len(output)
+        return outcome, ended
 
     def _verdict(self, request: Request, reply: bytes, memory_mb: float) -> Verdict:
         if self._asked == _SETTLED:

@@ -32,8 +32,14 @@ _ENDLESS_BYTES: Final = 1 << 30
 
 def reply(body: bytes, status: str = "200 OK", *headers: str, length: int | str | None = None) -> bytes:
     """An answer; its length is said truly unless told."""
-    said = [f"content-length: {len(body) if length is None else length}", "content-type: application/json", *headers]
-    return b"\r\n".join([f"HTTP/1.1 {status}".encode(), *(each.encode("latin-1") for each in said), b"", body])
+    header_lines = [
+        f"content-length: {len(body) if length is None else length}",
+        "content-type: application/json",
+        *headers,
+    ]
+    return b"\r\n".join(
+        [f"HTTP/1.1 {status}".encode(), *(header.encode("latin-1") for header in header_lines), b"", body]
+    )
 
 
 _HEAD: Final = b"HTTP/1.1 200 OK\r\ncontent-type: application/json\r\n"
@@ -170,8 +176,8 @@ def _never(_: socket.socket, ended: threading.Event) -> None:
 
 
 def _drips(connection: socket.socket, ended: threading.Event) -> None:
-    for each in reply(GOOD_PLAN):
-        connection.sendall(bytes([each]))
+    for byte in reply(GOOD_PLAN):
+        connection.sendall(bytes([byte]))
         if ended.wait(0.5):
             return
 

@@ -85,7 +85,7 @@ def _of_bytes(*found: variants.Variant) -> tuple[Named, ...]:
     def made(variant: variants.Variant) -> Change:
         return lambda _, file: replaced(file, variant.change(file.read_bytes()))
 
-    return tuple(Named(each.name, made(each), each.harmless) for each in found)
+    return tuple(Named(item.name, made(item), item.harmless) for item in found)
 
 
 def _made_elsewhere(broken: Broken) -> Named:
@@ -107,15 +107,15 @@ def _sparse(size: int) -> tuple[Named, ...]:
         with file.open("r+b") as stream:
             stream.truncate(size)
 
-    said = f"{size >> 30} GB of nothing"
-    return Named(said, change), Named(f"{said} behind the content", after)
+    description = f"{size >> 30} GB of nothing"
+    return Named(description, change), Named(f"{description} behind the content", after)
 
 
 def _roots(*readable: str) -> tuple[Named, ...]:
     """Roots with a small change; those of some names may be read."""
     return tuple(
-        Named(each.name, lambda root, _, act=each.damage: act(root), each.name in readable)  # type: ignore[misc]
-        for each in HOSTILE_ROOTS
+        Named(root_change.name, lambda root, _, act=root_change.damage: act(root), root_change.name in readable)  # type: ignore[misc]
+        for root_change in HOSTILE_ROOTS
     )
 
 
@@ -153,8 +153,8 @@ def _printed(ended: Ended, folder: Path) -> str:
 
 def _verdicts(_: Ended, folder: Path) -> str:
     """What a challenge says of an entry, but for hashes of what was given."""
-    found = [json.loads(path.read_text()) for path in sorted(folder.glob("challenge/*/verdict.json"))]
-    return json.dumps([_without_places(each) for each in found], sort_keys=True)
+    contents = [json.loads(path.read_text()) for path in sorted(folder.glob("challenge/*/verdict.json"))]
+    return json.dumps([_without_places(content) for content in contents], sort_keys=True)
 
 
 def _reviewed(_: Ended, folder: Path) -> str:
@@ -185,16 +185,16 @@ def _written(patterns: list[str]) -> Numbers:
 def _targets() -> Iterator[Target]:
     for shared in TABLE["target"]:
         for own in shared.pop("by", [{}]):
-            said = shared | ({"command": own} if isinstance(own, str) else own)
-            if "line" not in said:
-                said = TABLE["of_root"][said["command"]] | said
-            numbers = said.pop("numbers", "json")
+            members = shared | ({"command": own} if isinstance(own, str) else own)
+            if "line" not in members:
+                members = TABLE["of_root"][members["command"]] | members
+            numbers = members.pop("numbers", "json")
             yield Target(
-                arguments=arguments(said.pop("line")),
+                arguments=arguments(members.pop("line")),
                 numbers=NUMBERS[numbers] if isinstance(numbers, str) else _written(numbers),
-                files=tuple(said.pop("files", ())),
-                named=tuple(each for group in said.pop("named", ()) for each in NAMED[group]),
-                **said,
+                files=tuple(members.pop("files", ())),
+                named=tuple(variant for group in members.pop("named", ()) for variant in NAMED[group]),
+                **members,
             )
 
 

@@ -79,8 +79,8 @@ def write_verdicts(folder: Path) -> None:
     reviewed = folder / "reviewed"
     shutil.copytree(folder / "root", reviewed / "root", ignore=shutil.ignore_patterns("*.jpg"))
     (scene,) = json.loads((reviewed / "root" / VERSION / "scene.json").read_text())
-    said = {"verdict": "rejected", "reason": "a car stands in another", "inspector": "somebody"}
-    (reviewed / "said.json").write_text(json.dumps({scene["name"]: said}, indent=1))
+    verdict = {"verdict": "rejected", "reason": "a car stands in another", "inspector": "somebody"}
+    (reviewed / "said.json").write_text(json.dumps({scene["name"]: verdict}, indent=1))
     (reviewed / "said.csv").write_text(f"scene,verdict,reason\n{scene['name']},accept,looks right\n")
     shutil.copytree(reviewed / "root", folder / "judged")
     _commanded(folder, "data", "review", "judged", "--verdicts", "reviewed/said.csv")

@@ -59,8 +59,8 @@ def verdict(
     Returns:
         The worst that can be said.
     """
-    if (found := fall(ended)) is not None:
-        return found
+    if (fallen := fall(ended)) is not None:
+        return fallen
     if ended.code == 0:
         return _accepted(target, ended, valid_numbers, out, may_be_valid=may_be_valid)
     if not target.keeps_work and any(path.is_file() for path in out.rglob("*")):
@@ -96,8 +96,8 @@ def door_verdict(ended: Ended, out: Path, *, keeps_work: bool = False) -> Verdic
     Returns:
         The worst that can be said.
     """
-    if (found := fall(ended)) is not None:
-        return found
+    if (fallen := fall(ended)) is not None:
+        return fallen
     if ended.code == 0:
         return Verdict.OTHER_INPUT
     if ended.code == 1:

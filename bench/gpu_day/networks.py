@@ -30,7 +30,7 @@ TRACKED_SHARE, BORN_SCORE = 0.01, 0.4
 
 def on_device(inputs: Any, device: str) -> Any:
     """The images of a frame on the device; the rest stays where a planner leaves it."""
-    images = next(each.name for each in fields(inputs) if each.name == "images")
+    images = next(field.name for field in fields(inputs) if field.name == "images")
     return replace(inputs, **{images: getattr(inputs, images).to(device)})
 
 
@@ -48,7 +48,7 @@ def few_tracks(network: Any, inputs: Any) -> None:
 def built(name: str, device: str, *, tiny: bool) -> tuple[Any, Any]:
     """A network with random weights, and a frame: the published one, or the small one of the same classes."""
     torch.manual_seed(0)
-    small = (each for each in miniatures().values() if name in each.small.stands_for)
+    small = (candidate for candidate in miniatures().values() if name in candidate.small.stands_for)
     model = next(small) if tiny else published_model(name)
     network: Any = model.build().eval().to(device)
     inputs = on_device(resolve(model.net.example)(model.configuration()), device)

@@ -150,9 +150,9 @@ def machine_facts(setting: Setting) -> dict[str, Any]:
 def _driver() -> str | None:
     if shutil.which("nvidia-smi") is None:
         return None
-    asked = ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"]
-    said = subprocess.run(asked, capture_output=True, text=True, check=False).stdout.split()
-    return said[0] if said else None
+    query = ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"]
+    words = subprocess.run(query, capture_output=True, text=True, check=False).stdout.split()
+    return words[0] if words else None
 
 
 def kept_path(setting: Setting, piece: Piece) -> Path:
@@ -220,10 +220,10 @@ def _work(work: Callable[[Setting], dict[str, Any]], setting: Setting, sending: 
 
 def piece_named(pieces: tuple[Piece, ...], name: str) -> Piece:
     """A piece by name; raises `InputError` if there is none."""
-    found = next((piece for piece in pieces if piece.name == name), None)
-    if found is None:
+    match = next((piece for piece in pieces if piece.name == name), None)
+    if match is None:
         raise InputError(f"there is no piece {name!r}; they are {', '.join(piece.name for piece in pieces)}")
-    return found
+    return match
 
 
 def markdown(setting: Setting, pieces: tuple[Piece, ...]) -> str:

@@ -52,7 +52,7 @@ def prior_speed(setting: Setting) -> dict[str, Any]:
         out.with_suffix(".log.jsonl").unlink()
 
     config = prior_training(setting, setting.kept)
-    parameters = sum(each.numel() for each in TrajectoryDenoiser(config.denoiser).parameters())
+    parameters = sum(parameter.numel() for parameter in TrajectoryDenoiser(config.denoiser).parameters())
     whose = {"batch": config.batch, "parameters": parameters, "tracks": "given" if setting.tracks else "embedded town"}
     return _timed(setting, train, (FEW, MANY), config.steps) | whose
 

@@ -44,7 +44,7 @@ class Killed:
     @property
     def served(self) -> bool:
         """Whether it asks a model server; the server is killed, not the command."""
-        return any("{url}" in each for each in self.arguments)
+        return any("{url}" in argument for argument in self.arguments)
 
 
 COMMANDS: Final = {
@@ -88,7 +88,7 @@ def write_needed(command: Killed, data: Path, folder: Path, case: Path) -> Path:
 def words(command: Killed, data: Path, out: Path, workers: int, *, ray: str = "", url: str = "") -> list[str]:
     """The command line of a command; ``ray`` is the address of a cluster, ``url`` that of a model server."""
     places = {"data": data, "tracks": data.parent / "tracks", "out": out, "url": url}
-    given = [each.format(**places) for each in command.arguments]
+    line = [argument.format(**places) for argument in command.arguments]
     if ray:
-        return [*given, "--executor", "ray", "--address", ray]
-    return [*given, "--workers", str(workers)] if command.parallel else given
+        return [*line, "--executor", "ray", "--address", ray]
+    return [*line, "--workers", str(workers)] if command.parallel else line

@@ -117,32 +117,32 @@ class Bench:
                 raise InputError(f"{command.name} failed undisturbed: {ended.err.strip()[-400:]}; mend it first")
             self._lasting[command.name, workers] = ended.wall_s
             self._pages.setdefault(command.name, pages_below(self.case / "out"))
-            found = listing(self.case)
-            if self._left.setdefault(command.name, found) != found:
-                names = differences(self._left[command.name], found)
+            left = listing(self.case)
+            if self._left.setdefault(command.name, left) != left:
+                names = differences(self._left[command.name], left)
                 raise InputError(f"{command.name} leaves other bytes with {workers} workers: {names[:5]}")
         return self._left[command.name], self._lasting[command.name, workers]
 
     def disturbed(self, command: Killed, how: str, workers: int, number: int) -> Series:
         """Disturb a command in one of the `WAYS`, let it end, and compare what it leaves."""
-        row, word = (each.format(workers=workers, s="s" * (workers > 1)) for each in WAYS[how])
+        row, word = (template.format(workers=workers, s="s" * (workers > 1)) for template in WAYS[how])
         wanted, lasts_s = self.undisturbed(command, workers)
         chance = Random(f"{self.seed}/{command.name}/{word}/{number}")
         self._begin(command)
         with contextlib.ExitStack() as until_compared:
             if how == "disk":
-                kills, said = self._fill_the_disk(command, chance, until_compared)
+                kills, note = self._fill_the_disk(command, chance, until_compared)
             else:
-                kills, said = self._kill(command, how, workers, lasts_s, chance)
+                kills, note = self._kill(command, how, workers, lasts_s, chance)
             for _ in range(TRIES_AT_LAST):
                 ended = self._run(command, workers)
                 if ended.code == 0:
                     break
                 time.sleep(1.0)
             else:
-                said = said or f"does not go on: {ended.err.strip()[-400:]}"
-            found = listing(self.case)
-        return Series(command.name, row, number, kills, differences(wanted, found), len(wanted), said)
+                note = note or f"does not go on: {ended.err.strip()[-400:]}"
+            left = listing(self.case)
+        return Series(command.name, row, number, kills, differences(wanted, left), len(wanted), note)
 
     def _kill(self, command: Killed, how: str, workers: int, lasts_s: float, chance: Random) -> tuple[int, str]:
         """Kill something at a moment of chance: a command twice in a row, what works for it once; and let it end.
@@ -150,7 +150,7 @@ class Bench:
         Returns:
             How often it met a command at work; what is wrong of one that should have gone on by itself.
         """
-        kills, said, dies = 0, "", how in ("kill", "ray-driver")
+        kills, note, dies = 0, "", how in ("kill", "ray-driver")
         ray = self.cluster[0] if how.startswith("ray") else ""
         for _ in range(1 + dies):
             with begin_command(self._words(command, workers, ray), self.case) as begun:
@@ -160,8 +160,8 @@ class Bench:
                 met = self._strike(how, begun, chance)
                 ended = begun.end(_PATIENCE_S)
             kills += ended.code == -signal.SIGKILL if dies else met
-            said = "" if dies or ended.code == 0 else ended.err.strip()[-400:]
-        return kills, said
+            note = "" if dies or ended.code == 0 else ended.err.strip()[-400:]
+        return kills, note
 
     def _strike(self, how: str, begun: Begun, chance: Random) -> bool:
         """Kill what is to be killed; whether a command was there that it works for."""
@@ -183,7 +183,9 @@ class Bench:
         """Workers of Ray as soon as some have a unit of work, which their titles name; none if the command ends."""
         until = time.monotonic() + _PATIENCE_S
         while alive(child) and time.monotonic() < until:
-            if busy := [each for each in descendants(self.cluster[1]) if command_line(each).startswith(_RAY_WORKER)]:
+            if busy := [
+                process for process in descendants(self.cluster[1]) if command_line(process).startswith(_RAY_WORKER)
+            ]:
                 return busy
             time.sleep(_LOOK_S)
         return []
@@ -200,10 +202,10 @@ class Bench:
         give_room = until_compared.enter_context(mounted(out, room))
         shutil.copytree(before, out, dirs_exist_ok=True)
         ended = self._run(command, 1)
-        said = "" if ended.code == 0 else ended.err.strip().splitlines()[-1][:400]
-        full = ended.code == 2 and said.startswith("error: ") and any(each in said for each in _FULL)
+        note = "" if ended.code == 0 else ended.err.strip().splitlines()[-1][:400]
+        full = ended.code == 2 and note.startswith("error: ") and any(phrase in note for phrase in _FULL)
         give_room()
-        return int(full), "" if full or ended.code == 0 else f"a full disk: exit code {ended.code}, {said}"
+        return int(full), "" if full or ended.code == 0 else f"a full disk: exit code {ended.code}, {note}"
 
     def _begin(self, command: Killed) -> None:
         """An ``--out`` with what the command needs, nothing else."""
@@ -230,8 +232,8 @@ def ray_here() -> Iterator[tuple[str, int]]:
     command, pipe = [sys.executable, "-c", _CLUSTER], subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as process:
         assert process.stdin is not None and process.stdout is not None
-        said = (line.strip() for line in process.stdout)
-        yield next(line.removeprefix(_AT) for line in said if line.startswith(_AT)), process.pid
+        lines = (line.strip() for line in process.stdout)
+        yield next(line.removeprefix(_AT) for line in lines if line.startswith(_AT)), process.pid
         process.communicate(timeout=_PATIENCE_S)
 
 
@@ -257,19 +259,19 @@ def mounted(folder: Path, pages: int) -> Iterator[Callable[[], None]]:
 
 def listing(folder: Path) -> Listing:
     """Everything below a folder, hidden files and empty folders too, but for what is `EXEMPT`."""
-    found = {}
+    entries = {}
     for path in sorted(folder.rglob("*")):
         parts = path.relative_to(folder).parts
         if parts[0] == "out" and len(parts) > 1 and parts[1] in EXEMPT:
             continue
         name = "/".join(parts)
         if path.is_symlink():
-            found[name] = f"link to {path.readlink()}"
+            entries[name] = f"link to {path.readlink()}"
         elif path.is_dir():
-            found[f"{name}/"] = ""
+            entries[f"{name}/"] = ""
         else:
-            found[name] = file_sha256(path)
-    return found
+            entries[name] = file_sha256(path)
+    return entries
 
 
 def differences(wanted: Listing, found: Listing) -> list[str]:

@@ -28,7 +28,7 @@ PROGRAM = (
 
 def in_this_process(name: str, folder: str, quick: str, repeat: str) -> None:
     """Measure a case and print its figures."""
-    (case,) = (each for each in CASES if each.name == name)
+    (case,) = (candidate for candidate in CASES if candidate.name == name)
     with tempfile.TemporaryDirectory(dir=folder or None) as place:
         figures = measure(case, Path(place), quick=quick == "quick", repeat=int(repeat))
     print(json.dumps(figures))
@@ -43,8 +43,8 @@ def measured_in(tree: Path, case: Case, given: argparse.Namespace) -> dict[str, 
     )
     if done.returncode:
         return {"name": case.name, "failed": (done.stderr.strip().splitlines() or ["without a word"])[-1]}
-    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return found
+    figures: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return figures
 
 
 def figures_of(case: Case, given: argparse.Namespace) -> dict[str, Any]:

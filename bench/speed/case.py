@@ -104,14 +104,14 @@ def measure(
 
 
 def _past(case: Case, figures: dict[str, Any]) -> list[str]:
-    found = []
+    faults = []
     if case.most_s is not None and figures["ours_s"] > case.most_s:
-        found.append(f"too slow: at most {in_words(case.most_s)} per {case.unit} are meant")
+        faults.append(f"too slow: at most {in_words(case.most_s)} per {case.unit} are meant")
     if case.least_ratio is not None and figures["ratio"] < case.least_ratio:
-        found.append(f"too slow: {case.least_ratio:.2f} times as fast is meant")
+        faults.append(f"too slow: {case.least_ratio:.2f} times as fast is meant")
     if case.most_mb is not None and figures["peak_mb"] > case.most_mb:
-        found.append(f"too large: at most {case.most_mb:.0f} MB are meant")
-    return found
+        faults.append(f"too large: at most {case.most_mb:.0f} MB are meant")
+    return faults
 
 
 def in_words(seconds: float) -> str:

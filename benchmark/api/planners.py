@@ -151,8 +151,8 @@ class PlannerSource:
             options: Those of them that are called as the attributes here count; ``model`` is one name or several.
         """
         named = getattr(options, "model", ())
-        said = {**named_alike(cls, options), "names": (named,) if isinstance(named, str) else named}
-        return cls(**{**said, "as_published": said.get("as_published") or (), **others})
+        values = {**named_alike(cls, options), "names": (named,) if isinstance(named, str) else named}
+        return cls(**{**values, "as_published": values.get("as_published") or (), **others})
 
     def require(self) -> "PlannerSource":
         """Itself, once all planners are known, have weights, and can run so.
@@ -199,8 +199,8 @@ class PlannerSource:
         if not self._served and not is_address(sensor):
             return
         require_package("httpx2", NEEDS_SERVE.format(what="asking over HTTP", package="httpx2"))
-        for each in self._served:
-            from_extension("planner", "http")(each).require_alive()
+        for name in self._served:
+            from_extension("planner", "http")(name).require_alive()
         if is_address(sensor):
             from_extension("sensor", "http")(Address.of(sensor, "--sensor")).require_alive()
 
@@ -224,7 +224,7 @@ class PlannerSource:
     @property
     def running(self) -> list[str]:
         """Names of what runs: miniatures on embedded data where a full model has no weights."""
-        return [model_that_runs(each, self.checkpoint, data=self.data) for each in self.names]
+        return [model_that_runs(name, self.checkpoint, data=self.data) for name in self.names]
 
     @property
     def supervision(self) -> "Supervision":
@@ -233,30 +233,30 @@ class PlannerSource:
         from benchmark.sandbox.limits import Supervision
 
         given = {"--sample-limit": self.sample_limit, "--memory-limit": self.memory_limit}
-        said = next((option for option, value in given.items() if value is not None), None)
-        if said is not None and not any(is_foreign(name) for name in self.names):
+        given_option = next((option for option, value in given.items() if value is not None), None)
+        if given_option is not None and not any(is_foreign(name) for name in self.names):
             raise InputError(
-                f"{said} is of planners of other packages, which run in a process of their own (docs/planners.md); "
+                f"{given_option} is of planners of other packages, which run in a process of their own (docs/planners.md); "
                 "leave it out"
             )
         return Supervision.of(self.sample_limit, self.memory_limit)
 
     def load(self, supervision: "Supervision | None" = None) -> "list[NamedPlanner]":
         """Load them; ``supervision`` replaces the limits that options name."""
-        asked = {"image_format": self.image_format, "frame": self.frame, "deadline_s": self.deadline_s}
+        http_options = {"image_format": self.image_format, "frame": self.frame, "deadline_s": self.deadline_s}
         return [
             load_planner(
-                each,
+                planner_name,
                 self.checkpoint,
                 data=self.data,
                 seed=self.seed,
                 device=self.device,
                 precision=self.precision,
                 as_published=self.as_published,
-                over_http={name: value for name, value in asked.items() if value is not None},
+                over_http={name: value for name, value in http_options.items() if value is not None},
                 supervision=supervision or self.supervision,
             )
-            for each in self.names
+            for planner_name in self.names
         ]
 
     def under_test(self, workers: int) -> "PlannerUnderTest":
@@ -270,7 +270,7 @@ class PlannerSource:
     def _served(self) -> list[str]:
         from benchmark.machine.address import is_address
 
-        return [each for each in self.names if is_address(each)]
+        return [name for name in self.names if is_address(name)]
 
 
 def require_device(name: str) -> None:

@@ -90,8 +90,11 @@ def _shown(out: Path, folders: "Sequence[Path] | None") -> "Results":
     quality = _with_tables("quality", find_quality(space.quality_root()))
     sheets = find_sheets(space.sheet_root())
     ablations = find_ablations(space.ablation_root())
-    own = [space.drive_root()] if space.drive_root().is_dir() else []
-    drives = [with_drive_cost(each, folders or own, space.timings_of) for each in find_drives(*(folders or own))]
+    drive_folders = [space.drive_root()] if space.drive_root().is_dir() else []
+    drives = [
+        with_drive_cost(drive_record, folders or drive_folders, space.timings_of)
+        for drive_record in find_drives(*(folders or drive_folders))
+    ]
     scored = any(space.challenge_root().glob("scores-*.json"))
     others = bool(quality or sheets.splits or ablations or drives or scored)
     no_runs = others and folders is None and not space.run_root().exists()

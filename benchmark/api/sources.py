@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def named_alike(target: type, options: Any) -> dict[str, Any]:
     """Values of those options that are called as fields of a dataclass."""
-    return {each.name: getattr(options, each.name) for each in fields(target) if hasattr(options, each.name)}
+    return {field.name: getattr(options, field.name) for field in fields(target) if hasattr(options, field.name)}
 
 
 _BYTES_OF_A_PIXEL: Final = 0.22
@@ -39,7 +39,7 @@ class Ahead:
 
     def plan(self, then: str) -> tuple[str, ...]:
         """Text of ``--dry-run`` where something has to be built first."""
-        return (*(f"would first build {each}" for each in self.builds), f"would then {then}")
+        return (*(f"would first build {build}" for build in self.builds), f"would then {then}")
 
     def counted(self) -> str:
         """How many scenes, for people."""
@@ -123,19 +123,19 @@ class DataSource:
         if self._is_mini:
             return _embedded(split, self.out, scenes, limit)
         name = Path(self.data).resolve().name
-        made = workspace(self.out).split_root(name, split)
-        if is_generated(split) and is_finished(made):
-            _require_not_rejected(scenes, made, split)
-            return Ahead(_chosen(listed_scenes(made, split), split, scenes, limit))
-        every = self._listed(None)
+        split_folder = workspace(self.out).split_root(name, split)
+        if is_generated(split) and is_finished(split_folder):
+            _require_not_rejected(scenes, split_folder, split)
+            return Ahead(_chosen(listed_scenes(split_folder, split), split, scenes, limit))
+        all_scenes = self._listed(None)
         try:
             of_split = self._listed(split)
             _require_not_rejected(scenes, self._root, split, self.tables)
         except NoSuchSplit as error:
-            if not is_generated(split) or not every:
+            if not is_generated(split) or not all_scenes:
                 raise
             raise InputError(
-                f"split {split!r} of {name} is not at {made}; make it with: challenger-bench generate --data "
+                f"split {split!r} of {name} is not at {split_folder}; make it with: challenger-bench generate --data "
                 f"{self.data} {how_generated(split)} --out {self.out}"
             ) from error
         return Ahead(_chosen(of_split, split, scenes, limit))
@@ -206,7 +206,7 @@ def _embedded(split: str, out: Path, scenes: Sequence[str] | None, limit: int | 
             f"the embedded data set mini has no split {split!r}; {did_you_mean(split, splits)}it has "
             f"{', '.join(splits)}"
         )
-    settings, made = TownSettings(), workspace(out).split_root(EMBEDDED, split)
+    settings, split_folder = TownSettings(), workspace(out).split_root(EMBEDDED, split)
     root, recorded = cache_root() / settings.folder_name(EMBEDDED), town_scene_names("val", settings.val_scenes)
     builds = []
     if not is_finished(root):
@@ -216,17 +216,17 @@ def _embedded(split: str, out: Path, scenes: Sequence[str] | None, limit: int | 
         builds.append(f"the embedded data set in {root} (once, about a minute, {gigabytes(needed)})")
     if split == "val":
         return Ahead(_chosen(recorded, split, scenes, limit), tuple(builds))
-    if is_finished(made):
-        return Ahead(_chosen(listed_scenes(made, split), split, scenes, limit), tuple(builds))
+    if is_finished(split_folder):
+        return Ahead(_chosen(listed_scenes(split_folder, split), split, scenes, limit), tuple(builds))
     if split == "adv":
         frozen = newest_split(EMBEDDED)
         builds += _frozen_ahead(frozen)
         made_names = tuple(sorted(scene.name for scene in frozen.frozen.scenes))
         return Ahead(_chosen(made_names, split, scenes, limit), tuple(builds))
     needed = town_bytes(len(recorded))
-    require_place(made, "--out")
-    require_room(made, needed, f"split {split} of the embedded data set", "--out")
-    builds.append(f"split {split} of it in {made} (once, some minutes, {gigabytes(needed)})")
+    require_place(split_folder, "--out")
+    require_room(split_folder, needed, f"split {split} of the embedded data set", "--out")
+    builds.append(f"split {split} of it in {split_folder} (once, some minutes, {gigabytes(needed)})")
     return Ahead(_chosen(recorded, split, scenes, limit), tuple(builds))
 
 

@@ -68,11 +68,11 @@ def ablate_command(options: AblateOptions) -> None:
     ahead = data.require_source(options.source_split, scenes, options.limit)
     require_place(options.out, "--out")
     if options.dry_run and ahead.builds:
-        then = (
+        next_step = (
             f"search {ahead.counted()} four times, with {options.model} driving; --dry-run says how long once they are "
             "there"
         )
-        say_plan([*ahead.plan(then), *told(options.preset, hyper)], json_output=options.json_output)
+        say_plan([*ahead.plan(next_step), *told(options.preset, hyper)], json_output=options.json_output)
         return
     require_cluster(place, ahead)
     from generation.pipeline.ablation import ablate, ablation_estimate
@@ -99,8 +99,8 @@ def ablate_command(options: AblateOptions) -> None:
         say_plan([estimate, *told(options.preset, hyper)], json_output=options.json_output)
         return
     report = ablate(source, planner, settings)
-    said = report.model_dump(mode="json", by_alias=True)
-    print_result(said, report.table().plain(wide=options.wide), json_output=options.json_output)
+    report_json = report.model_dump(mode="json", by_alias=True)
+    print_result(report_json, report.table().plain(wide=options.wide), json_output=options.json_output)
     say_next(
         f"study: {settings.out}",
         (f"leaderboard{same_out(options.out)}", "all records in tables beside the paper's"),

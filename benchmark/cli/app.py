@@ -239,11 +239,11 @@ def _fail(sentence: str) -> int:
 
 def _fit_to_show(sentence: str) -> str:
     """Any text as a sentence in one line that a terminal can show and a person can read."""
-    shown = "".join(each if each.isprintable() else ascii(each)[1:-1] for each in sentence)
-    if len(shown) <= _LONGEST_SENTENCE:
-        return shown
+    printable = "".join(character if character.isprintable() else ascii(character)[1:-1] for character in sentence)
+    if len(printable) <= _LONGEST_SENTENCE:
+        return printable
     half = _LONGEST_SENTENCE // 2
-    return f"{shown[:half]} ... {shown[-half:]}"
+    return f"{printable[:half]} ... {printable[-half:]}"
 
 
 def _help(text: str) -> int:

@@ -75,7 +75,7 @@ def splits_to_build(options: "GenerateOptions", data: "DataSource") -> tuple[Spl
             files = read_edited(Path(from_file))
             return (SplitToBuild(split, seed, freeze, edited_split(data.open(), Path(from_file), files)),)
     if options.seeds is None:
-        found: tuple[SplitToBuild, ...] = (
+        splits: tuple[SplitToBuild, ...] = (
             SplitToBuild(split, seed, freeze, None if from_file is None else frozen_split(from_file)),
         )
     else:
@@ -83,19 +83,19 @@ def splits_to_build(options: "GenerateOptions", data: "DataSource") -> tuple[Spl
             raise InputError(f"--seeds builds one adv for each seed, not {split}; leave --split out")
         if is_given("seed"):
             raise InputError("--seed and --seeds contradict each other; leave one of them out")
-        found = tuple(
+        splits = tuple(
             SplitToBuild(
-                f"adv-seed-{each}",
-                each,
-                None if freeze is None else file_of_seed(freeze, each),
-                None if from_file is None else frozen_of_seed(Path(from_file), each),
+                f"adv-seed-{split_seed}",
+                split_seed,
+                None if freeze is None else file_of_seed(freeze, split_seed),
+                None if from_file is None else frozen_of_seed(Path(from_file), split_seed),
             )
-            for each in seeds_of(options.seeds)
+            for split_seed in seeds_of(options.seeds)
         )
-    for one in found:
-        if one.freeze is not None:
-            require_freezable(one.split, one.freeze)
-    return found
+    for split_to_build in splits:
+        if split_to_build.freeze is not None:
+            require_freezable(split_to_build.split, split_to_build.freeze)
+    return splits
 
 
 def require_trajectory_model(device: str, denoiser: Path | None) -> None:
@@ -126,7 +126,9 @@ def frozen_scenes(
     wanted: "Sequence[SplitToBuild]", names: tuple[str, ...] | None, limit: int | None
 ) -> tuple[str, ...]:
     """Names of the scenes that frozen splits give, all or those that were asked for."""
-    chosen = [one.frozen.chosen(names, limit) for one in wanted if one.frozen is not None]
+    chosen = [
+        split_to_build.frozen.chosen(names, limit) for split_to_build in wanted if split_to_build.frozen is not None
+    ]
     return tuple(scene.name for of_split in chosen for scene, _ in of_split)
 
 
@@ -147,10 +149,10 @@ def build_one(
 
     report = build_split(source, one.split, settings)
     runtime = report.runtime if profile else None
-    told = {"departures": list(unlike)} if unlike else {}
+    departures = {"departures": list(unlike)} if unlike else {}
     timed = {} if runtime is None else {"runtime": runtime.model_dump()}
     table = "" if runtime is None else "\n" + runtime.table().plain(indent="  ", least=(10, 9, 9, 9)).rstrip("\n")
-    return Built("\n".join([report.summary(), *unlike]) + table, report.as_json() | told | timed)
+    return Built("\n".join([report.summary(), *unlike]) + table, report.as_json() | departures | timed)
 
 
 def build_shards(
@@ -169,19 +171,23 @@ def build_shards(
     """
     from generation.pipeline.sharded import build_shard, draw_frozen_shard
 
-    found = []
-    for one, own in zip(wanted, settings, strict=True):
-        if one.frozen is not None:
-            found.append(draw_frozen_shard(source, one.frozen, own, shard, as_split=one.split))
+    finished_shards = []
+    for split_to_build, split_settings in zip(wanted, settings, strict=True):
+        if split_to_build.frozen is not None:
+            finished_shards.append(
+                draw_frozen_shard(source, split_to_build.frozen, split_settings, shard, as_split=split_to_build.split)
+            )
         else:
-            found.append(build_shard(source, one.split, own, shard))
+            finished_shards.append(build_shard(source, split_to_build.split, split_settings, shard))
     for did, why in (
         ("searched", "with the same options, when all shards are: with --shard to draw in shards, or without"),
         ("drawn", "with the same options and no --shard, when all shards are"),
     ):
-        if did in {each.did for each in found}:
-            mine = [each.finished for each in found if each.did == did]
-            say_shard(shard, mine, did, (f"generate --split {wanted[0].split}{again}", why), json_output=json_output)
+        if did in {progress.did for progress in finished_shards}:
+            shards_of_step = [progress.finished for progress in finished_shards if progress.did == did]
+            say_shard(
+                shard, shards_of_step, did, (f"generate --split {wanted[0].split}{again}", why), json_output=json_output
+            )
 
 
 def require_shardable(shard: "Shard | None", surrogate: str | None, executor: "Executor") -> None:
@@ -207,7 +213,10 @@ def say_built(
     Args:
         again: Options that lead another command to them.
     """
-    roots, files = (", ".join(map(str, places)) for places in zip(*((each.out, each.freeze) for each in settings)))
+    roots, files = (
+        ", ".join(map(str, places))
+        for places in zip(*((split_settings.out, split_settings.freeze) for split_settings in settings))
+    )
     say_next(
         f"data set: {roots}" + ("" if wanted[0].freeze is None else f"; frozen split: {files}"),
         (f"data show {settings[0].out} --to pictures", "a picture of each scene"),

@@ -42,8 +42,8 @@ def data_info_command(options: DataInfoOptions) -> None:
 
     data = api.DataSource.of(options)
     data.require()
-    found = contents(_open_to_look(data))
-    print_result(found, contents_text(found), json_output=options.json_output)
+    counts = contents(_open_to_look(data))
+    print_result(counts, contents_text(counts), json_output=options.json_output)
 
 
 def _open_to_look(data: api.DataSource) -> "DataSet":
@@ -95,13 +95,13 @@ def data_stats_command(options: DataStatsOptions) -> None:
     root = Path(options.root)
     if data.is_embedded:
         root = (data.open() if options.split is None else data.open_split(options.split)).root
-    found = statistics(root, split=options.split, version=options.tables)
+    numbers = statistics(root, split=options.split, version=options.tables)
     judged = None if options.judge is False else _judged(root, options, recordings)
     if options.json_output:
-        said = None if judged is None else judged.model_dump(mode="json")
-        print_json({**found.as_json(), "judgement": said})
+        assessment_json = None if judged is None else judged.model_dump(mode="json")
+        print_json({**numbers.as_json(), "judgement": assessment_json})
         return
-    typer.echo(found.plain())
+    typer.echo(numbers.plain())
     if judged is not None:
         from benchmark.fairness.tables import judgement_text
 

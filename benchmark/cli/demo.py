@@ -172,8 +172,10 @@ def _results_from() -> dict[str, Any]:
 
     newest, renderer = newest_split("mini"), api.schematic_renderer()
     return {
-        "weights": {name: file_sha256(each.packaged) for name, each in miniatures().items()},
-        "configurations": {name: content_key(asdict(each.configuration()))[:12] for name, each in miniatures().items()},
+        "weights": {name: file_sha256(miniature.packaged) for name, miniature in miniatures().items()},
+        "configurations": {
+            name: content_key(asdict(miniature.configuration()))[:12] for name, miniature in miniatures().items()
+        },
         "town": TownSettings().drawn_name("mini"),
         "frozen split": [newest.name, newest.frozen.content_id],
         "search": [ALGORITHM_VERSION, hyper_parameters().fingerprint, FULL_DEMO_VEHICLES],
@@ -208,8 +210,8 @@ def demo_command(options: DemoOptions) -> None:
         raise InputError("--check belongs to demo --full, whose results it looks at")
     if options.check:
         stale = stale_demo(options.to)
-        said = "\n".join(stale) or f"{options.to} is current"
-        print_result({"stale": stale}, said, json_output=options.json_output)
+        text = "\n".join(stale) or f"{options.to} is current"
+        print_result({"stale": stale}, text, json_output=options.json_output)
         raise typer.Exit(1 if stale else 0)
     api.worker_count(options.workers)
     require_place(options.out, "--out")

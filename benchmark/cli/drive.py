@@ -133,12 +133,12 @@ def drive_command(options: DriveOptions) -> None:
     # A little longer than the drive itself waits, so that who is late is late for one reason.
     planners = api.PlannerSource.of(options, deadline_s=options.timeout + 5.0).require()
     supervision = replace(planners.supervision, sample_s=options.timeout)
-    for each in planners.running:
-        if options.sensor == "none" and api.looks_at_images(each):
-            raise InputError(f"{each} looks at images, and --sensor none has none; add --sensor schematic")
+    for planner in planners.running:
+        if options.sensor == "none" and api.looks_at_images(planner):
+            raise InputError(f"{planner} looks at images, and --sensor none has none; add --sensor schematic")
     planners.require_frame()
     planners.require_servers(options.sensor, tensors=options.accept_torch_tensors)
-    mine = None if options.shard is None else Shard.named(options.shard)
+    shard = None if options.shard is None else Shard.named(options.shard)
     if options.executor != "local":
         require_one_device(options.device, "a Ray cluster gives its tasks GPUs itself")
     place = executor_of(options.executor, options.address, workers_for(options.workers, options.device))
@@ -146,13 +146,15 @@ def drive_command(options: DriveOptions) -> None:
     ahead = data.require_split(options.split, scenes, options.limit)
     require_place(options.out, "--out")
     if options.dry_run and ahead.builds:
-        then = f"drive {', '.join(names)} through {ahead.counted()} of {options.split}"
-        say_plan(ahead.plan(then), json_output=options.json_output)
+        next_step = f"drive {', '.join(names)} through {ahead.counted()} of {options.split}"
+        say_plan(ahead.plan(next_step), json_output=options.json_output)
         return
     # Planners first: a class of another package may not be importable, and data may take minutes to build.
-    asked = replace(planners, image_format=options.image_format or "torch", frame=options.frame or "ego")
-    loaded = dict(zip(options.model, asked.load(supervision)))
-    factories = [loaded[each] if each in loaded else api.load_planner(each, data=options.data) for each in names]
+    loading = replace(planners, image_format=options.image_format or "torch", frame=options.frame or "ego")
+    loaded = dict(zip(options.model, loading.load(supervision)))
+    factories = [
+        loaded[planner] if planner in loaded else api.load_planner(planner, data=options.data) for planner in names
+    ]
     dataset = data.open_split(options.split)
     space = api.workspace(options.out)
     how = replace(_settings(options, scenes, place), timings=space.timings_of(space.drive_root()))
@@ -160,24 +162,26 @@ def drive_command(options: DriveOptions) -> None:
         from benchmark.runs.drive_estimate import estimate
 
         root = space.drive_root()
-        said = [estimate(dataset, options.split, each, _settings_of(each, how), root) for each in factories]
-        say_plan(said, json_output=options.json_output)
+        estimates = [
+            estimate(dataset, options.split, planner, _settings_of(planner, how), root) for planner in factories
+        ]
+        say_plan(estimates, json_output=options.json_output)
         return
     again = same_place(options)
-    if mine is not None:
+    if shard is not None:
         from benchmark.runs.driving import drive_shard
 
-        groups = [[each for each in factories if _looks_at_nothing(each)]]
-        groups += [[each] for each in factories if not _looks_at_nothing(each)]
+        groups = [[planner for planner in factories if _looks_at_nothing(planner)]]
+        groups += [[planner] for planner in factories if not _looks_at_nothing(planner)]
         done = [
-            each
+            planner
             for group in filter(None, groups)
-            for each in drive_shard(
-                dataset, options.split, group, space.drive_root(), _settings_of(group[0], how), mine
+            for planner in drive_shard(
+                dataset, options.split, group, space.drive_root(), _settings_of(group[0], how), shard
             )
         ]
         step = (f"drive{again}", "with the same options and no --shard, when all shards are")
-        say_shard(mine, done, "driven", step, json_output=options.json_output)
+        say_shard(shard, done, "driven", step, json_output=options.json_output)
         return
     records = _driven(dataset, options.split, factories, space.drive_root(), how)
     warn_of_caveats(record.facts for record in records)
@@ -232,8 +236,8 @@ def _require_engine(options: DriveOptions) -> None:
         )
     usual = DriveOptions()
     about_adversary = ("knows", "others", "every", "rounds", "candidates")
-    of_adversary = (*(f"adversary_{each}" for each in about_adversary), "keep_considered")
-    if options.agents != "adversary" and any(getattr(options, each) != getattr(usual, each) for each in of_adversary):
+    of_adversary = (*(f"adversary_{name}" for name in about_adversary), "keep_considered")
+    if options.agents != "adversary" and any(getattr(options, name) != getattr(usual, name) for name in of_adversary):
         raise InputError(
             f"--agents {options.agents} has no adversary; add --agents adversary or leave --adversary-... and "
             "--keep-considered out"
@@ -246,14 +250,17 @@ def _driven(
     """Records in the order of the planners; built-in ones that look at nothing are driven side by side."""
     from benchmark.runs.driving import drive_planners, drive_split
 
-    beside = [place for place, each in enumerate(factories) if _looks_at_nothing(each)]
+    blind_places = [place for place, planner in enumerate(factories) if _looks_at_nothing(planner)]
     records: dict[int, DriveRecord] = {}
-    if beside:
-        own = _settings_of(factories[beside[0]], how)
-        records |= zip(beside, drive_planners(data, split, [factories[place] for place in beside], root, own))
-    for place, each in enumerate(factories):
+    if blind_places:
+        blind_settings = _settings_of(factories[blind_places[0]], how)
+        records |= zip(
+            blind_places,
+            drive_planners(data, split, [factories[place] for place in blind_places], root, blind_settings),
+        )
+    for place, planner in enumerate(factories):
         if place not in records:
-            records[place] = drive_split(data, split, each, root, how)
+            records[place] = drive_split(data, split, planner, root, how)
     return [records[place] for place in range(len(factories))]
 
 

@@ -71,18 +71,18 @@ def planners_of_files(
 
     read_as: dict[str, Any] = {"scenes": scenes, "native": options.native, "frame": options.frame}
     read_as["as_is"] = options.as_is
-    found: list[Any] = []
+    factories: list[Any] = []
     if options.plans is not None:
         partial = options.allow_partial
-        found.append(
+        factories.append(
             plan_file_factory(options.plans, dataset, split, records=[run_root], allow_partial=partial, **read_as)
         )
     if opened:
-        found.append(result_file_factory(opened, dataset, split, name=options.name, **read_as))
-    for factory in found:
+        factories.append(result_file_factory(opened, dataset, split, name=options.name, **read_as))
+    for factory in factories:
         for sentence in factory.sentences:
             api.tell(sentence)
-    return found
+    return factories
 
 
 def write_dumps(
@@ -114,9 +114,9 @@ def eval_command(options: EvalOptions) -> None:
     from benchmark.runs.units import Shard
 
     _require_planner(options)
-    shown, scenes = _protocols_to_show(options.protocol), name_list(options.scenes)
+    protocols, scenes = _protocols_to_show(options.protocol), name_list(options.scenes)
     planners = api.PlannerSource.of(options).require()
-    mine = None if options.shard is None else Shard.named(options.shard)
+    shard = None if options.shard is None else Shard.named(options.shard)
     count = _processes(options, planners)
     planners.require_frame(of_file=options.plans is not None or bool(options.results))
     planners.require_servers()
@@ -125,7 +125,7 @@ def eval_command(options: EvalOptions) -> None:
     splits = tuple(sorted(dict.fromkeys(options.split), key=is_adversarial))
     _require_one_split(splits, options)
     data = api.DataSource.of(options)
-    every_ahead = {each: data.require_split(each, scenes, options.limit) for each in splits}
+    every_ahead = {split: data.require_split(split, scenes, options.limit) for split in splits}
     elsewhere = None
     if options.unchanged is not None:
         unchanged = api.DataSource(options.unchanged, out=options.out)
@@ -137,21 +137,21 @@ def eval_command(options: EvalOptions) -> None:
         runs = [*planners.running, *files, *map(str, options.results or ())]
         planned = [
             line
-            for each, ahead in every_ahead.items()
-            for line in ahead.plan(f"run {', '.join(runs)} on {ahead.counted()} of {each}")
+            for split, ahead in every_ahead.items()
+            for line in ahead.plan(f"run {', '.join(runs)} on {ahead.counted()} of {split}")
         ]
         say_plan(list(dict.fromkeys(planned)), json_output=options.json_output)
         return
     space = api.workspace(options.out)
     run_root = space.run_root()
     settings = EvalSettings(
-        tuple(dict.fromkeys([*STANDARD, *(name for name in shown or () if name in PROTOCOLS)])),
+        tuple(dict.fromkeys([*STANDARD, *(name for name in protocols or () if name in PROTOCOLS)])),
         scenes,
         options.limit,
         count,
         options.seed,
         timings=space.timings_of(run_root),
-        asked=() if "all" in (options.protocol or ()) else shown or (),
+        asked=() if "all" in (options.protocol or ()) else protocols or (),
         unchanged=elsewhere,
     )
     # Planners first: a class of another package may not be importable, and data may take minutes to build.
@@ -163,32 +163,34 @@ def eval_command(options: EvalOptions) -> None:
         factories += planners_of_files(options, opened, dataset, splits[0], chosen, run_root)
     if options.dry_run:
         names = ", ".join(factory.facts.name for factory in factories)
-        chosen_of = {each: settings.chosen(data.open_split(each, source), each) for each in splits}
-        where = [f"{counted(len(chosen), 'scene')} of {each}" for each, chosen in chosen_of.items()]
-        say_plan([f"would run {names} on {each}" for each in where], json_output=options.json_output)
+        chosen_of = {split: settings.chosen(data.open_split(split, source), split) for split in splits}
+        where = [f"{counted(len(chosen), 'scene')} of {split}" for split, chosen in chosen_of.items()]
+        say_plan([f"would run {names} on {split}" for split in where], json_output=options.json_output)
         return
-    judged = [(each, _also_by_its_own(settings, each)) for each in factories]
+    judged = [(split, _also_by_its_own(settings, split)) for split in factories]
     again = same_place(options)
-    if mine is not None:
+    if shard is not None:
         from benchmark.evaluation import plan_shard
 
         step = (f"eval{again}", "with the same options and no --shard, when all shards are")
-        done = plan_shard(dataset, splits[0], judged, run_root, mine)
-        say_shard(mine, done, "planned", step, json_output=options.json_output)
+        done = plan_shard(dataset, splits[0], judged, run_root, shard)
+        say_shard(shard, done, "planned", step, json_output=options.json_output)
         return
     records: list[RunRecord] = []
-    for place, each in enumerate(splits):
-        here = dataset if place == 0 else data.open_split(each, source)
-        of_split = with_reproductions(evaluate_together(here, each, judged, run_root), find_reproductions([run_root]))
+    for place, split in enumerate(splits):
+        split_data = dataset if place == 0 else data.open_split(split, source)
+        of_split = with_reproductions(
+            evaluate_together(split_data, split, judged, run_root), find_reproductions([run_root])
+        )
         if options.explain_protocols:
-            _explain(source.name, here, of_split, options)
+            _explain(source.name, split_data, of_split, options)
         records += of_split
     warn_of_caveats(record.run for record in records)
     dumped = write_dumps(records, dataset, splits[0], options.dump_results, space)
     sound = _show_runs(
         source.name,
         records,
-        shown,
+        protocols,
         options.by or (),
         run_root,
         allow_partial=options.allow_partial,
@@ -246,8 +248,12 @@ def _require_one_split(splits: tuple[str, ...], options: EvalOptions) -> None:
 
 def _also_by_its_own(settings: "EvalSettings", factory: "PlannerFactory") -> "EvalSettings":
     """The settings with the planner's own protocol among the judges, if it has one."""
-    own = factory.facts.native_protocol
-    return settings if own is None else replace(settings, protocols=tuple(dict.fromkeys([*settings.protocols, own])))
+    native_protocol = factory.facts.native_protocol
+    return (
+        settings
+        if native_protocol is None
+        else replace(settings, protocols=tuple(dict.fromkeys([*settings.protocols, native_protocol])))
+    )
 
 
 def _protocols_to_show(names: tuple[str, ...] | None) -> tuple[str, ...] | None:
@@ -317,8 +323,8 @@ def _show_runs(
         ]
         print_json({"runs": rows, "slices": [table.as_json() for table in sliced]} if by else rows)
     else:
-        shown = run_tables(data_name, records, protocols, allow_partial=allow_partial, against=against)
-        for table in (*shown, *sliced):
+        tables = run_tables(data_name, records, protocols, allow_partial=allow_partial, against=against)
+        for table in (*tables, *sliced):
             typer.echo(table.plain(wide=wide))
     for record in partial:
         typer.echo(

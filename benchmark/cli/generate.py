@@ -155,8 +155,8 @@ def generate_command(options: GenerateOptions) -> None:
         first = data.require()
         require_place(options.out, "--out")
         if options.dry_run and first.builds:
-            then = f"build split {options.split} from the edited scenes of {options.from_file}"
-            say_plan(first.plan(then), json_output=options.json_output)
+            next_step = f"build split {options.split} from the edited scenes of {options.from_file}"
+            say_plan(first.plan(next_step), json_output=options.json_output)
             return
     wanted = splits_to_build(options, data)
     frozen = wanted[0].frozen
@@ -168,7 +168,7 @@ def generate_command(options: GenerateOptions) -> None:
         "solvable": False if options.keep_unsolvable else None,
     }
     hyper = hyper_parameters(options.preset, shortcuts, options.changes or ())
-    asked = _asked(options)
+    manoeuvres = _asked(options)
     if options.variants is not None and options.per_scene is not None:
         raise InputError("--variants keeps scenes that differ, --per-scene the most challenging ones; give one of them")
     surrogate = _surrogate(options)
@@ -178,8 +178,8 @@ def generate_command(options: GenerateOptions) -> None:
     if options.executor != "local":
         require_one_device(options.device, "a Ray cluster gives its tasks GPUs itself")
     place = executor_of(options.executor, options.address, workers_for(options.workers, options.device))
-    mine = None if options.shard is None else Shard.named(options.shard)
-    require_shardable(mine, options.surrogate, place)
+    shard = None if options.shard is None else Shard.named(options.shard)
+    require_shardable(shard, options.surrogate, place)
     if frozen is None:
         ahead = data.require_source(options.source_split, named, options.limit)
     else:
@@ -192,8 +192,10 @@ def generate_command(options: GenerateOptions) -> None:
     unlike = told(options.preset, hyper) if options.split == "adv" and frozen is None and options.dry_run else []
     if options.dry_run and ahead.builds:
         from_what = ahead.counted() if frozen is None else f"frozen split {frozen.name}, {ahead.counted()}"
-        then = f"build split {options.split} from {from_what}; --dry-run says how much work that is once they are there"
-        say_plan([*ahead.plan(then), *unlike], json_output=options.json_output)
+        next_step = (
+            f"build split {options.split} from {from_what}; --dry-run says how much work that is once they are there"
+        )
+        say_plan([*ahead.plan(next_step), *unlike], json_output=options.json_output)
         return
     require_cluster(place, ahead)
     from generation.pipeline.recordings import source_scenes
@@ -223,7 +225,7 @@ def generate_command(options: GenerateOptions) -> None:
         ),
         "scenes": named,
         "surrogate": under_test,
-        "asked": asked,
+        "asked": manoeuvres,
         "total": options.top,
         "renderer": drawing,
         "executor": place,
@@ -232,23 +234,31 @@ def generate_command(options: GenerateOptions) -> None:
     settings = BuildSettings(**{**api.named_alike(BuildSettings, options), **others})
     if photorealistic is not None:
         typer.echo(network.estimate(source.scene(source_scenes(source, settings)[0])).plain(), err=True)
-    own = []
-    for one in wanted:
-        root = space.split_root(source.name, one.split)
-        own.append(replace(settings, out=root, timings=space.timings_of(root), seed=one.seed, freeze=one.freeze))
+    settings_of_splits = []
+    for split_to_build in wanted:
+        root = space.split_root(source.name, split_to_build.split)
+        settings_of_splits.append(
+            replace(
+                settings,
+                out=root,
+                timings=space.timings_of(root),
+                seed=split_to_build.seed,
+                freeze=split_to_build.freeze,
+            )
+        )
     again = same_place(options)
-    if mine is not None and not options.dry_run:
-        build_shards(source, wanted, own, mine, again, json_output=options.json_output)
+    if shard is not None and not options.dry_run:
+        build_shards(source, wanted, settings_of_splits, shard, again, json_output=options.json_output)
         return
     built = []
-    for one, of_split in zip(wanted, own, strict=True):
-        built.append(build_one(source, one, of_split, unlike, profile=options.profile))
+    for split_to_build, of_split in zip(wanted, settings_of_splits, strict=True):
+        built.append(build_one(source, split_to_build, of_split, unlike, profile=options.profile))
         if not options.json_output:
-            typer.echo(built[-1].text if options.seeds is None else f"{one.split}: {built[-1].text}")
+            typer.echo(built[-1].text if options.seeds is None else f"{split_to_build.split}: {built[-1].text}")
     if options.json_output:
-        print_json(built[0].said if options.seeds is None else [each.said for each in built])
+        print_json(built[0].said if options.seeds is None else [outcome.said for outcome in built])
     if not options.dry_run:
-        say_built(wanted, own, again, json_output=options.json_output)
+        say_built(wanted, settings_of_splits, again, json_output=options.json_output)
 
 
 def _asked(options: GenerateOptions) -> "tuple[Manoeuvre, ...]":
@@ -271,8 +281,8 @@ def _surrogate(options: GenerateOptions) -> "PlannerSource | None":
         raise InputError("--surrogate-checkpoint belongs to --surrogate; name the planner that it is for")
     names = () if options.surrogate is None else (options.surrogate,)
     others = {"checkpoint": options.surrogate_checkpoint, "device": None}
-    found = api.PlannerSource.of(options, names=names, **others).require()
-    return found if names else None
+    surrogate = api.PlannerSource.of(options, names=names, **others).require()
+    return surrogate if names else None
 
 
 def _photorealistic(options: GenerateOptions) -> "Any | None":
@@ -281,7 +291,7 @@ def _photorealistic(options: GenerateOptions) -> "Any | None":
 
     if options.renderer not in OFFERS["renderer"]:
         return None
-    found = from_extension("renderer", options.renderer)(
+    renderer = from_extension("renderer", options.renderer)(
         options.weights_folder,
         drawn_size=options.render_size,
         written_size=options.written_size,
@@ -291,8 +301,8 @@ def _photorealistic(options: GenerateOptions) -> "Any | None":
         tera_operations=options.tflops,
         estimates_only=options.dry_run,
     )
-    found.require()
-    return found
+    renderer.require()
+    return renderer
 
 
 def _require_generated(split: str) -> None:

@@ -54,8 +54,11 @@ def rescore_command(options: RescoreOptions) -> None:
     results = [
         result
         for folder in folders
-        for found in (rescore_all(folder, opener, source.name), rescore_all_drives(folder, opener, source.name))
-        for result in found
+        for folder_results in (
+            rescore_all(folder, opener, source.name),
+            rescore_all_drives(folder, opener, source.name),
+        )
+        for result in folder_results
     ]
     if options.json_output:
         print_json([{"directory": str(result.directory), "says": result.sentence} for result in results])
@@ -137,7 +140,7 @@ def transfer_command(options: TransferOptions) -> None:
             {
                 name: {
                     **asdict(matrix),
-                    "adversary": [asdict(one) for one in _of_adversary(known, options.split, name)]
+                    "adversary": [asdict(shown_matrix) for shown_matrix in _of_adversary(known, options.split, name)]
                     if options.protocol == EXACT
                     else [],
                 }
@@ -146,12 +149,14 @@ def transfer_command(options: TransferOptions) -> None:
         )
         return
     for name, matrix in matrices.items():
-        shown = [matrix] if options.protocol != EXACT else [matrix, *_of_adversary(known, options.split, name)]
-        for one in shown:
-            typer.echo(transfer_table(name, one).plain(wide=options.wide))
-            typer.echo(lift_table(name, one).plain(wide=options.wide))
+        matrices_to_show = (
+            [matrix] if options.protocol != EXACT else [matrix, *_of_adversary(known, options.split, name)]
+        )
+        for shown_matrix in matrices_to_show:
+            typer.echo(transfer_table(name, shown_matrix).plain(wide=options.wide))
+            typer.echo(lift_table(name, shown_matrix).plain(wide=options.wide))
             if options.pairs:
-                typer.echo(agreement_table(name, one).plain(wide=options.wide))
+                typer.echo(agreement_table(name, shown_matrix).plain(wide=options.wide))
 
 
 def _of_adversary(known: "Sequence[RunRecord]", split: str, data: str) -> "list[TransferMatrix]":
@@ -160,5 +165,5 @@ def _of_adversary(known: "Sequence[RunRecord]", split: str, data: str) -> "list[
     from leaderboard.tables.transfer import transfer_matrices
 
     telling = [record for record in known if record.run.split != split or says_whom(record)]
-    found = transfer_matrices(telling, split, data=data, adversary_only=True)
-    return [matrix for matrix in found.values() if len(matrix.planners) > 1]
+    matrices = transfer_matrices(telling, split, data=data, adversary_only=True)
+    return [matrix for matrix in matrices.values() if len(matrix.planners) > 1]

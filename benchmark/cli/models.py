@@ -20,5 +20,5 @@ def models_command(options: ModelsOptions) -> None:
     from adapters.known_planners import known_planners, planners_text
 
     planners = known_planners()
-    said = [planner.as_json() for planner in planners]
-    print_result(said, planners_text(planners), json_output=options.json_output)
+    planners_json = [planner.as_json() for planner in planners]
+    print_result(planners_json, planners_text(planners), json_output=options.json_output)

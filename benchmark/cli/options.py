@@ -179,4 +179,4 @@ def hyper_parameter_names() -> frozenset[str]:
     """Names of the settings of the search."""
     from generation.search.hyperparameters import HyperParameters
 
-    return frozenset(each.name for each in fields(HyperParameters))
+    return frozenset(field.name for field in fields(HyperParameters))

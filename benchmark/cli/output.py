@@ -86,10 +86,16 @@ def say_shard(
         step: The command that comes next, and what it is for.
     """
     if json_output:
-        print_json([{"directory": str(each.directory), did: each.done, "scenes": each.scenes} for each in found])
-    for each in found:
+        print_json(
+            [
+                {"directory": str(progress.directory), did: progress.done, "scenes": progress.scenes}
+                for progress in found
+            ]
+        )
+    for progress in found:
         typer.echo(
-            f"{each.directory}: shard {shard}, {each.done} of {counted(each.scenes, 'scene')} {did}", err=json_output
+            f"{progress.directory}: shard {shard}, {progress.done} of {counted(progress.scenes, 'scene')} {did}",
+            err=json_output,
         )
     say_next(f"shard {shard} is {did}", step, json_output=json_output)
 

@@ -63,14 +63,16 @@ def data_pack_command(options: DataPackOptions) -> None:
     packed = pack_split(options.to, contents, LocalProcesses(processes))
     manifest = packed.manifest
     if options.json_output:
-        said = manifest.model_dump(mode="json", by_alias=True)
-        print_json({"file": str(options.to), "sha256": packed.sha256, "manifest": said})
+        manifest_json = manifest.model_dump(mode="json", by_alias=True)
+        print_json({"file": str(options.to), "sha256": packed.sha256, "manifest": manifest_json})
         return
-    names = ", ".join(f"{each.name} ({counted(each.scenes, 'scene')})" for each in manifest.splits)
+    names = ", ".join(f"{split.name} ({counted(split.scenes, 'scene')})" for split in manifest.splits)
     kinds = [file.kind for file in manifest.files.values()]
-    beside = [str(kind) for kind in kinds if kind in ("verdicts", "statistics", "rules")]
-    beside += [f"settings of {counted(kinds.count('drive'), 'drive record')}"] if "drive" in kinds else []
-    typer.echo(f"{options.to}: {names}{'; ' + ', '.join(beside) if beside else ''}\n  SHA-256 {packed.sha256}")
+    companion_files = [str(kind) for kind in kinds if kind in ("verdicts", "statistics", "rules")]
+    companion_files += [f"settings of {counted(kinds.count('drive'), 'drive record')}"] if "drive" in kinds else []
+    typer.echo(
+        f"{options.to}: {names}{'; ' + ', '.join(companion_files) if companion_files else ''}\n  SHA-256 {packed.sha256}"
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,29 +106,32 @@ def data_unpack_command(options: DataUnpackOptions) -> None:
     width, height = image_size(options.size)
     from generation.splits.unpacking import read_split_package, write_files
 
-    found = read_split_package(options.package)
-    for sentence in found.left_out:
+    package = read_split_package(options.package)
+    for sentence in package.left_out:
         api.tell(sentence)
     chosen = None
     if options.data is not None:
-        chosen = found.split(options.split)
+        chosen = package.split(options.split)
         named = chosen.chosen(name_list(options.scenes), options.limit)
         recordings = api.DataSource.of(options)
         recordings.require_source("val", tuple({scene.source for scene, _ in named}))
     elif options.split is not None:
         raise InputError("--split says what is built from recordings; add --data, or leave it out")
-    files = () if options.dry_run else write_files(found, options.to)
-    said = {"files": [str(path) for path in files], "splits": [each.name for each in found.splits]}
+    files = () if options.dry_run else write_files(package, options.to)
+    package_json = {"files": [str(path) for path in files], "splits": [split.name for split in package.splits]}
     if not options.json_output:
         typer.echo(
-            f"{options.package} is whole: {counted(len(found.files), 'file')}" + (f" in {options.to}" if files else "")
+            f"{options.package} is whole: {counted(len(package.files), 'file')}"
+            + (f" in {options.to}" if files else "")
         )
     if chosen is None or options.data is None:
         if options.json_output:
-            print_json({**said, "built": None})
+            print_json({**package_json, "built": None})
         else:
-            for each in found.splits:
-                typer.echo(f"  {each.name}: generate --from {options.to / 'splits' / each.name}.json --data RECORDINGS")
+            for split in package.splits:
+                typer.echo(
+                    f"  {split.name}: generate --from {options.to / 'splits' / split.name}.json --data RECORDINGS"
+                )
         return
     from benchmark.machine.workers import LocalProcesses
     from generation.pipeline.settings import BuildSettings
@@ -144,8 +149,8 @@ def data_unpack_command(options: DataUnpackOptions) -> None:
         executor=LocalProcesses(processes),
         dry_run=options.dry_run,
     )
-    report = rebuild(source, found, chosen, settings)
+    report = rebuild(source, package, chosen, settings)
     if options.json_output:
-        print_json({**said, "built": {"root": str(settings.out), **report.as_json()}})
+        print_json({**package_json, "built": {"root": str(settings.out), **report.as_json()}})
     else:
         typer.echo(f"{report.summary()}\n  data set: {settings.out}")

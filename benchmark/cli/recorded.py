@@ -51,7 +51,7 @@ def drive_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
         "until": measured.get("until"),
         "runs": members.get("runs"),
         "timeout": config.get("timeout_s"),
-        **({f"adversary_{name}": facts.get(said) for name, said in adversary.items()} if searched else {}),
+        **({f"adversary_{name}": facts.get(fact_name) for name, fact_name in adversary.items()} if searched else {}),
     }
 
 
@@ -91,5 +91,5 @@ def _of_any(members: Mapping[str, Any]) -> dict[str, Any]:
 def _as_published(settings: Mapping[str, Any]) -> list[str]:
     from benchmark.records.run_schema import AS_PUBLISHED
 
-    said = settings.get(AS_PUBLISHED)
-    return said.split("+") if isinstance(said, str) else []
+    quirks = settings.get(AS_PUBLISHED)
+    return quirks.split("+") if isinstance(quirks, str) else []

@@ -55,8 +55,12 @@ class Option:
             return Annotated[kind, typer.Argument(**shared)]
         if self.metavar is None and typing.get_origin(kind) is not Literal:
             # Of repeated values it would say that they are a list.
-            names = {types.GenericAlias(list, each): f"<{each.__name__.lower()}>" for each in (str, Path)}
-            shared["metavar"] = next((names[each] for each in (kind, *typing.get_args(kind)) if each in names), None)
+            names = {
+                types.GenericAlias(list, candidate): f"<{candidate.__name__.lower()}>" for candidate in (str, Path)
+            }
+            shared["metavar"] = next(
+                (names[candidate] for candidate in (kind, *typing.get_args(kind)) if candidate in names), None
+            )
         option = typer.Option(self.names, callback=callback, is_eager=callback is not None, **shared)
         return Annotated[kind, option]
 
@@ -74,7 +78,7 @@ class Field:
     @property
     def repeated(self) -> bool:
         """Whether it has any number of values."""
-        return any(typing.get_origin(each) is tuple for each in (self.kind, *typing.get_args(self.kind)))
+        return any(typing.get_origin(candidate) is tuple for candidate in (self.kind, *typing.get_args(self.kind)))
 
     @property
     def flag(self) -> str:
@@ -84,8 +88,8 @@ class Field:
     @property
     def leaves(self) -> set[Any]:
         """The types of a value, without what makes it optional or repeated; `str` of a choice."""
-        inner = {each for kind in typing.get_args(self.kind) for each in (kind, *typing.get_args(kind))}
-        return {each for each in (self.kind, *inner) if each in (bool, int, float, str, Path)} or {str}
+        inner = {leaf for kind in typing.get_args(self.kind) for leaf in (kind, *typing.get_args(kind))}
+        return {leaf for leaf in (self.kind, *inner) if leaf in (bool, int, float, str, Path)} or {str}
 
     def for_typer(self, callback: Callable[..., Any] | None = None) -> tuple[Any, Any]:
         """Annotation and default as typer takes them."""
@@ -101,26 +105,28 @@ def fields_of(settings: Any) -> tuple[Field, ...]:
 @cache
 def _fields_of(settings: Any) -> tuple[Field, ...]:
     hints, rare = typing.get_type_hints(settings, include_extras=True), getattr(settings, "RARE", ())
-    found = []
-    for each in dataclasses.fields(settings):
-        kind, option = typing.get_args(hints[each.name])
+    setting_fields = []
+    for field in dataclasses.fields(settings):
+        kind, option = typing.get_args(hints[field.name])
         if option.names is None:
-            option = dataclasses.replace(option, names=f"--{each.name.replace('_', '-')}")
-        default = ... if each.default is dataclasses.MISSING else each.default
-        found.append(Field(each.name, kind, option, default, each.name in rare))
-    return tuple(found)
+            option = dataclasses.replace(option, names=f"--{field.name.replace('_', '-')}")
+        default = ... if field.default is dataclasses.MISSING else field.default
+        setting_fields.append(Field(field.name, kind, option, default, field.name in rare))
+    return tuple(setting_fields)
 
 
 def _for_typer(kind: Any) -> Any:
     """A type with lists for tuples, which typer reads as so many values of an option."""
-    repeated = next((each for each in (kind, *typing.get_args(kind)) if typing.get_origin(each) is tuple), None)
+    repeated = next(
+        (candidate for candidate in (kind, *typing.get_args(kind)) if typing.get_origin(candidate) is tuple), None
+    )
     if repeated is None:
         return kind
     value: Any = typing.get_args(repeated)[0]
     if typing.get_origin(value) is Literal:
         # Typer has no lists of literals.
         choices: Any = enum.StrEnum
-        value = choices("Choice", {each: each for each in typing.get_args(value)})
+        value = choices("Choice", {candidate: candidate for candidate in typing.get_args(value)})
     several: Any = types.GenericAlias(list, value)
     return several if repeated is kind else several | None
 
@@ -148,19 +154,19 @@ def taking_settings(settings: type) -> Callable[..., Any]:
     def take(context: typer.Context, value: list[str] | None) -> list[str] | None:
         if not value or context.resilient_parsing:
             return value
-        own = settings.reserved() if hasattr(settings, "reserved") else None
-        known, left, said = _by_name(settings), [], {}
-        for each in value:
-            name, equals, text = each.partition("=")
-            if own is not None and (name in own or _key(name) not in known):
-                left.append(each)
+        reserved_names = settings.reserved() if hasattr(settings, "reserved") else None
+        known, left, values = _by_name(settings), [], {}
+        for assignment in value:
+            name, equals, text = assignment.partition("=")
+            if reserved_names is not None and (name in reserved_names or _key(name) not in known):
+                left.append(assignment)
                 continue
             field = _named(known, name, SET, context)
             if not equals:
-                raise InputError(f"{SET} {each} is not NAME=VALUE; write {SET} {each}=VALUE")
-            said[field.name] = _checked(context, field, text.split(",") if field.repeated else text, SET, name)
-        _defaults(context).update(said)
-        context.meta[SAID_BY_SET] = tuple(said)
+                raise InputError(f"{SET} {assignment} is not NAME=VALUE; write {SET} {assignment}=VALUE")
+            values[field.name] = _checked(context, field, text.split(",") if field.repeated else text, SET, name)
+        _defaults(context).update(values)
+        context.meta[SAID_BY_SET] = tuple(values)
         return left or None
 
     return take
@@ -180,19 +186,21 @@ def _of_file(context: typer.Context, settings: type, path: Path) -> dict[str, An
     members = read_json(path) if path.suffix.lower() == ".json" else read_yaml(path)
     if not isinstance(members, Mapping):
         raise InputError(f"{path} holds no settings; write NAME: VALUE lines, or name a record")
-    known, said = _by_name(settings), {}
+    known, values = _by_name(settings), {}
     for name, value in _of_record(context, settings, path, members).items():
         field = _named(known, str(name), str(path), context)
         if value is None:
             continue
         if isinstance(value, Mapping) and field.flag == SET:
-            value = [f"{key}={str(each).lower() if isinstance(each, bool) else each}" for key, each in value.items()]
+            value = [
+                f"{key}={str(member).lower() if isinstance(member, bool) else member}" for key, member in value.items()
+            ]
         if isinstance(value, list) and field.option.separated:
             value = ",".join(map(str, value))
         _require_kind(field, value, str(path), str(name))
         several = [value] if field.repeated and not isinstance(value, list) else value
-        said[field.name] = _checked(context, field, several, str(path), str(name))
-    return said
+        values[field.name] = _checked(context, field, several, str(path), str(name))
+    return values
 
 
 def _of_record(context: typer.Context, settings: type, path: Path, members: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -210,7 +218,7 @@ def _of_record(context: typer.Context, settings: type, path: Path, members: Mapp
 def _by_name(settings: type) -> dict[str, Field]:
     """Fields by each name that a file may use: their own, and the option's."""
     fields = fields_of(settings)
-    return {_key(each.flag): each for each in fields if each.flag} | {each.name: each for each in fields}
+    return {_key(field.flag): field for field in fields if field.flag} | {field.name: field for field in fields}
 
 
 def _key(name: str) -> str:
@@ -218,37 +226,37 @@ def _key(name: str) -> str:
 
 
 def _named(known: Mapping[str, Field], name: str, where: str, context: typer.Context) -> Field:
-    found = known.get(_key(name))
-    if found is None:
+    field = known.get(_key(name))
+    if field is None:
         close = did_you_mean(_key(name), known)
         raise InputError(
             f"{where} names {name!r}, and {context.info_name} has no such setting; {close}{SETTINGS_PAGE} lists them"
         )
-    return found
+    return field
 
 
 def _require_kind(field: Field, value: Any, where: str, name: str) -> None:
     """Refuse values of a file that are of another kind than the setting's."""
     kinds = field.leaves
     if bool in kinds:
-        right, what = isinstance(value, bool), "true or false"
+        right, kind_text = isinstance(value, bool), "true or false"
     elif kinds & {int, float}:
-        right, what = isinstance(value, int | float | str) and not isinstance(value, bool), "a number"
+        right, kind_text = isinstance(value, int | float | str) and not isinstance(value, bool), "a number"
     else:
-        every = value if isinstance(value, list) and field.repeated else [value]
-        right, what = all(isinstance(each, str) for each in every), "text, in quotes if need be"
+        elements = value if isinstance(value, list) and field.repeated else [value]
+        right, kind_text = all(isinstance(element, str) for element in elements), "text, in quotes if need be"
     if not right:
-        raise InputError(f"{where} gives {name} as {value!r}, and it has to be {what}; correct it")
+        raise InputError(f"{where} gives {name} as {value!r}, and it has to be {kind_text}; correct it")
 
 
 def _checked(context: typer.Context, field: Field, value: Any, where: str, name: str) -> Any:
     """A value as the option would take it; raises `InputError` for one that it refuses."""
-    parameter: Any = next(each for each in context.command.params if each.name == field.name)
+    parameter: Any = next(candidate for candidate in context.command.params if candidate.name == field.name)
     try:
         return parameter.process_value(context, value)
     except typer.BadParameter as error:
-        said = " ".join(error.message.removeprefix("Value error, ").split())
-        raise InputError(f"{where} gives {name} as {value!r}, and that does not fit: {said}") from error
+        reason = " ".join(error.message.removeprefix("Value error, ").split())
+        raise InputError(f"{where} gives {name} as {value!r}, and that does not fit: {reason}") from error
 
 
 _given: ContextVar[frozenset[str]] = ContextVar("given", default=frozenset())
@@ -275,9 +283,9 @@ def command_function(settings: type[S], run: Callable[[S], None]) -> Callable[..
             if given.get(name) == "COMMANDLINE":
                 raise InputError(f"--set {name} and the option of that name say one thing twice; leave one out")
         of_fields = {
-            each: tuple(map(_plain, value)) if isinstance(value, list) else value
-            for each, value in values.items()
-            if each in names
+            field_name: tuple(map(_plain, value)) if isinstance(value, list) else value
+            for field_name, value in values.items()
+            if field_name in names
         }
         token = _given.set(frozenset(name for name, source in given.items() if source != "DEFAULT"))
         try:
@@ -286,10 +294,10 @@ def command_function(settings: type[S], run: Callable[[S], None]) -> Callable[..
             _given.reset(token)
 
     fields, changes = fields_of(settings), hasattr(settings, "reserved")
-    names, parameters = {each.name for each in fields}, [_parameter("context", typer.Context)]
-    for each in fields:
-        callback = taking_settings(settings) if each.flag == SET and changes else None
-        parameters.append(_parameter(each.name, *each.for_typer(callback)))
+    names, parameters = {field.name for field in fields}, [_parameter("context", typer.Context)]
+    for field in fields:
+        callback = taking_settings(settings) if field.flag == SET and changes else None
+        parameters.append(_parameter(field.name, *field.for_typer(callback)))
     config = Option("Settings from a YAML or JSON file, or from a record; flags win.", names="--config")
     parameters.append(_parameter("config_file", config.for_typer(Path | None, taking_file(settings)), None))
     if rare_settings(settings) and not changes:
@@ -297,7 +305,7 @@ def command_function(settings: type[S], run: Callable[[S], None]) -> Callable[..
         annotation = change.for_typer(list[str] | None, taking_settings(settings))
         parameters.append(_parameter("changed_settings", annotation, None))
     vars(command).update(__signature__=inspect.Signature(parameters), settings=settings)
-    command.__annotations__ = {each.name: each.annotation for each in parameters}
+    command.__annotations__ = {field.name: field.annotation for field in parameters}
     command.__doc__ = run.__doc__
     return command
 
@@ -340,8 +348,8 @@ def rare_settings(settings: type) -> list[str]:
 def rare_sentence(settings: type) -> str | None:
     """Sentence at the end of help about rare settings."""
     count = len(rare_settings(settings))
-    each = "one rare setting is" if count == 1 else f"{count} rare settings are"
-    return f"{each.capitalize()} not listed: --set and --config take them ({SETTINGS_PAGE})." if count else None
+    subject = "one rare setting is" if count == 1 else f"{count} rare settings are"
+    return f"{subject.capitalize()} not listed: --set and --config take them ({SETTINGS_PAGE})." if count else None
 
 
 def is_given(name: str) -> bool:

@@ -148,19 +148,19 @@ def _say_publishable(folder: Path, may_show: "Sequence[str]", *, json_output: bo
     """Say what of a folder should not be published; the exit code."""
     from benchmark.machine.extension import from_extension
 
-    root, found = from_extension("check", "publishing")(folder, may_show=may_show)
+    root, findings = from_extension("check", "publishing")(folder, may_show=may_show)
     if json_output:
-        print_json({"folder": str(root), "findings": [each.as_json() for each in found]})
+        print_json({"folder": str(root), "findings": [finding.as_json() for finding in findings]})
     else:
-        for each in found:
-            typer.echo(each.sentence())
-        said = (
-            counted(len(found), "finding")
-            if found
+        for finding in findings:
+            typer.echo(finding.sentence())
+        summary_text = (
+            counted(len(findings), "finding")
+            if findings
             else "nothing that tells of this machine, nothing that needs a server"
         )
-        typer.echo(f"{root}: {said}")
-    return 1 if found else 0
+        typer.echo(f"{root}: {summary_text}")
+    return 1 if findings else 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -191,8 +191,8 @@ def slices_command(options: SlicesOptions) -> None:
     from leaderboard.results import one_run_each
     from leaderboard.tables.slices import DIAGNOSIS, slice_tables
 
-    asked = tuple(dict.fromkeys(options.protocol or ["exact"]))
-    for name in asked:
+    protocols = tuple(dict.fromkeys(options.protocol or ["exact"]))
+    for name in protocols:
         if name not in (NATIVE, PDM, DIAGNOSIS):
             known_protocol(name)
     folders = options.records or [api.workspace(options.out).run_root()]
@@ -211,7 +211,9 @@ def slices_command(options: SlicesOptions) -> None:
     tables = [
         table
         for name in names
-        for table in slice_tables(name, [one for one in chosen if one.run.data.name == name], asked, kinds)
+        for table in slice_tables(
+            name, [run_record for run_record in chosen if run_record.run.data.name == name], protocols, kinds
+        )
     ]
     if options.json_output:
         print_json([table.as_json() for table in tables])

@@ -69,8 +69,8 @@ def doctor_command(options: DoctorOptions) -> None:
     """Say whether this machine computes correctly and has what is needed."""
     from benchmark.machine.environment import checks
 
-    found = checks(options.out)
-    said = [{"check": check.name, "ok": check.ok, "says": check.sentence} for check in found]
-    lines = [f"{'ok  ' if check.ok else 'FAIL'}  {check.name}: {check.sentence}" for check in found]
-    print_result(said, "\n".join(lines), json_output=options.json_output)
-    raise typer.Exit(0 if all(check.ok for check in found) else 1)
+    machine_checks = checks(options.out)
+    checks_json = [{"check": check.name, "ok": check.ok, "says": check.sentence} for check in machine_checks]
+    lines = [f"{'ok  ' if check.ok else 'FAIL'}  {check.name}: {check.sentence}" for check in machine_checks]
+    print_result(checks_json, "\n".join(lines), json_output=options.json_output)
+    raise typer.Exit(0 if all(check.ok for check in machine_checks) else 1)

@@ -62,8 +62,10 @@ def weights_import_command(options: WeightsImportOptions) -> None:
     require_file(options.anchors, "--anchors")
     from adapters.checkpoints.loading import import_weights
 
-    found = import_weights(options.path, options.model, normalisation=options.normalisation, anchors=options.anchors)
-    print_result(found.as_json(), found.sentence(), json_output=options.json_output)
+    imported_weights = import_weights(
+        options.path, options.model, normalisation=options.normalisation, anchors=options.anchors
+    )
+    print_result(imported_weights.as_json(), imported_weights.sentence(), json_output=options.json_output)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,8 +83,8 @@ def weights_fetch_command(options: WeightsFetchOptions) -> None:
     _require_weights(options.name, options.normalisation, files=True)
     from adapters.checkpoints.loading import fetch_weights
 
-    found = fetch_weights(options.name, normalisation=options.normalisation)
-    print_result(found.as_json(), found.sentence(), json_output=options.json_output)
+    imported_weights = fetch_weights(options.name, normalisation=options.normalisation)
+    print_result(imported_weights.as_json(), imported_weights.sentence(), json_output=options.json_output)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +106,7 @@ def weights_anchors_command(options: WeightsAnchorsOptions) -> None:
     from adapters.models import published_models
     from benchmark.machine.places import require_output_file
 
-    known = [name for name, each in published_models().items() if each.net.clustered]
+    known = [name for name, model in published_models().items() if model.net.clustered]
     if options.model not in known:
         close = did_you_mean(options.model, known)
         raise InputError(f"{options.model!r} is no model with anchors; {close}those are {', '.join(known)}")
@@ -113,9 +115,9 @@ def weights_anchors_command(options: WeightsAnchorsOptions) -> None:
     data.require_source(options.split)
     from adapters.checkpoints.anchor_files import write_anchors
 
-    made = write_anchors(options.model, data.open(), options.split, options.out).as_json()
-    counts = ", ".join(f"{count} {what}" for what, count in made["sightings"].items())
-    print_result(made, f"{made['path']}: anchors of {options.model} from {counts}", json_output=options.json_output)
+    report = write_anchors(options.model, data.open(), options.split, options.out).as_json()
+    counts = ", ".join(f"{count} {kind}" for kind, count in report["sightings"].items())
+    print_result(report, f"{report['path']}: anchors of {options.model} from {counts}", json_output=options.json_output)
 
 
 def _require_weights(name: str | None, normalisation: str | None, *, files: bool = False) -> None:

@@ -155,11 +155,13 @@ class Handover:
         frames = self.times_us[self.first : self.first + len(known)]
         # What is meant for after the scene's end is not driven.
         known = known[: len(frames)]
-        seconds, asked = (frames - frames[0]) / 1e6, (times_us - frames[0]) / 1e6
+        seconds, query_seconds = (frames - frames[0]) / 1e6, (times_us - frames[0]) / 1e6
         yaw = np.unwrap(known[:, 2])
-        found = np.column_stack([np.interp(asked, seconds, column) for column in (known[:, 0], known[:, 1], yaw)])
-        found[:, 2] = wrap_angle(found[:, 2])
-        return found
+        query_poses = np.column_stack(
+            [np.interp(query_seconds, seconds, column) for column in (known[:, 0], known[:, 1], yaw)]
+        )
+        query_poses[:, 2] = wrap_angle(query_poses[:, 2])
+        return query_poses
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,9 +205,9 @@ def _braked(poses: Floats, times_us: NDArray[np.int64], start: int, frames: int)
     span = (times_us[last] - times_us[last - 1]) / 1e6 if last else 1.0
     speed = float(np.hypot(*(poses[-1, :2] - before[:2]))) / span
     seconds = np.minimum((times_us[last + 1 : last + 1 + frames] - times_us[last]) / 1e6, speed / _GENTLE_M_S2)
-    way = speed * seconds - 0.5 * _GENTLE_M_S2 * seconds**2
+    travel = speed * seconds - 0.5 * _GENTLE_M_S2 * seconds**2
     on = np.repeat(poses[-1:], frames, axis=0)
-    on[:, :2] += way[:, None] * [np.cos(poses[-1, 2]), np.sin(poses[-1, 2])]
+    on[:, :2] += travel[:, None] * [np.cos(poses[-1, 2]), np.sin(poses[-1, 2])]
     return np.concatenate([poses, on])
 
 

@@ -110,8 +110,10 @@ def asked(planner: Planner, observation: Observation, timeout_s: float, meter: M
     except FAILURES as failure:
         return _failure(failure)
     if not isinstance(plan, Plan):
-        said = type(plan).__name__
-        return Failure(Reason.NO_PLAN, f"{planner.name} answered {said}, a planner answers benchmark.planning.Plan")
+        answer_type = type(plan).__name__
+        return Failure(
+            Reason.NO_PLAN, f"{planner.name} answered {answer_type}, a planner answers benchmark.planning.Plan"
+        )
     # A plan is checked when it is made; its numbers may have been changed since.
     if not np.isfinite(plan.waypoints).all():
         return Failure(Reason.UNUSABLE, "a plan's waypoints must be finite numbers, this one has NaN or infinity")

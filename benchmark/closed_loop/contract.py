@@ -193,7 +193,7 @@ def check_policy(policy: AgentPolicy[Any], moment: Moment, steps: int = 5) -> No
     runs = []
     for _ in range(2):
         memory, moved = policy.init(moment.time_us, 7)
-        seen: list[Any] = [moved]
+        outputs: list[Any] = [moved]
         time = moment.time_us
         for step in range(steps):
             now = Moment(time, moment.ego, moment.ego_speed, moved.boxes[1], moved.present[1], moved.velocity)
@@ -206,8 +206,8 @@ def check_policy(policy: AgentPolicy[Any], moment: Moment, steps: int = 5) -> No
                 raise ValueError(f"{policy.name} changes what it is given")
             _require_shape(policy.name, moved, len(now.boxes))
             memory, time = memory_after, time + SUBSTEP_US
-            seen.append((memory, moved))
-        runs.append(_bytes(seen))
+            outputs.append((memory, moved))
+        runs.append(_bytes(outputs))
     if runs[0] != runs[1]:
         raise ValueError(f"{policy.name} is not the same twice from the same key")
 
@@ -228,5 +228,5 @@ def _bytes(value: Any) -> Any:
     if is_dataclass(value):
         return type(value).__name__, [_bytes(getattr(value, field.name)) for field in fields(value)]
     if isinstance(value, tuple | list):
-        return [_bytes(each) for each in value]
+        return [_bytes(item) for item in value]
     return value

@@ -204,10 +204,10 @@ class DefaultRide:
 
     def after(self, plan: Plan) -> "DefaultRide":
         """Half a second later; raises `UndrivablePlanError`."""
-        (found,) = _after_together([self], [plan])
-        if isinstance(found, UndrivablePlanError):
-            raise found
-        return found
+        (advanced,) = _after_together([self], [plan])
+        if isinstance(advanced, UndrivablePlanError):
+            raise advanced
+        return advanced
 
     def primed_on(self) -> "DefaultRide | None":
         """Half a second later where that is still recorded; whatever was planned for it."""

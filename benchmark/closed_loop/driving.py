@@ -85,7 +85,7 @@ def drive(stage: Stage, planner: Planner) -> Drive:
         InputError: If the scene cannot be driven by any planner.
         BrokenImageError: If a picture cannot be had.
     """
-    return next(found for _, found in drive_together([stage], [planner]))
+    return next(episode for _, episode in drive_together([stage], [planner]))
 
 
 def drive_together(stages: Sequence[Stage], planners: Sequence[Planner]) -> Iterator[tuple[int, Drive]]:
@@ -227,8 +227,8 @@ class _Eyes:
                 if failure is not None:
                     return failure
             views = self.look.views(driven)
-        seen = self.observer.observation(ride.motion, views, command, ride.can)
-        return asked(planner, seen, self.timeout_s, self.meter)
+        observation = self.observer.observation(ride.motion, views, command, ride.can)
+        return asked(planner, observation, self.timeout_s, self.meter)
 
 
 def _introduce(planner: Planner, scene: Scene, cameras: tuple[Camera, ...], route: Route) -> None:

@@ -53,8 +53,8 @@ def rides_of(
         raise InputError(f"actors of {engine} never react and its plans take effect at once; take --engine {ENGINE}")
     if until != "contact":
         raise InputError(f"every contact ends a run of {engine}; take --engine {ENGINE} or leave --until {until} out")
-    made: RideMaker = from_extension("engine", engine)(engine, scenarios)
-    return made
+    backend: RideMaker = from_extension("engine", engine)(engine, scenarios)
+    return backend
 
 
 def rides_as(measured: Measured) -> RideMaker:

@@ -148,10 +148,10 @@ def _smooth_motion() -> tuple[Floats, Floats, Floats]:
 def _commands(now: Floats, speed: Floats, heading: Floats) -> tuple[Floats, Floats]:
     """(S,) acceleration and (S,) steering angle that reach a speed and a turn within a sub-step, within limits."""
     most_change = LIMITS.jerk_m_s3 * SUBSTEP_S
-    asked = (np.minimum(speed, LIMITS.speed_m_s) - now[3]) / SUBSTEP_S
-    asked = np.clip(asked, now[4] - most_change, now[4] + most_change)
-    asked = np.clip(asked, -LIMITS.braking_m_s2, LIMITS.acceleration_m_s2)
-    after = np.maximum(now[3] + SUBSTEP_S * asked, 0.0)
+    wanted_acceleration = (np.minimum(speed, LIMITS.speed_m_s) - now[3]) / SUBSTEP_S
+    wanted_acceleration = np.clip(wanted_acceleration, now[4] - most_change, now[4] + most_change)
+    wanted_acceleration = np.clip(wanted_acceleration, -LIMITS.braking_m_s2, LIMITS.acceleration_m_s2)
+    after = np.maximum(now[3] + SUBSTEP_S * wanted_acceleration, 0.0)
     acceleration = (after - now[3]) / SUBSTEP_S
     travel = 0.5 * SUBSTEP_S * (now[3] + after)
     moving = (speed > _SLOW_M_S) & (travel > SUBSTEP_S * _SLOW_M_S)

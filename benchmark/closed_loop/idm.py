@@ -61,10 +61,10 @@ class Roads:
     def of(cls, paths: Sequence[Path]) -> "Roads":
         """Cut lines into blocks."""
         length = np.array([len(path.points) for path in paths], np.int64)
-        whole = -(-length // _BLOCK) * _BLOCK
+        padded_length = -(-length // _BLOCK) * _BLOCK
         padded = [
             np.pad(np.column_stack([path.points, path.heading]), ((0, more), (0, 0)), mode="edge")
-            for path, more in zip(paths, (whole - length).tolist(), strict=True)
+            for path, more in zip(paths, (padded_length - length).tolist(), strict=True)
         ]
         line = np.concatenate([np.zeros((0, 3)), *padded])
         blocks = line[:, :2].reshape(-1, _BLOCK, 2)
@@ -73,7 +73,7 @@ class Roads:
         return cls(
             paths=tuple(paths),
             length=length,
-            first=np.concatenate([np.zeros(1, np.int64), np.cumsum(whole)])[:-1],
+            first=np.concatenate([np.zeros(1, np.int64), np.cumsum(padded_length)])[:-1],
             line=line,
             centre=centre,
             radius=away.max(axis=1),
@@ -89,25 +89,25 @@ def leaders(roads: Roads, driving: Integers, station: Floats, here: Integers, mo
     road.
     """
     gaps, speeds = np.full(len(driving), np.inf), np.zeros(len(driving))
-    boxes, velocity, who, other = _in_sight(driving, here, moment)
-    if not len(who):
+    boxes, velocity, vehicles, other = _in_sight(driving, here, moment)
+    if not len(vehicles):
         return gaps, speeds
     # Nobody reaches farther to the side than half of its diagonal.
-    reach = 0.5 * np.hypot(boxes[other, 2], boxes[other, 3]) + 0.5 * moment.boxes[driving[who], 3]
+    reach = 0.5 * np.hypot(boxes[other, 2], boxes[other, 3]) + 0.5 * moment.boxes[driving[vehicles], 3]
     reach += SIDE_MARGIN_M + _SAFE_M
-    found, point = _nearest(roads, who, station[who], boxes[other, :2], reach)
-    who, other, reach = who[found], other[found], reach[found]
-    line = roads.line[roads.first[who] + point]
+    in_reach, point = _nearest(roads, vehicles, station[vehicles], boxes[other, :2], reach)
+    vehicles, other, reach = vehicles[in_reach], other[in_reach], reach[in_reach]
+    line = roads.line[roads.first[vehicles] + point]
     offset = boxes[other, :2] - line[:, :2]
     cos, sin = np.cos(line[:, 2]), np.sin(line[:, 2])
     # Points are exactly half metres apart along the line.
     along = point * SPACING_M + (offset[:, 0] * cos + offset[:, 1] * sin)
     left = offset[:, 1] * cos - offset[:, 0] * sin
-    near = (along > station[who]) & (along <= station[who] + SIGHT_M) & (np.abs(left) <= reach)
-    who, other, along, left = who[near], other[near], along[near], left[near]
-    own = moment.boxes[driving[who]]
-    heading = np.empty(len(who))
-    for vehicle, rows in _runs(who):
+    near = (along > station[vehicles]) & (along <= station[vehicles] + SIGHT_M) & (np.abs(left) <= reach)
+    vehicles, other, along, left = vehicles[near], other[near], along[near], left[near]
+    own = moment.boxes[driving[vehicles]]
+    heading = np.empty(len(vehicles))
+    for vehicle, rows in _runs(vehicles):
         path = roads.paths[vehicle]
         heading[rows] = np.interp(along[rows], path.arc_length, path.heading)
     box, motion = boxes[other], velocity[other]
@@ -115,10 +115,10 @@ def leaders(roads: Roads, driving: Integers, station: Floats, here: Integers, mo
     half_along = 0.5 * (np.abs(box[:, 2] * cos) + np.abs(box[:, 3] * sin))
     half_across = 0.5 * (np.abs(box[:, 2] * sin) + np.abs(box[:, 3] * cos))
     inside = np.abs(left) <= half_across + 0.5 * own[:, 3] + SIDE_MARGIN_M
-    gap = np.maximum(along - half_along - station[who] - 0.5 * own[:, 2], 0.0)
+    gap = np.maximum(along - half_along - station[vehicles] - 0.5 * own[:, 2], 0.0)
     speed = motion[:, 0] * np.cos(heading) + motion[:, 1] * np.sin(heading)
-    who, gap, speed = who[inside], gap[inside], speed[inside]
-    for vehicle, rows in _runs(who):
+    vehicles, gap, speed = vehicles[inside], gap[inside], speed[inside]
+    for vehicle, rows in _runs(vehicles):
         nearest = rows.start + int(np.argmin(gap[rows]))
         gaps[vehicle], speeds[vehicle] = gap[nearest], speed[nearest]
     return gaps, speeds
@@ -132,9 +132,9 @@ def _in_sight(driving: Integers, here: Integers, moment: Moment) -> tuple[Floats
     velocity = np.concatenate([moment.velocity, own_motion])
     there = np.append(moment.present, True)
     place = boxes[driving[here], :2]
-    seen = there & (np.hypot(boxes[:, 0] - place[:, :1], boxes[:, 1] - place[:, 1:]) < SIGHT_M)
-    seen[np.arange(len(here)), driving[here]] = False
-    row, other = np.nonzero(seen)
+    in_sight = there & (np.hypot(boxes[:, 0] - place[:, :1], boxes[:, 1] - place[:, 1:]) < SIGHT_M)
+    in_sight[np.arange(len(here)), driving[here]] = False
+    row, other = np.nonzero(in_sight)
     return boxes, velocity, here[row], other
 
 
@@ -195,8 +195,8 @@ def _stray(path: Path) -> tuple[float, float]:
     ahead = np.column_stack([np.cos(path.heading), np.sin(path.heading)])
     aside = ahead[:, ::-1] * [-1.0, 1.0]
     pairs = [(ahead[:-1], aside[:-1]), (ahead[1:], aside[1:])]
-    along = np.concatenate([(steps * each).sum(axis=1) for each, _ in pairs])
-    across = np.concatenate([np.abs((steps * each).sum(axis=1)) for _, each in pairs])
+    along = np.concatenate([(steps * axis).sum(axis=1) for axis, _ in pairs])
+    across = np.concatenate([np.abs((steps * axis).sum(axis=1)) for _, axis in pairs])
     if along.min() <= 0.0:
         return np.inf, 0.0
     half = 0.5 * (steps**2).sum(axis=1)
@@ -275,9 +275,9 @@ class Idm:
     def init(self, time_us: int, key: int) -> tuple[IdmMemory, Moved]:
         """All agents where the tracks begin."""
         count = len(self.driving)
-        nobody = np.zeros(count, np.bool_)
+        all_absent = np.zeros(count, np.bool_)
         _, moved = self.replay.init(time_us, key)
-        memory = self._arrivals(IdmMemory(np.zeros(count), np.zeros(count), nobody, nobody), moved)
+        memory = self._arrivals(IdmMemory(np.zeros(count), np.zeros(count), all_absent, all_absent), moved)
         return memory, moved
 
     def act(self, memory: IdmMemory, moment: Moment, key: int) -> tuple[IdmMemory, Moved]:
@@ -286,11 +286,11 @@ class Idm:
         boxes, present, velocity = moved.boxes.copy(), moved.present.copy(), moved.velocity.copy()
         here = np.flatnonzero(memory.here)
         gap, leader_speed = leaders(self.roads, self.driving, memory.station, here, moment)
-        asked = idm_acceleration(memory.speed, self.free_speed, gap, leader_speed)
+        acceleration = idm_acceleration(memory.speed, self.free_speed, gap, leader_speed)
         station, speed = memory.station, memory.speed
         seconds = INSTANT_US / 1e6
         for instant in range(INSTANTS):
-            faster = np.maximum(speed + seconds * asked, 0.0)
+            faster = np.maximum(speed + seconds * acceleration, 0.0)
             station, speed = station + 0.5 * seconds * (speed + faster), faster
             self._place(boxes[instant], station, memory.here)
             present[instant, self.driving] = memory.here
@@ -340,10 +340,10 @@ def _reach(places: Floats) -> float:
 
 def _road(places: Floats, speed: float, road_map: RoadMap) -> Path:
     """The recorded path, and where the road goes on from its end."""
-    kept = _a_step_apart(places[:, :2])
+    spaced_rows = _a_step_apart(places[:, :2])
     end = places[-1, [0, 1, 4]]
     beyond = lane_path(road_map, end, Command.STRAIGHT, speed, _BEYOND_M) or straight_path(end, _BEYOND_M)
-    recorded = places[kept, :2]
+    recorded = places[spaced_rows, :2]
     # The last recorded place is where the road beyond begins; what is nearer than a step to it would fold the line.
     far = np.hypot(*(recorded - end[:2]).T) >= SPACING_M
     return Path.through(np.concatenate([recorded[far], beyond.points]))
@@ -351,7 +351,7 @@ def _road(places: Floats, speed: float, road_map: RoadMap) -> Path:
 
 def _a_step_apart(places: Floats) -> list[int]:
     """Rows of (R, 2) places, each half a metre or more from the one before."""
-    kept, at = [0], places.tolist()
+    spaced_rows, at = [0], places.tolist()
     x, y = at[0]
     for row in range(1, len(at)):
         squared = (at[row][0] - x) ** 2 + (at[row][1] - y) ** 2
@@ -359,8 +359,8 @@ def _a_step_apart(places: Floats) -> list[int]:
         if abs(squared - SPACING_M**2) > 1e-9:
             apart = squared > SPACING_M**2
         else:
-            apart = bool(np.hypot(*(places[row] - places[kept[-1]])) >= SPACING_M)
+            apart = bool(np.hypot(*(places[row] - places[spaced_rows[-1]])) >= SPACING_M)
         if apart:
-            kept.append(row)
+            spaced_rows.append(row)
             x, y = at[row]
-    return kept
+    return spaced_rows

@@ -63,10 +63,12 @@ class Replay:
     def _rows(self, *times_us: int) -> Moved:
         """Two rows; after the last one no agent is there."""
         last = len(self.boxes) - 1
-        asked = [(time - self.start_us) // INSTANT_US for time in times_us]
-        if asked[-1] <= last and asked[-1] == asked[0] + 1:
-            rows = slice(asked[0], asked[0] + INSTANTS)
-            return Moved(self.boxes[rows], self.present[rows], self.velocity[asked[-1]])
-        kept = [min(row, last) for row in asked]
-        gone = np.array(asked) > last
-        return Moved(self.boxes[kept], self.present[kept] & ~gone[:, None], self.velocity[kept[-1]])
+        wanted_rows = [(time - self.start_us) // INSTANT_US for time in times_us]
+        if wanted_rows[-1] <= last and wanted_rows[-1] == wanted_rows[0] + 1:
+            rows = slice(wanted_rows[0], wanted_rows[0] + INSTANTS)
+            return Moved(self.boxes[rows], self.present[rows], self.velocity[wanted_rows[-1]])
+        clipped_rows = [min(row, last) for row in wanted_rows]
+        after_end = np.array(wanted_rows) > last
+        return Moved(
+            self.boxes[clipped_rows], self.present[clipped_rows] & ~after_end[:, None], self.velocity[clipped_rows[-1]]
+        )

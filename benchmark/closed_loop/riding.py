@@ -228,10 +228,10 @@ class RecordedCan:
     @classmethod
     def of(cls, states: Iterable[EgoState], root: Path | None = None) -> Self:
         """What observations of a scene say, of a data set with a root."""
-        found = list(states)
-        motion = np.array([can_row(each) for each in found]).reshape(-1, 9)
-        wheel = np.array([each.steering_angle or 0.0 for each in found], np.float64)
-        return cls(motion, wheel, all(each.source == "can_bus" for each in found), root)
+        ego_states = list(states)
+        motion = np.array([can_row(state) for state in ego_states]).reshape(-1, 9)
+        wheel = np.array([state.steering_angle or 0.0 for state in ego_states], np.float64)
+        return cls(motion, wheel, all(state.source == "can_bus" for state in ego_states), root)
 
     def at(self, keyframes: slice) -> Self:
         """The same of some keyframes alone."""

@@ -135,11 +135,11 @@ def nuplan_terms(
     off = np.flatnonzero(outside >= OFF_ROAD_M)
     wrong = course(part.states[None], route, where.oncoming, where.center_in_intersection).wrong_way_m
     least = least_ttc(part, where)
-    blamed = contact is not None and contact.at_fault
+    is_at_fault = contact is not None and contact.at_fault
     share = progress.beside_recorded
     nc, dac, mp = no_collision(contact), 0.0 if len(off) else 1.0, float(share >= LEAST_PROGRESS)
     ddc = float(direction_compliance(wrong)[0])
-    p, ttc, c = share, float(least > TTC_S and not blamed), comfort(part.states)
+    p, ttc, c = share, float(least > TTC_S and not is_at_fault), comfort(part.states)
     return NuplanTerms(
         score=nuplan_score((nc, dac, mp, ddc), (p, ttc, c)),
         nc=nc,
@@ -200,12 +200,18 @@ def least_ttc(part: DrivenPart, where: Whereabouts) -> float:
     boxes, speed = footprints(part.states), part.states[:, SPEED]
     agents = np.array([is_agent(category) for category in part.scene.agents.categories], np.bool_)
     near = _near(part, boxes, speed)
-    who, when = np.nonzero(near)
-    if not len(who):
+    agent_rows, instants = np.nonzero(near)
+    if not len(agent_rows):
         return float("inf")
-    pairs = Pairs(boxes[when], speed[when], part.boxes[who, when], part.velocity[who, when], agents[who])
+    pairs = Pairs(
+        boxes[instants],
+        speed[instants],
+        part.boxes[agent_rows, instants],
+        part.velocity[agent_rows, instants],
+        agents[agent_rows],
+    )
     angle = bearing(pairs.ego, pairs.other)
-    unsure = (where.multiple_lanes | where.non_drivable | where.axle_in_intersection)[0, when]
+    unsure = (where.multiple_lanes | where.non_drivable | where.axle_in_intersection)[0, instants]
     counts = ((angle < AHEAD_RAD) | (unsure & (angle <= BEHIND_RAD))) & (pairs.gap > 0.0)
     return float(np.where(counts, pairs.time_to_contact_nuplan, np.inf).min())
 
@@ -236,10 +242,13 @@ def hd_score(scene: Scene, route: Route, drive: Drive) -> HdScore | None:
     plans: list[Plan | None] = [None] * len(driven.keyframes)
     for tick in range(drive.primed - 1, len(drive.plans)):
         plans[first + tick] = drive.plans[tick]
-    judged = [found for found in judge_scene(driven, plans) if found is not None]
+    judged = [verdict for verdict in judge_scene(driven, plans) if verdict is not None]
     if not judged:
         return None
-    terms = [each.nc * each.dac * (5 * each.ttc + 2 * (1.0 if each.hc is None else each.hc)) / 7 for each in judged]
+    terms = [
+        scores.nc * scores.dac * (5 * scores.ttc + 2 * (1.0 if scores.hc is None else scores.hc)) / 7
+        for scores in judged
+    ]
     mean, completed = float(np.mean(terms)), completed_share(scene, drive, first)
     return HdScore(score=mean * completed, plans=mean, completed=completed)
 
@@ -346,5 +355,5 @@ def progress_of(route: Route, part: DrivenPart) -> Progress:
     end = route.place(part.states[-1], near).station
     first, last = (route.seconds_of(int(part.times_us[at])) for at in (0, -1))
     recorded = route.recorded_station(last) - route.recorded_station(first)
-    whole = route.recorded_station(float(route.step_seconds[-1])) - route.recorded_station(first)
-    return Progress(end - station, recorded, whole)
+    full_length = route.recorded_station(float(route.step_seconds[-1])) - route.recorded_station(first)
+    return Progress(end - station, recorded, full_length)

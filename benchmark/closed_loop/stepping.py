@@ -136,14 +136,14 @@ def _active(plans: tuple[PlanInForce, ...], time_us: int) -> PlanInForce:
 def _with_others(course: Course, world: World, plans: tuple[PlanInForce, ...], egos: Floats) -> World:
     """The world after a step of which the ego's part is known, (11, 6)."""
     own, others, memory = ego_boxes(egos), world.others, world.memory
-    gone = [each.agent for each in world.passed]
+    removed = [contact_before.agent for contact_before in world.passed]
     boxes, present, velocities = [], [], []
     for number in range(SUBSTEPS):
         row = INSTANTS * number
         # Making a key costs as much as replaying a sub-step.
         key = content_seed(course.seed, course.scene, world.step, number) if course.policy.draws else 0
         memory, moved = course.policy.act(memory, replace(others, plan=_active(plans, others.time_us)), key)
-        there = _without(moved.present, gone)
+        there = _without(moved.present, removed)
         boxes.append(moved.boxes)
         present.append(there)
         velocities.append(moved.velocity)
@@ -156,18 +156,18 @@ def _with_others(course: Course, world: World, plans: tuple[PlanInForce, ...], e
         contact, also = _contacts(course, world, trace, own[1:], velocities)
         if also:
             passed = (*passed, *also)
-            trace.present[-1, [each.agent for each in also]] = False
+            trace.present[-1, [contact_before.agent for contact_before in also]] = False
             others = replace(others, present=trace.present[-1])
     assert others.time_us == world.time_us + STEP_US
     return World(world.step + 1, Ego.of_row(egos[-1]), others, memory, world.ignored, plans, contact, trace, passed)
 
 
-def _without(present: Bools, gone: Sequence[int]) -> Bools:
+def _without(present: Bools, removed: Sequence[int]) -> Bools:
     """(2, N) who is there, less those who are gone."""
-    if not gone:
+    if not removed:
         return present
     left = present.copy()
-    left[:, gone] = False
+    left[:, removed] = False
     return left
 
 

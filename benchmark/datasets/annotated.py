@@ -36,9 +36,9 @@ class AnnotationCount:
     def together(cls, counts: Sequence["AnnotationCount"]) -> "AnnotationCount":
         """The counts of several scenes."""
         unknown: Counter[str] = Counter()
-        for each in counts:
-            unknown.update(each.unknown)
-        return cls(sum(each.annotations for each in counts), unknown)
+        for count in counts:
+            unknown.update(count.unknown)
+        return cls(sum(count.annotations for count in counts), unknown)
 
     @property
     def foreign(self) -> bool:
@@ -49,10 +49,10 @@ class AnnotationCount:
     def sentence(self) -> str:
         """Sentence on the number of annotations of unknown categories, with their names; no full stop at its end."""
         names = sorted(self.unknown, key=lambda name: (-self.unknown[name], name))
-        shown = ", ".join(map(repr, names[:_NAMED])) + (", ..." if len(names) > _NAMED else "")
+        listed = ", ".join(map(repr, names[:_NAMED])) + (", ..." if len(names) > _NAMED else "")
         return (
             f"{sum(self.unknown.values()):,} of {counted(self.annotations, 'annotation')} have unknown categories "
-            f"({shown})"
+            f"({listed})"
         )
 
 
@@ -67,14 +67,14 @@ class CountedData(Protocol):
 
 def require_annotated(data: CountedData, split: str, scenes: Sequence[str]) -> AnnotationCount:
     """Refuse scenes none of which has an annotation: there is no truth to judge anything by."""
-    found = AnnotationCount.together(list(data.annotation_counts(scenes).values()))
-    if not found.annotations:
+    total = AnnotationCount.together(list(data.annotation_counts(scenes).values()))
+    if not total.annotations:
         which = "none of them" if len(scenes) > 1 else "it"
         raise InputError(
             f"{counted(len(scenes), 'scene')} of split {split!r} of {data.root} cannot be judged: {which} has "
             f"{'an' if len(scenes) > 1 else 'no'} annotation; choose scenes that are labelled (test splits are not)"
         )
-    return found
+    return total
 
 
 LEAVE_TOGETHER: Final = 3
@@ -84,10 +84,10 @@ def labelled_keyframes(boxes: NDArray[np.int64]) -> Bools:
     """Which key frames were labelled, (K,), from the (K,) numbers of annotations of a scene in time order."""
     if not boxes.any():
         return np.zeros(len(boxes), np.bool_)
-    there = np.flatnonzero(boxes)
+    with_boxes = np.flatnonzero(boxes)
     at = np.arange(len(boxes))
-    before = there[np.maximum(np.searchsorted(there, at, side="right") - 1, 0)]
-    after = there[np.minimum(np.searchsorted(there, at), len(there) - 1)]
+    before = with_boxes[np.maximum(np.searchsorted(with_boxes, at, side="right") - 1, 0)]
+    after = with_boxes[np.minimum(np.searchsorted(with_boxes, at), len(with_boxes) - 1)]
     return np.asarray((boxes > 0) | (np.maximum(boxes[before], boxes[after]) < LEAVE_TOGETHER))
 
 
@@ -123,8 +123,8 @@ def read_objects(nusc: Any, samples: list[Row], keyframes: NDArray[np.int64]) ->
     Returns:
         N agents at T frames and their annotations at K keyframes.
     """
-    every = [[nusc.get("sample_annotation", token) for token in sample["anns"]] for sample in samples]
-    rows = [list(filter(has_size, at_sample)) for at_sample in every]
+    annotations_of_samples = [[nusc.get("sample_annotation", token) for token in sample["anns"]] for sample in samples]
+    rows = [list(filter(has_size, at_sample)) for at_sample in annotations_of_samples]
     instances = list(dict.fromkeys(row["instance_token"] for at_sample in rows for row in at_sample))
     number = {instance: index for index, instance in enumerate(instances)}
     shape = (len(instances), len(samples))
@@ -143,8 +143,8 @@ def read_objects(nusc: Any, samples: list[Row], keyframes: NDArray[np.int64]) ->
             attribute[at] = ";".join(nusc.get("attribute", token)["name"] for token in row["attribute_tokens"])
             counts["visibility"][at] = _visibility(nusc, row.get("visibility_token", ""))
             counts["num_lidar_pts"][at], counts["num_radar_pts"][at] = row["num_lidar_pts"], row["num_radar_pts"]
-    held = nearest_valid(valid)
-    pick = (np.arange(len(instances))[:, None], held)
+    nearest = nearest_valid(valid)
+    pick = (np.arange(len(instances))[:, None], nearest)
     annotations = Annotations(
         position=position[pick],
         rotation=rotation[pick],
@@ -179,15 +179,15 @@ def tracks_between(
     span = np.maximum(keyframes[right] - keyframes[left], 1)
     fraction = (frames - keyframes[left]) / span
     on_keyframe = frames == keyframes[left]
-    there = annotations.valid[:, left] & (annotations.valid[:, right] | on_keyframe)
-    fraction = np.where(there, fraction, np.round(fraction))
+    is_there = annotations.valid[:, left] & (annotations.valid[:, right] | on_keyframe)
+    fraction = np.where(is_there, fraction, np.round(fraction))
     yaw_at = yaw_of_quaternion(annotations.rotation)
     poses = np.concatenate([annotations.position[..., :2], yaw_at[..., None]], axis=-1)
     between = poses_between(poses[:, left], poses[:, right], fraction)
     z = annotations.position[..., 2]
     heights = z[:, left] + fraction * (z[:, right] - z[:, left])
     position, yaw = np.concatenate([between[..., :2], heights[..., None]], axis=-1), between[..., 2]
-    pick = (np.arange(len(ids))[:, None], nearest_valid(there))
+    pick = (np.arange(len(ids))[:, None], nearest_valid(is_there))
     first = annotations.valid.argmax(axis=-1)
     return Agents(
         ids=ids,
@@ -195,7 +195,7 @@ def tracks_between(
         position=position[pick],
         yaw=yaw[pick],
         size=annotations.size[np.arange(len(ids)), first],
-        valid=there,
+        valid=is_there,
     )
 
 

@@ -173,8 +173,8 @@ def names_in(own: Iterable[str], given: Mapping[str, str]) -> CategoryNames:
     ``CAR`` and ``vehicle_car`` are found.
     """
     loose = {_loosely(name): to for name, to in reversed([*given.items()])}
-    found = {name: given.get(name) or (None if name in KNOWN else loose.get(_loosely(name))) for name in own}
-    return tuple(sorted((name, to) for name, to in found.items() if to is not None and to != name))
+    replacements = {name: given.get(name) or (None if name in KNOWN else loose.get(_loosely(name))) for name in own}
+    return tuple(sorted((name, to) for name, to in replacements.items() if to is not None and to != name))
 
 
 def _loosely(name: str) -> str:

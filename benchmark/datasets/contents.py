@@ -60,8 +60,8 @@ def scenes_by_split(data: DataSet) -> tuple[dict[str, tuple[str, ...]], dict[str
 def _counted(data: DataSet, name: str) -> dict[str, int]:
     """Counts of one scene; one is in memory at a time, for a whole data set of them does not fit."""
     scene = data.scene(name)
-    seen = scene.annotations.valid
-    numbers = (len(scene.keyframes), seen.any(axis=1).sum(), seen.sum(), len(scene.adversaries))
+    is_annotated = scene.annotations.valid
+    numbers = (len(scene.keyframes), is_annotated.any(axis=1).sum(), is_annotated.sum(), len(scene.adversaries))
     return dict(zip(_KINDS, map(int, numbers), strict=True))
 
 
@@ -85,14 +85,14 @@ def contents_text(found: dict[str, Any], width: int | None = None) -> str:
         ),
     ]
     rows = [
-        (split, str(len(held["scenes"])), *(f"{held[kind]:,}" for kind in _KINDS))
-        for split, held in found["splits"].items()
+        (split, str(len(scene_names["scenes"])), *(f"{scene_names[kind]:,}" for kind in _KINDS))
+        for split, scene_names in found["splits"].items()
     ]
     lines = [f"{f'{name}:':<13}{value}" for name, value in facts]
     names = [
         line
-        for split, held in found["splits"].items()
-        for line in wrapped(f"{split}: {_some(held['scenes'])}", width, hanging="  ")
+        for split, scene_names in found["splits"].items()
+        for line in wrapped(f"{split}: {_some(scene_names['scenes'])}", width, hanging="  ")
     ]
     left_out = [
         line

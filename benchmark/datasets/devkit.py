@@ -181,12 +181,12 @@ def _whole_tables(folder: Path, rates: FaultList) -> Tables:
 
 def _rows_of_scenes(tables: Tables) -> dict[str, dict[str, list[Row]]]:
     """Rows of the growing tables by scene and table."""
-    found: dict[str, dict[str, list[Row]]] = {
+    rows_of_scene: dict[str, dict[str, list[Row]]] = {
         scene["token"]: {table: [] for table in GROWING_TABLES} for scene in tables["scene"]
     }
     scene_of = {row["token"]: row["scene_token"] for row in tables["sample"]}
     for row in tables["sample"]:
-        found[row["scene_token"]]["sample"].append(row)
+        rows_of_scene[row["scene_token"]]["sample"].append(row)
     for table, link, target in (
         ("sample_data", "ego_pose_token", "ego_pose"),
         ("sample_annotation", "instance_token", "instance"),
@@ -194,12 +194,12 @@ def _rows_of_scenes(tables: Tables) -> dict[str, dict[str, list[Row]]]:
         scenes_naming: defaultdict[str, set[str]] = defaultdict(set)
         for row in tables[table]:
             scene = scene_of[row["sample_token"]]
-            found[scene][table].append(row)
+            rows_of_scene[scene][table].append(row)
             scenes_naming[row[link]].add(scene)
         for row in tables[target]:
             for scene in scenes_naming[row["token"]]:
-                found[scene][target].append(row)
-    return found
+                rows_of_scene[scene][target].append(row)
+    return rows_of_scene
 
 
 def _require_masks(root: Path, maps: list[Row]) -> None:

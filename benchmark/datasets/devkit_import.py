@@ -64,7 +64,7 @@ class _Package:
         path = f"{self._name}.{name}"
         if path in _PUT_OFF:
             return _UsedLater(path)
-        if any(each.startswith(f"{path}.") for each in _PUT_OFF):
+        if any(module.startswith(f"{path}.") for module in _PUT_OFF):
             return _Package(path)
         return getattr(importlib.import_module(self._name), name)
 
@@ -83,7 +83,7 @@ def _import(name: str, scope: Any = None, local: Any = None, wanted: Sequence[st
     """``__import__`` as modules of the devkit see it."""
     if level == 0 and name in _PUT_OFF:
         return _Names(name) if wanted else _Package(name.partition(".")[0])
-    if level == 0 and any(f"{name}.{each}" in _PUT_OFF for each in wanted or ()):
+    if level == 0 and any(f"{name}.{attribute}" in _PUT_OFF for attribute in wanted or ()):
         return _Package(name)
     return builtins.__import__(name, scope, local, wanted, level)
 
@@ -99,10 +99,10 @@ class _DevkitFinder(MetaPathFinder):
         """The usual specification, with a loader that puts imports off."""
         if name.partition(".")[0] != "nuscenes":
             return None
-        found = PathFinder.find_spec(name, path, target)
-        if found is not None and type(found.loader) is SourceFileLoader:
-            found.loader = _DevkitLoader(found.loader.name, found.loader.path)
-        return found
+        spec = PathFinder.find_spec(name, path, target)
+        if spec is not None and type(spec.loader) is SourceFileLoader:
+            spec.loader = _DevkitLoader(spec.loader.name, spec.loader.path)
+        return spec
 
 
 def devkit_module(name: str) -> Any:

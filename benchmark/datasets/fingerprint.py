@@ -39,8 +39,8 @@ class KeptDigests:
     @classmethod
     def of(cls, folder: Path) -> Self:
         """Kept hashes of a root, given its version folder."""
-        beside = kept_at(folder)
-        place = None if beside is None else digests_beside(beside)
+        cache_folder = kept_at(folder)
+        place = None if cache_folder is None else digests_beside(cache_folder)
         return cls(place, _sound(None if place is None or not place.is_file() else read_kept_json(place)))
 
     def sha256(self, path: Path) -> str:
@@ -50,32 +50,32 @@ class KeptDigests:
             stamp = stamp_of(os.fstat(stream.fileno()))
             if name in self._known and self._known[name][0] == stamp:
                 return self._known[name][1]
-            found = hashlib.file_digest(stream, "sha256").hexdigest()
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
             unchanged = stamp_of(os.fstat(stream.fileno())) == stamp
         if unchanged and stamp[2] >= WORTH_BYTES and is_settled(stamp, looked_ns):
-            self._new[name] = stamp, found
-        return found
+            self._new[name] = stamp, digest
+        return digest
 
     def keep(self) -> None:
         """Keep what was hashed, where there is room and a right to; without, it is hashed again."""
         if not self._new or self._place is None:
             return
-        every = {name: [list(stamp), found] for name, (stamp, found) in (self._known | self._new).items()}
+        entries = {name: [list(stamp), digest] for name, (stamp, digest) in (self._known | self._new).items()}
         try:
             with only_writer(self._place.parent):
-                write_json(self._place, every)
+                write_json(self._place, entries)
         except InputError:
             return
 
 
 def _sound(value: Any) -> dict[str, tuple[Stamp, str]]:
     """Sound part of a kept file."""
-    found: dict[str, tuple[Stamp, str]] = {}
+    digests: dict[str, tuple[Stamp, str]] = {}
     for name, entry in value.items() if isinstance(value, dict) else ():
         match entry:
-            case [[*stamp], str(digest)] if _SHA256.fullmatch(digest) and all(type(each) is int for each in stamp):
-                found[name] = tuple(stamp), digest
-    return found
+            case [[*stamp], str(digest)] if _SHA256.fullmatch(digest) and all(type(number) is int for number in stamp):
+                digests[name] = tuple(stamp), digest
+    return digests
 
 
 def fingerprint_of(root: Path, version: str, images: Iterable[str]) -> str:
@@ -94,9 +94,9 @@ def fingerprint_of(root: Path, version: str, images: Iterable[str]) -> str:
     hashed["splits.json"] = root / "splits.json"
     for path in sorted((root / "maps" / "expansion").glob("*.json")):
         hashed[f"maps/expansion/{path.name}"] = path
-    kept = KeptDigests.of(tables)
-    contents = {name: kept.sha256(path) for name, path in hashed.items() if path.is_file()}
-    kept.keep()
+    digests = KeptDigests.of(tables)
+    contents = {name: digests.sha256(path) for name, path in hashed.items() if path.is_file()}
+    digests.keep()
     can_bus = {path.name: path.stat().st_size for path in sorted((root / "can_bus").glob("*.json"))}
     sizes = _sizes(root, sorted(set(images)))
     return content_key("data set", 1, contents, can_bus, sizes)

@@ -37,9 +37,11 @@ class JudgementsFile(Stored):
 
 def judgements_text(scenes: Judgements, realism: SplitRealism | None = None) -> str:
     """Content of the file, the same for the same judgements."""
-    said = {name: [each.model_dump(mode="json") for each in judged] for name, judged in scenes.items()}
-    told = None if realism is None else realism.model_dump(mode="json")
-    return canonical_json({"schema": 1, "scenes": said, "realism": told}) + "\n"
+    scenes_json = {
+        name: [assessment.model_dump(mode="json") for assessment in judged] for name, judged in scenes.items()
+    }
+    realism_json = None if realism is None else realism.model_dump(mode="json")
+    return canonical_json({"schema": 1, "scenes": scenes_json, "realism": realism_json}) + "\n"
 
 
 def read_judgements(folder: Path) -> dict[str, tuple[SceneJudgement, ...]]:
@@ -47,11 +49,11 @@ def read_judgements(folder: Path) -> dict[str, tuple[SceneJudgement, ...]]:
 
     Scenes that were judged by other definitions are left out.
     """
-    found = read_judgements_file(folder)
+    stored = read_judgements_file(folder)
     return {
         name: judged
-        for name, judged in (found.scenes if found is not None else {}).items()
-        if judged and all(each.definition == DEFINITION for each in judged)
+        for name, judged in (stored.scenes if stored is not None else {}).items()
+        if judged and all(assessment.definition == DEFINITION for assessment in judged)
     }
 
 
@@ -83,5 +85,5 @@ def stored_realism(root: Path, version: str) -> SplitRealism | None:
     """Realism of a data set's adversaries, as its builder found it; ``None`` where it was not measured."""
     folders = variant_folders(root)
     # Every variant says the same of all of them.
-    found = read_judgements_file((root / folders[0] if folders else root) / version)
-    return None if found is None else found.realism
+    stored = read_judgements_file((root / folders[0] if folders else root) / version)
+    return None if stored is None else stored.realism

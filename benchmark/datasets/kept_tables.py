@@ -45,10 +45,10 @@ def read_or_kept(folder: Path, rates: FaultList) -> SceneTables | None:
     if place is None or sum(stamps[table][2] for table in GROWING_TABLES if table in stamps) < WORTH_BYTES:
         return read_scene_tables(folder, rates)
     made_of = content_key(_checks(), sorted(stamps.items()))
-    kept = read_batch(place, made_of)
-    found = None if kept is None else _of_kept(folder, stamps, kept)
-    if found is not None and _stamps(folder) == stamps:
-        return found
+    batch = read_batch(place, made_of)
+    cached_tables = None if batch is None else _of_kept(folder, stamps, batch)
+    if cached_tables is not None and _stamps(folder) == stamps:
+        return cached_tables
     noted = rates.counts.total()
     tables = read_scene_tables(folder, rates)
     settled = all(is_settled(stamp, looked_ns) for stamp in stamps.values())
@@ -77,9 +77,9 @@ def _stamps(folder: Path) -> dict[str, Stamp]:
 @functools.cache
 def _checks() -> str:
     """Content key of all that decides which tables are refused and what is found in them: code of this folder."""
-    here = Path(__file__).parent
-    own = [here / f"{name}.py" for name in ("kept_tables", "scene_tables", "stored_rows")]
-    modules = sorted((*here.glob("schema/*.py"), *own))
+    folder = Path(__file__).parent
+    code_files = [folder / f"{name}.py" for name in ("kept_tables", "scene_tables", "stored_rows")]
+    modules = sorted((*folder.glob("schema/*.py"), *code_files))
     return content_key([(path.name, file_sha256(path)) for path in modules])
 
 
@@ -87,17 +87,17 @@ def _to_keep(tables: SceneTables) -> "pa.RecordBatch":
     import pyarrow as pa
 
     images = json.dumps(tables.keyframe_images(), separators=(",", ":")).encode()
-    found: dict[str, NDArray[Any]] = {_IMAGES: np.frombuffer(images, np.uint8)}
+    arrays: dict[str, NDArray[Any]] = {_IMAGES: np.frombuffer(images, np.uint8)}
     for table in GROWING_TABLES:
         stored, of_scenes = tables.stored[table], tables.rows_of_scenes[table]
         rows = np.concatenate([np.zeros(0, np.int32), *of_scenes])
-        ends = np.cumsum([len(each) for each in of_scenes])
+        ends = np.cumsum([len(numbers) for numbers in of_scenes])
         parts: tuple[NDArray[Any], ...] = (stored.starts, stored.lengths, rows, ends)
-        found |= {f"{table}.{part}": values.astype(_PARTS[part]) for part, values in zip(_PARTS, parts)}
+        arrays |= {f"{table}.{part}": values.astype(_PARTS[part]) for part, values in zip(_PARTS, parts)}
     # Each array is the one value of a column.
     columns = {
         name: pa.LargeListArray.from_arrays(arrow_of(np.array([0, len(values)])), arrow_of(values))
-        for name, values in found.items()
+        for name, values in arrays.items()
     }
     return pa.RecordBatch.from_arrays(list(columns.values()), names=list(columns))
 
@@ -105,15 +105,15 @@ def _to_keep(tables: SceneTables) -> "pa.RecordBatch":
 def _of_kept(folder: Path, stamps: dict[str, Stamp], batch: "pa.RecordBatch") -> SceneTables | None:
     if {field.name: str(field.type) for field in batch.schema} != _TYPES:
         return None
-    kept = {name: numpy_of(batch.column(name).values) for name in _TYPES}
+    arrays = {name: numpy_of(batch.column(name).values) for name in _TYPES}
 
     def images() -> Sequence[str]:
-        names: list[str] = parse_json(kept[_IMAGES].tobytes(), TABLE)
+        names: list[str] = parse_json(arrays[_IMAGES].tobytes(), TABLE)
         return names
 
     stored, by_scene = {}, {}
     for table in GROWING_TABLES:
-        starts, lengths, rows, ends = (kept[f"{table}.{part}"] for part in _PARTS)
+        starts, lengths, rows, ends = (arrays[f"{table}.{part}"] for part in _PARTS)
         stored[table] = StoredRows(folder / f"{table}.json", stamp_while_open(stamps[table]), starts, lengths)
         by_scene[table] = np.split(rows, ends)[:-1]
     faults = Refusal(folder=folder)

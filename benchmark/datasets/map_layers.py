@@ -137,8 +137,8 @@ class _Shapes:
         return as_multipolygon(shapely.union_all(parts))
 
     def _surfaces(self, rows: Iterable[Row]) -> dict[str, Polygon]:
-        found = {row["token"]: self._polygon(row["polygon_token"]) for row in rows if row.get("polygon_token")}
-        return {token: shape for token, shape in found.items() if not shape.is_empty}
+        polygons = {row["token"]: self._polygon(row["polygon_token"]) for row in rows if row.get("polygon_token")}
+        return {token: shape for token, shape in polygons.items() if not shape.is_empty}
 
     def _polygon(self, token: str) -> Polygon:
         row = self.polygons[token]

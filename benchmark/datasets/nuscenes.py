@@ -119,13 +119,13 @@ class NuScenesData:
             InputError: If there is no such scene, or a table cannot be read.
         """
         foreign = {row["name"] for row in self._tables.rows("category")} - KNOWN
-        found = {}
+        counts = {}
         for name in names:
             row = self._row(name)
             by_category = self._tables.annotations_by_category(row) if foreign else Counter()
             unknown = {category: count for category, count in by_category.items() if category in foreign}
-            found[name] = AnnotationCount(self._tables.annotation_count(row), unknown)
-        return found
+            counts[name] = AnnotationCount(self._tables.annotation_count(row), unknown)
+        return counts
 
     def splits(self) -> dict[str, tuple[str, ...]]:
         """Splits that ``splits.json`` defines (in the version folder or in the root), scene names by split."""
@@ -287,8 +287,10 @@ class NuScenesData:
         Names of categories that were replaced are content, too: planners that see objects go by them.
         """
         if self._fingerprint is None:
-            found = fingerprint_of(self.root, self.version, self._tables.keyframe_images())
-            self._fingerprint = content_key("categories", found, self.categories) if self.categories else found
+            fingerprint = fingerprint_of(self.root, self.version, self._tables.keyframe_images())
+            self._fingerprint = (
+                content_key("categories", fingerprint, self.categories) if self.categories else fingerprint
+            )
         return self._fingerprint
 
     def provenance(self) -> dict[str, Any] | None:
@@ -307,28 +309,30 @@ class NuScenesData:
         Raises:
             InputError: If there is no such scene.
         """
-        made = self._provenance["scenes"] if self._provenance else {}
+        scene_reports = self._provenance["scenes"] if self._provenance else {}
         known = {name: self._row(name) for name in names}
         if self._judged is None:
             self._judged = read_judgements(self.root / self.version)
         judged = self._judged
         return {
-            name: scene_facts_of(name, made.get(name, {}), str(row.get("description", "")), judged.get(name, ()))
+            name: scene_facts_of(
+                name, scene_reports.get(name, {}), str(row.get("description", "")), judged.get(name, ())
+            )
             for name, row in known.items()
         }
 
     def _row(self, name: str) -> Row:
         if name not in self._rows:
-            some = ", ".join(sorted(self._rows)[:5]) + (", ..." if len(self._rows) > 5 else "")
-            raise InputError(f"{self.root} has no scene {name!r}; it has {len(self._rows)}: {some}")
+            known_names = ", ".join(sorted(self._rows)[:5]) + (", ..." if len(self._rows) > 5 else "")
+            raise InputError(f"{self.root} has no scene {name!r}; it has {len(self._rows)}: {known_names}")
         return self._rows[name]
 
     def _devkit(self, row: Row) -> Any:
         return self._tables.of_scene(row, self._adversaries(row["name"]))
 
     def _adversaries(self, name: str) -> tuple[str, ...]:
-        made = self._provenance["scenes"].get(name, {}) if self._provenance else {}
-        return tuple(made.get("adversaries", ()))
+        report = self._provenance["scenes"].get(name, {}) if self._provenance else {}
+        return tuple(report.get("adversaries", ()))
 
     def _log(self, row: Row) -> Row:
         return self._logs[row["log_token"]]
@@ -375,10 +379,10 @@ def _read_provenance(path: Path, scenes: set[str]) -> dict[str, Any] | None:
     if not path.is_file():
         return None
     value = read_json(path)
-    made = value.get("scenes") if isinstance(value, dict) else None
-    if not isinstance(value, dict) or not isinstance(made, dict) or not isinstance(value.get("split"), str):
+    scene_reports = value.get("scenes") if isinstance(value, dict) else None
+    if not isinstance(value, dict) or not isinstance(scene_reports, dict) or not isinstance(value.get("split"), str):
         raise InputError(f"{path} must be an object with a split and its scenes; write the data set again")
-    for name, entry in made.items():
+    for name, entry in scene_reports.items():
         adversaries = entry.get("adversaries", []) if isinstance(entry, dict) else None
         if not isinstance(adversaries, list) or not all(
             isinstance(token, str) and token.isprintable() for token in adversaries
@@ -388,6 +392,6 @@ def _read_provenance(path: Path, scenes: set[str]) -> dict[str, Any] | None:
             raise InputError(f"{path}: the source_scene of {name} must be the name of a scene; write it again")
         if name not in scenes:
             raise InputError(f"{path} names the scene {name}, which is not in scene.json; write the data set again")
-    if left_out := sorted(scenes - set(made)):
+    if left_out := sorted(scenes - set(scene_reports)):
         raise InputError(f"{path} leaves out the scene {left_out[0]} of scene.json; write the data set again")
     return value

@@ -35,12 +35,12 @@ def left_out_of(made: Any, split: str | None) -> dict[str, Judged]:
         made: What ``challenger.json`` says of the data set, unchecked.
         split: The split; a build says it of its own alone.
     """
-    said = made.get(LEFT_OUT) if isinstance(made, dict) and split in (None, made.get("split")) else None
-    found = {}
-    for name, entry in said.items() if isinstance(said, dict) else ():
+    entries = made.get(LEFT_OUT) if isinstance(made, dict) and split in (None, made.get("split")) else None
+    rejected = {}
+    for name, entry in entries.items() if isinstance(entries, dict) else ():
         if isinstance(entry, dict) and isinstance(entry.get("token"), str):
-            found[name] = Judged(name, entry["token"], REJECTED, one_line(entry.get("reason", "")), left_out=True)
-    return found
+            rejected[name] = Judged(name, entry["token"], REJECTED, one_line(entry.get("reason", "")), left_out=True)
+    return rejected
 
 
 def review_of_rows(
@@ -65,13 +65,13 @@ def joined(parts: Mapping[str, SplitReview], outer: Mapping[str, Verdict], token
         outer: Verdicts beside the folder that holds them, by prefixed name.
         tokens: Of the rows of all scenes of the split, by prefixed name.
     """
-    every = [part.under(folder) for folder, part in parts.items()]
-    judged = {each.name: each for part in every for each in part.judged}
+    renamed_parts = [part.under(folder) for folder, part in parts.items()]
+    judged = {verdict.name: verdict for part in renamed_parts for verdict in part.judged}
     above = standing(outer, tokens)
-    for each in above.judged:
-        if each.name not in judged or each.verdict == REJECTED:
-            judged[each.name] = each
-    outdated = {*above.outdated, *(name for part in every for name in part.outdated)}
+    for verdict in above.judged:
+        if verdict.name not in judged or verdict.verdict == REJECTED:
+            judged[verdict.name] = verdict
+    outdated = {*above.outdated, *(name for part in renamed_parts for name in part.outdated)}
     waiting = tuple(name for name in tokens if name not in judged)
     return SplitReview(tuple(judged[name] for name in sorted(judged)), waiting, tuple(sorted(outdated)))
 
@@ -108,8 +108,10 @@ def record_verdicts(root: Path, verdicts: Mapping[str, Verdict | None]) -> None:
         InputError: If the file is damaged or cannot be written, or another command is writing there.
     """
     with only_writer(root):
-        kept = {**read_review(root), **verdicts}
-        stored = ReviewFile(schema=SCHEMA, verdicts={name: said for name, said in kept.items() if said is not None})
+        merged = {**read_review(root), **verdicts}
+        stored = ReviewFile(
+            schema=SCHEMA, verdicts={name: verdict for name, verdict in merged.items() if verdict is not None}
+        )
         write_json(root / REVIEW_FILE, stored.model_dump(mode="json", by_alias=True))
 
 

@@ -133,11 +133,11 @@ class VariantRoots:
 
     def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
         """Number of annotations of scenes, and of those of no category of nuScenes, by name."""
-        found = {}
+        counts = {}
         for name in names:
             data, inner = self._find(name)
-            found[name] = data.annotation_counts([inner])[inner]
-        return found
+            counts[name] = data.annotation_counts([inner])[inner]
+        return counts
 
     def splits(self) -> dict[str, tuple[str, ...]]:
         """Custom splits of all variants together, scene names by split."""
@@ -164,8 +164,10 @@ class VariantRoots:
         return joined(parts, self._verdicts, tokens)
 
     def _tokens(self) -> dict[str, str]:
-        every = {folder: scene_tokens(data.root, data.version) for folder, data in self._variants.items()}
-        return {f"{folder}/{name}": token for folder, part in every.items() for name, token in part.items()}
+        tokens_of_variants = {folder: scene_tokens(data.root, data.version) for folder, data in self._variants.items()}
+        return {
+            f"{folder}/{name}": token for folder, part in tokens_of_variants.items() for name, token in part.items()
+        }
 
     def scene(self, name: str) -> Scene:
         """One scene, called by its prefixed name."""
@@ -208,20 +210,24 @@ class VariantRoots:
 
     def provenance(self) -> dict[str, Any] | None:
         """Provenance of the first variant with the scenes of all, or ``None`` if any variant does not say."""
-        said = {folder: data.provenance() for folder, data in self._variants.items()}
-        known = {folder: value for folder, value in said.items() if value is not None}
-        if len(known) < len(said):
+        reports = {folder: data.provenance() for folder, data in self._variants.items()}
+        known = {folder: value for folder, value in reports.items() if value is not None}
+        if len(known) < len(reports):
             return None
-        scenes = {f"{folder}/{name}": made for folder, value in known.items() for name, made in value["scenes"].items()}
+        scenes = {
+            f"{folder}/{name}": scene_report
+            for folder, value in known.items()
+            for name, scene_report in value["scenes"].items()
+        }
         return {**next(iter(known.values())), "scenes": scenes}
 
     def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
         """Source of scenes, their manoeuvres and judgements; the source has no prefix, so that variants share it."""
-        found = {}
+        facts = {}
         for name in names:
             data, inner = self._find(name)
-            found[name] = data.scene_facts([inner])[inner]
-        return found
+            facts[name] = data.scene_facts([inner])[inner]
+        return facts
 
     def _find(self, name: str) -> tuple[NuScenesData, str]:
         folder, _, inner = name.partition("/")

@@ -132,8 +132,10 @@ class RoadsAround:
         Returns:
             (K,) verdicts; False within the margin of a border, and for what is not on the grid.
         """
-        there = shapely.points(to_global(points, self.axle_pose))
-        clear = shapely.contains(self.surfaces.drivable, there) & ~shapely.dwithin(self.surfaces.edges, there, margin_m)
+        global_points = shapely.points(to_global(points, self.axle_pose))
+        clear = shapely.contains(self.surfaces.drivable, global_points) & ~shapely.dwithin(
+            self.surfaces.edges, global_points, margin_m
+        )
         return np.asarray(clear & (np.abs(points).max(axis=-1) + margin_m < DRIVABLE_HALF_M), np.bool_)
 
     def _in_ego(self, shape: shapely.Geometry) -> shapely.Geometry:
@@ -273,9 +275,12 @@ def _truth(
     steps = index + np.arange(count + 1)
     exists = steps < len(scene.keyframes)
     steps = np.minimum(steps, len(scene.keyframes) - 1)
-    seen = np.flatnonzero((known.valid[:, steps] & exists).any(axis=-1))
-    annotated: NDArray[np.bool_] = known.valid[seen][:, steps] & exists
-    rows, columns = seen[:, None], steps[nearest_valid(annotated)] if len(seen) else np.zeros((0, count + 1), np.int64)
+    visible_rows = np.flatnonzero((known.valid[:, steps] & exists).any(axis=-1))
+    annotated: NDArray[np.bool_] = known.valid[visible_rows][:, steps] & exists
+    rows, columns = (
+        visible_rows[:, None],
+        steps[nearest_valid(annotated)] if len(visible_rows) else np.zeros((0, count + 1), np.int64),
+    )
     poses = np.concatenate([known.position[rows, columns, :2], boxes_yaw[rows, columns][..., None]], axis=-1)
     local = _in_lidar(poses, lidar_poses[index])
     boxes = np.concatenate([local[..., :2], known.size[rows, columns, :2], local[..., 2:]], axis=-1)
@@ -292,15 +297,15 @@ def _truth(
         ego_future=future,
         ego_future_valid=future_valid,
         command=command_of(future, future_valid),
-        instances=tuple(scene.agents.ids[row] for row in seen),
-        categories=tuple(scene.agents.categories[row] for row in seen),
+        instances=tuple(scene.agents.ids[row] for row in visible_rows),
+        categories=tuple(scene.agents.categories[row] for row in visible_rows),
         boxes=boxes,
         annotated=annotated,
         has_points=annotated & (lidar_points + radar_points > 0),
         has_lidar_points=annotated & (lidar_points > 0),
         adversaries=frozenset(scene.adversaries),
         axle_poses=axle_poses[steps],
-        seen_before=(known.valid[seen, past] & (known.visibility[seen, past] != HIDDEN)).any(axis=-1),
+        seen_before=(known.valid[visible_rows, past] & (known.visibility[visible_rows, past] != HIDDEN)).any(axis=-1),
         roads=None if surfaces is None else RoadsAround(surfaces, axle_poses[index]),
         labelled=bool(labelled[index : index + count + 1].all()),
     )
@@ -313,13 +318,15 @@ def _with_timed(truth: SampleTruth, scene: Scene, boxes_yaw: Floats, steps: Time
     annotated at both, have the size and points of the nearer one, and do not exist at times that are not known.
     """
     known = scene.annotations
-    there = known.valid[:, steps.before] & known.valid[:, steps.after] & steps.known
-    seen = np.flatnonzero(there.any(axis=-1))
-    annotated: NDArray[np.bool_] = there[seen]
-    held = nearest_valid(annotated) if len(seen) else np.zeros(annotated.shape, np.int64)
-    rows, nearest = seen[:, None], steps.nearest[held]
+    is_there = known.valid[:, steps.before] & known.valid[:, steps.after] & steps.known
+    visible_rows = np.flatnonzero(is_there.any(axis=-1))
+    annotated: NDArray[np.bool_] = is_there[visible_rows]
+    nearest_known = nearest_valid(annotated) if len(visible_rows) else np.zeros(annotated.shape, np.int64)
+    rows, nearest = visible_rows[:, None], steps.nearest[nearest_known]
     poses = np.concatenate([known.position[..., :2], boxes_yaw[..., None]], axis=-1)
-    between = poses_between(poses[rows, steps.before[held]], poses[rows, steps.after[held]], steps.fraction[held])
+    between = poses_between(
+        poses[rows, steps.before[nearest_known]], poses[rows, steps.after[nearest_known]], steps.fraction[nearest_known]
+    )
     local = _in_lidar(between, truth.lidar_pose)
     lidar_points, radar_points = known.num_lidar_pts[rows, nearest], known.num_radar_pts[rows, nearest]
     # Steps become unknown once and for all, so that the last known one is held.
@@ -331,8 +338,8 @@ def _with_timed(truth: SampleTruth, scene: Scene, boxes_yaw: Floats, steps: Time
         command=command,
         ego_future=future[last][1:],
         ego_future_valid=steps.known[1:],
-        instances=tuple(scene.agents.ids[row] for row in seen),
-        categories=tuple(scene.agents.categories[row] for row in seen),
+        instances=tuple(scene.agents.ids[row] for row in visible_rows),
+        categories=tuple(scene.agents.categories[row] for row in visible_rows),
         boxes=np.concatenate([local[..., :2], known.size[rows, nearest, :2], local[..., 2:]], axis=-1),
         annotated=annotated,
         has_points=annotated & (lidar_points + radar_points > 0),

@@ -34,10 +34,10 @@ def real_numbers(value: Any) -> Floats:
         ValueError: If it is no rectangular array of real numbers.
     """
     try:
-        found = np.asarray(value)
-        if found.dtype.kind not in "biufO":
-            raise ValueError(f"{found.dtype} is no type of numbers")
-        return np.asarray(found, dtype=np.float64)
+        numbers = np.asarray(value)
+        if numbers.dtype.kind not in "biufO":
+            raise ValueError(f"{numbers.dtype} is no type of numbers")
+        return np.asarray(numbers, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(one_line(error, 80)) from error
 
@@ -100,9 +100,9 @@ def track_digest(position: Floats, yaw: Floats, size: Floats, valid: Any) -> str
         size: (3,) metres.
         valid: (T,) whether it is there; where it is not, nothing counts.
     """
-    there = np.asarray(valid, np.bool_)
-    parts = (np.asarray(position, "<f8")[there], np.asarray(yaw, "<f8")[there], np.asarray(size, "<f8"))
-    return hashlib.sha256(there.tobytes() + b"".join(part.tobytes() for part in parts)).hexdigest()
+    is_valid = np.asarray(valid, np.bool_)
+    parts = (np.asarray(position, "<f8")[is_valid], np.asarray(yaw, "<f8")[is_valid], np.asarray(size, "<f8"))
+    return hashlib.sha256(is_valid.tobytes() + b"".join(part.tobytes() for part in parts)).hexdigest()
 
 
 Feature = dict[str, Any]
@@ -132,17 +132,17 @@ def features_of_map(road_map: RoadMap) -> tuple[dict[str, Feature], dict[str, An
         features[key] = feature
 
     for line in road_map.dividers:
-        own = {"layer": "dividers", "identifier": line.identifier, "between_directions": line.between_directions}
-        put(line.identifier, {"type": _LINE_TYPES[line.kind], "polyline": _points(line.line), OWN: own})
+        additions = {"layer": "dividers", "identifier": line.identifier, "between_directions": line.between_directions}
+        put(line.identifier, {"type": _LINE_TYPES[line.kind], "polyline": _points(line.line), OWN: additions})
     for layer, kind in _SURFACE_TYPES.items():
         for name, shape in getattr(road_map, layer).items():
             outline, *holes = _rings(shape)
-            own = {"layer": layer, "identifier": name, "holes": holes}
-            put(name, {"type": kind, "polygon": outline, OWN: own})
+            additions = {"layer": layer, "identifier": name, "holes": holes}
+            put(name, {"type": kind, "polygon": outline, OWN: additions})
     for number, part in enumerate(road_map.drivable_area.geoms):
         for ring, points in enumerate(_rings(part)):
-            own = {"layer": "drivable_area", "polygon": number, "ring": ring}
-            put(f"{RING_PREFIX}{number}_{ring}", {"type": "ROAD_EDGE_BOUNDARY", "polyline": points, OWN: own})
+            additions = {"layer": "drivable_area", "polygon": number, "ring": ring}
+            put(f"{RING_PREFIX}{number}_{ring}", {"type": "ROAD_EDGE_BOUNDARY", "polyline": points, OWN: additions})
     layers = {
         layer: {name: _rings(shape) for name, shape in getattr(road_map, layer).items()} for layer in _OTHER_LAYERS
     }
@@ -155,18 +155,18 @@ def features_of_map(road_map: RoadMap) -> tuple[dict[str, Feature], dict[str, An
 
 
 def _lane(lane: Lane) -> Feature:
-    own: dict[str, Any] = {"layer": "lanes", "identifier": lane.identifier, "is_connector": lane.is_connector}
+    additions: dict[str, Any] = {"layer": "lanes", "identifier": lane.identifier, "is_connector": lane.is_connector}
     feature: Feature = {
         "type": "LANE_SURFACE_STREET",
         "polyline": _points(lane.centerline),
         "entry_lanes": list(lane.predecessors),
         "exit_lanes": list(lane.successors),
-        OWN: own,
+        OWN: additions,
     }
     if lane.polygon is not None:
-        outline, *own["holes"] = _rings(lane.polygon)
+        outline, *additions["holes"] = _rings(lane.polygon)
         away_m = np.linalg.norm(outline.mean(axis=0) - lane.centerline.mean(axis=0))
-        (feature if away_m < _SURFACE_NEAR_LINE_M else own)["polygon"] = outline
+        (feature if away_m < _SURFACE_NEAR_LINE_M else additions)["polygon"] = outline
     return feature
 
 
@@ -202,22 +202,25 @@ def _map(features: Mapping[Any, Any], own: Any, path: Path) -> RoadMap:
     kinds = {kind: name for name, kind in _LINE_TYPES.items()}
     _require_no_more_than_roads(features)
     for key, feature in features.items():
-        said = feature[OWN]
-        layer = said["layer"]
+        additions = feature[OWN]
+        layer = additions["layer"]
         if layer == "drivable_area":
-            rings.setdefault(int(said["polygon"]), {})[int(said["ring"])] = _read_points(feature["polyline"])
+            rings.setdefault(int(additions["polygon"]), {})[int(additions["ring"])] = _read_points(feature["polyline"])
             continue
-        name = name_of(said["identifier"], f"the name of {key}", path)
+        name = name_of(additions["identifier"], f"the name of {key}", path)
         if layer == "lanes":
             lanes[name] = _read_lane(name, feature, path)
         elif layer == "dividers":
             lines.append(
                 Divider(
-                    name, _read_points(feature["polyline"]), kinds[feature["type"]], said["between_directions"] is True
+                    name,
+                    _read_points(feature["polyline"]),
+                    kinds[feature["type"]],
+                    additions["between_directions"] is True,
                 )
             )
         else:
-            surfaces[layer][name] = _surface([feature["polygon"], *said["holes"]])
+            surfaces[layer][name] = _surface([feature["polygon"], *additions["holes"]])
     parts = [_surface([rings[number][ring] for ring in sorted(rings[number])]) for number in sorted(rings)]
     width, height = _read_numbers(own["canvas_m"], (2,)).tolist()
     layers = {layer: dict(_named_surfaces(own["layers"][layer], path)) for layer in _OTHER_LAYERS}
@@ -242,15 +245,15 @@ def _require_no_more_than_roads(features: Mapping[Any, Any]) -> None:
 
 
 def _read_lane(name: str, feature: Feature, path: Path) -> Lane:
-    said = feature[OWN]
-    outline = feature.get("polygon", said.get("polygon"))
+    additions = feature[OWN]
+    outline = feature.get("polygon", additions.get("polygon"))
     return Lane(
         identifier=name,
         centerline=_read_points(feature["polyline"]),
-        polygon=None if outline is None else _surface([outline, *said["holes"]]),
+        polygon=None if outline is None else _surface([outline, *additions["holes"]]),
         successors=tuple(name_of(other, f"a lane after {name}", path) for other in feature["exit_lanes"]),
         predecessors=tuple(name_of(other, f"a lane before {name}", path) for other in feature["entry_lanes"]),
-        is_connector=said["is_connector"] is True,
+        is_connector=additions["is_connector"] is True,
     )
 
 

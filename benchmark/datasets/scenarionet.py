@@ -76,10 +76,10 @@ def find_scenarionet(folder: Path) -> tuple[Path, ...]:
         raise InputError(f"there is no folder {folder}; give a folder with ScenarioNet files (sd_*.pkl)")
     pickles = sorted(path for path in folder.rglob("*.pkl") if path.is_file())
     named = [path for path in pickles if path.name.startswith("sd_")]
-    found = named or [path for path in pickles if path.name not in ("dataset_summary.pkl", "dataset_mapping.pkl")]
-    if not found:
+    paths = named or [path for path in pickles if path.name not in ("dataset_summary.pkl", "dataset_mapping.pkl")]
+    if not paths:
         raise InputError(f"{folder} has no ScenarioNet files (sd_*.pkl); give the folder that contains them")
-    return tuple(found)
+    return tuple(paths)
 
 
 def read_scenarionet(path: Path) -> Scene:
@@ -113,11 +113,13 @@ def read_exchanged(path: Path) -> Exchanged:
     tracks = _tracks_of(recording)
     ego = _ego_of(recording, tracks)
     others = {name: track for name, track in tracks.items() if track is not ego}
-    own = own_block(recording.metadata, path)
-    if own is not None:
+    additions = own_block(recording.metadata, path)
+    if additions is not None:
         _require_steady(recording, ego)
         value = recording.value
-        return scene_of_own(OwnFile(path, own, recording.metadata, value["tracks"], others, ego, value["map_features"]))
+        return scene_of_own(
+            OwnFile(path, additions, recording.metadata, value["tracks"], others, ego, value["map_features"])
+        )
     scene = _foreign_scene(recording, ego, others)
     return Exchanged(scene, scene.name)
 
@@ -175,8 +177,8 @@ def _read_recording(path: Path) -> _Recording:
     except (KeyError, ValueError):
         raise InputError(f"{path}: metadata has no usable list of times 'ts'; fetch the file again") from None
     steps, length = np.diff(seconds), value["length"]
-    whole = isinstance(length, int | np.integer) and len(seconds) == length >= 2
-    if not whole or not np.isfinite(seconds).all() or not (steps > 0).all():
+    is_complete = isinstance(length, int | np.integer) and len(seconds) == length >= 2
+    if not is_complete or not np.isfinite(seconds).all() or not (steps > 0).all():
         raise InputError(
             f"{path}: metadata 'ts' must be {one_line(length, 40)} increasing finite times, one a step; fetch the file "
             "again"

@@ -76,9 +76,16 @@ def _read_features(features: Mapping[Any, Any], path: Path) -> dict[str, "_Featu
     """Features by name, which can be joined in seconds: not too many, and not all across one another."""
     named = {name_of(name, "the name of a map feature", path): feature for name, feature in features.items()}
     read = {name: _Feature(feature, name, path) for name, feature in named.items()}
-    lines = [line for each in read.values() for line in (each.line, each.outline) if line is not None]
-    links = sum(len(each.entries or ()) + len(each.exits or ()) for each in read.values())
-    lanes = sum(each.is_lane for each in read.values())
+    lines = [
+        line
+        for checked_feature in read.values()
+        for line in (checked_feature.line, checked_feature.outline)
+        if line is not None
+    ]
+    links = sum(
+        len(checked_feature.entries or ()) + len(checked_feature.exits or ()) for checked_feature in read.values()
+    )
+    lanes = sum(checked_feature.is_lane for checked_feature in read.values())
     if sum(map(len, lines)) > MAP_POINTS or links > MAP_LINKS or lanes > MAP_LANES or _meet_often(lines):
         raise InputError(
             f"{path}: its map has {sum(map(len, lines))} points, {lanes} lanes and {links} links, or lines that cross "
@@ -201,15 +208,15 @@ def _drivable_area(
 def _linked_lanes(features: Mapping[str, _Feature]) -> dict[str, Lane]:
     given = any(feature.exits is not None or feature.entries is not None for feature in features.values())
     exits = {name: feature.exits or () for name, feature in features.items()} if given else _touching(features)
-    successors = {name: {other for other in found if other in features} for name, found in exits.items()}
+    successors = {name: {other for other in neighbours if other in features} for name, neighbours in exits.items()}
     if given:
         for name, feature in features.items():
             for before in feature.entries or ():
                 if before in successors:
                     successors[before].add(name)
     predecessors: dict[str, set[str]] = {name: set() for name in features}
-    for name, found in successors.items():
-        for other in found:
+    for name, neighbours in successors.items():
+        for other in neighbours:
             predecessors[other].add(name)
     # nuScenes gives lanes a surface and connectors none; other sources treat all lanes alike.
     tells_connectors = any(feature.outline is not None for feature in features.values())

@@ -134,22 +134,22 @@ def objects_of_tracks(
     left = right - 1
     fraction = np.clip((frame_seconds - seconds[left]) / (seconds[right] - seconds[left]), 0.0, 1.0)
     fraction[fraction < 1e-6], fraction[fraction > 1 - 1e-6] = 0.0, 1.0
-    kept: dict[str, tuple[SourceTrack, Floats, Floats, Bools]] = {}
+    resampled: dict[str, tuple[SourceTrack, Floats, Floats, Bools]] = {}
     for name, track in tracks.items():
-        there = (track.valid[left] | (fraction == 1.0)) & (track.valid[right] | (fraction == 0.0))
-        if not there[keyframes].any():
+        is_there = (track.valid[left] | (fraction == 1.0)) & (track.valid[right] | (fraction == 0.0))
+        if not is_there[keyframes].any():
             continue
         xyz, yaw = _between(track, left, right, fraction, ground_z)
-        held = nearest_valid(there[None])[0]
-        kept[name] = (track, xyz[held] + [*shift, 0.0], yaw[held], there)
-    count, frames = len(kept), len(frame_seconds)
+        nearest = nearest_valid(is_there[None])[0]
+        resampled[name] = (track, xyz[nearest] + [*shift, 0.0], yaw[nearest], is_there)
+    count, frames = len(resampled), len(frame_seconds)
     agents = Agents(
-        ids=tuple(kept),
-        categories=tuple(track.category for track, *_ in kept.values()),
-        position=np.array([xyz for _, xyz, _, _ in kept.values()]).reshape(count, frames, 3),
-        yaw=np.array([yaw for _, _, yaw, _ in kept.values()]).reshape(count, frames),
-        size=np.array([track.size for track, *_ in kept.values()]).reshape(count, 3),
-        valid=np.array([there for *_, there in kept.values()], dtype=np.bool_).reshape(count, frames),
+        ids=tuple(resampled),
+        categories=tuple(track.category for track, *_ in resampled.values()),
+        position=np.array([xyz for _, xyz, _, _ in resampled.values()]).reshape(count, frames, 3),
+        yaw=np.array([yaw for _, _, yaw, _ in resampled.values()]).reshape(count, frames),
+        size=np.array([track.size for track, *_ in resampled.values()]).reshape(count, 3),
+        valid=np.array([is_there for *_, is_there in resampled.values()], dtype=np.bool_).reshape(count, frames),
     )
     return agents, _annotations(agents, keyframes)
 
@@ -175,11 +175,11 @@ def _between(
 def _annotations(agents: Agents, keyframes: NDArray[np.int64]) -> Annotations:
     """One lidar point for every box: the files count none, and metrics drop boxes without points."""
     valid = agents.valid[:, keyframes]
-    held = keyframes[nearest_valid(valid)] if len(agents) else np.zeros(valid.shape, np.int64)
+    nearest_keyframes = keyframes[nearest_valid(valid)] if len(agents) else np.zeros(valid.shape, np.int64)
     rows = np.arange(len(agents))[:, None]
     return Annotations(
-        position=agents.position[rows, held],
-        rotation=quaternion_from_yaw(agents.yaw[rows, held]),
+        position=agents.position[rows, nearest_keyframes],
+        rotation=quaternion_from_yaw(agents.yaw[rows, nearest_keyframes]),
         size=np.repeat(agents.size[:, None], len(keyframes), axis=1),
         valid=valid,
         attribute=np.full(valid.shape, "", dtype=np.str_),

@@ -34,7 +34,7 @@ def scene_facts_of(
     """
     published = _PUBLISHED.fullmatch(name)
     source = made.get("source_scene") or (published[1] if published else name)
-    manoeuvres = (found.get("manoeuvre") for found in stored_labels(made.get("report")) if isinstance(found, dict))
+    manoeuvres = (labels.get("manoeuvre") for labels in stored_labels(made.get("report")) if isinstance(labels, dict))
     listed = made.get("adversaries")
     return SceneFacts(
         source=source,
@@ -51,8 +51,8 @@ def frozen_split_of(made: Mapping[str, Any] | None) -> str | None:
     Args:
         made: What ``challenger.json`` says of the data set, if there is one.
     """
-    said = None if made is None else made.get("frozen")
-    name = said.get("name") if isinstance(said, dict) else None
+    frozen = None if made is None else made.get("frozen")
+    name = frozen.get("name") if isinstance(frozen, dict) else None
     return name if isinstance(name, str) else None
 
 

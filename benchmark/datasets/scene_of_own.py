@@ -56,16 +56,16 @@ class OwnFile:
 
 def own_block(metadata: Mapping[Any, Any], path: Path) -> Mapping[Any, Any] | None:
     """Own block of a file that was exported here; ``None`` in any other file."""
-    own = metadata.get(OWN)
-    if own is None:
+    additions = metadata.get(OWN)
+    if additions is None:
         return None
-    if not isinstance(own, dict) or own.get("schema") != SCHEMA:
-        said = own.get("schema") if isinstance(own, dict) else None
+    if not isinstance(additions, dict) or additions.get("schema") != SCHEMA:
+        schema = additions.get("schema") if isinstance(additions, dict) else None
         raise InputError(
-            f"{path} was exported by another version (its block {OWN} has the schema {said!r:.40}, this version reads "
+            f"{path} was exported by another version (its block {OWN} has the schema {schema!r:.40}, this version reads "
             f"{SCHEMA}); upgrade challenger-bench or export it again"
         )
-    return own
+    return additions
 
 
 def scene_of_own(file: OwnFile) -> Exchanged:
@@ -84,39 +84,41 @@ def scene_of_own(file: OwnFile) -> Exchanged:
 
 
 def _scene(file: OwnFile) -> Exchanged:
-    own, path = file.own, file.path
-    timestamps = _whole_numbers(own["timestamps_us"])
-    keyframes = _whole_numbers(own["keyframes"])
+    additions, path = file.own, file.path
+    timestamps = _whole_numbers(additions["timestamps_us"])
+    keyframes = _whole_numbers(additions["keyframes"])
     frames = len(file.ego.heading)
     if len(timestamps) != frames or (np.diff(timestamps) <= 0).any() or timestamps[0] < 0:
         raise ValueError("times that do not match its steps")
     if not len(keyframes) or (np.diff(keyframes) <= 0).any() or keyframes[0] < 0 or keyframes[-1] >= frames:
         raise ValueError("keyframes that are no steps of it")
     agents, annotations = _objects(file, keyframes)
-    name = name_of(own["name"], "the name of the scene", path)
-    made = Exchanged(
+    name = name_of(additions["name"], "the name of the scene", path)
+    exchanged = Exchanged(
         scene=Scene(
             name=name,
-            token=name_of(own["token"], "the token of the scene", path),
-            description=_text(own["description"]),
-            log=name_of(own["log"], "the log", path),
-            vehicle=name_of(own["vehicle"], "the vehicle", path),
-            date=name_of(own["date"], "the date", path),
+            token=name_of(additions["token"], "the token of the scene", path),
+            description=_text(additions["description"]),
+            log=name_of(additions["log"], "the log", path),
+            vehicle=name_of(additions["vehicle"], "the vehicle", path),
+            date=name_of(additions["date"], "the date", path),
             timestamps_us=timestamps,
             keyframes=keyframes,
             ego=_ego(file),
             agents=agents,
             annotations=annotations,
-            cameras=tuple(_camera(camera, path) for camera in own["cameras"]),
-            lidar=LidarMount(_numbers(own["lidar"]["translation"], (3,)), _numbers(own["lidar"]["rotation"], (4,))),
-            road_map=map_of_own_features(file.features, own["map"], path),
+            cameras=tuple(_camera(camera, path) for camera in additions["cameras"]),
+            lidar=LidarMount(
+                _numbers(additions["lidar"]["translation"], (3,)), _numbers(additions["lidar"]["rotation"], (4,))
+            ),
+            road_map=map_of_own_features(file.features, additions["map"], path),
             adversaries=adversaries_of(file.metadata, agents.ids, path),
-            sweep_poses=_sweeps(own["sweeps"], frames, len(own["cameras"])),
+            sweep_poses=_sweeps(additions["sweeps"], frames, len(additions["cameras"])),
         ),
-        source_scene=name_of(own["source_scene"], "the source scene", path) or name,
-        report=_report(own["report"]),
+        source_scene=name_of(additions["source_scene"], "the source scene", path) or name,
+        report=_report(additions["report"]),
     )
-    return made
+    return exchanged
 
 
 def adversaries_of(metadata: Mapping[Any, Any], ids: Sequence[str], path: Path) -> tuple[str, ...]:
@@ -125,10 +127,10 @@ def adversaries_of(metadata: Mapping[Any, Any], ids: Sequence[str], path: Path) 
     Args:
         ids: Names of its objects; another name among the adversaries is refused.
     """
-    said = metadata.get(ADVERSARIES, [])
-    if not isinstance(said, list | tuple):
+    listed = metadata.get(ADVERSARIES, [])
+    if not isinstance(listed, list | tuple):
         raise InputError(f"{path}: metadata {ADVERSARIES} must be a list of tracks; correct it")
-    names = tuple(dict.fromkeys(name_of(each, f"one of the {ADVERSARIES}", path) for each in said))
+    names = tuple(dict.fromkeys(name_of(adversary, f"one of the {ADVERSARIES}", path) for adversary in listed))
     unknown = [name for name in names if name not in ids]
     if unknown:
         raise InputError(
@@ -156,21 +158,21 @@ def _ego(file: OwnFile) -> EgoTrack:
 
 def _objects(file: OwnFile, keyframes: NDArray[np.int64]) -> tuple[Agents, Annotations]:
     tracks = {name: track for name, track in file.tracks.items() if track.valid[keyframes].any()}
-    held = {name: nearest_valid(track.valid[None])[0] for name, track in tracks.items()}
+    nearest = {name: nearest_valid(track.valid[None])[0] for name, track in tracks.items()}
     frames, count = len(file.ego.heading), len(tracks)
     # Names may be numbers in the file.
     raw = {str(name): track for name, track in file.raw_tracks.items()}
-    own = {name: _own_of_track(raw[name]) for name in tracks}
-    categories = [_category(own[name], track, file.path) for name, track in tracks.items()]
+    additions = {name: _own_of_track(raw[name]) for name in tracks}
+    categories = [_category(additions[name], track, file.path) for name, track in tracks.items()]
     agents = Agents(
         ids=tuple(tracks),
         categories=tuple(categories),
-        position=np.array([track.position[held[name]] for name, track in tracks.items()]).reshape(count, frames, 3),
-        yaw=np.array([track.heading[held[name]] for name, track in tracks.items()]).reshape(count, frames),
+        position=np.array([track.position[nearest[name]] for name, track in tracks.items()]).reshape(count, frames, 3),
+        yaw=np.array([track.heading[nearest[name]] for name, track in tracks.items()]).reshape(count, frames),
         size=np.array([track.size for track in tracks.values()]).reshape(count, 3),
         valid=np.array([track.valid for track in tracks.values()], np.bool_).reshape(count, frames),
     )
-    rows = [_annotated(own[name], agents, row, keyframes) for row, name in enumerate(tracks)]
+    rows = [_annotated(additions[name], agents, row, keyframes) for row, name in enumerate(tracks)]
     shape = (count, len(keyframes))
 
     def together(field: str, last: tuple[int, ...], kind: type) -> Any:
@@ -191,8 +193,8 @@ def _objects(file: OwnFile, keyframes: NDArray[np.int64]) -> tuple[Agents, Annot
 def _own_of_track(track: Mapping[Any, Any]) -> Mapping[Any, Any] | None:
     """Additions of the file to a track; ``None`` for a track that was added since."""
     metadata = track.get("metadata")
-    own = metadata.get(OWN) if isinstance(metadata, dict) else None
-    return own if isinstance(own, dict) else None
+    additions = metadata.get(OWN) if isinstance(metadata, dict) else None
+    return additions if isinstance(additions, dict) else None
 
 
 def _category(own: Mapping[Any, Any] | None, track: SourceTrack, path: Path) -> str:
@@ -210,57 +212,57 @@ def _annotated(own: Mapping[Any, Any] | None, agents: Agents, row: int, keyframe
         nothing = np.zeros(len(keyframes), np.int64)
         known = {"attribute": [""] * len(keyframes), "visibility": nothing, "num_lidar_pts": nothing}
         known["num_radar_pts"] = nothing
-    there = valid[keyframes]
-    at = keyframes[nearest_valid(there[None])[0]]
+    is_there = valid[keyframes]
+    at = keyframes[nearest_valid(is_there[None])[0]]
     return {
         **known,
         "position": position[at],
         "rotation": quaternion_from_yaw(yaw[at]),
         "size": np.repeat(size[None], len(keyframes), axis=0),
-        "valid": there,
+        "valid": is_there,
         # Metrics drop boxes without points.
-        "num_lidar_pts": np.where(there, np.maximum(known["num_lidar_pts"], 1), 0),
+        "num_lidar_pts": np.where(is_there, np.maximum(known["num_lidar_pts"], 1), 0),
     }
 
 
-def _known_annotations(said: Mapping[str, Any], count: int) -> dict[str, Any]:
-    attributes = [_text(text) for text in said["attribute"]]
+def _known_annotations(stored: Mapping[str, Any], count: int) -> dict[str, Any]:
+    attributes = [_text(text) for text in stored["attribute"]]
     if len(attributes) != count:
         raise ValueError(f"{len(attributes)} attributes at {count} keyframes")
-    whole = {
-        name: _whole_numbers(said[name]).reshape(count) for name in ("visibility", "num_lidar_pts", "num_radar_pts")
+    counts = {
+        name: _whole_numbers(stored[name]).reshape(count) for name in ("visibility", "num_lidar_pts", "num_radar_pts")
     }
-    size = _numbers(said["size"], (count, 3))
+    size = _numbers(stored["size"], (count, 3))
     if (size <= 0).any():
         raise ValueError("sizes that are not positive")
     return {
-        "position": _numbers(said["position"], (count, 3)),
-        "rotation": _unit(_numbers(said["rotation"], (count, 4))),
+        "position": _numbers(stored["position"], (count, 3)),
+        "rotation": _unit(_numbers(stored["rotation"], (count, 4))),
         "size": size,
-        "valid": _numbers(said["valid"], (count,)) > 0,
+        "valid": _numbers(stored["valid"], (count,)) > 0,
         "attribute": attributes,
-        **whole,
+        **counts,
     }
 
 
-def _camera(said: Mapping[Any, Any], path: Path) -> Camera:
-    width, height = _whole_numbers(said["size"]).tolist()
+def _camera(stored: Mapping[Any, Any], path: Path) -> Camera:
+    width, height = _whole_numbers(stored["size"]).tolist()
     if not (0 < width <= _MOST_PIXELS and 0 < height <= _MOST_PIXELS):
         raise ValueError(f"a camera of {width} x {height} pixels")
     return Camera(
-        name=name_of(said["name"], "the name of a camera", path),
-        translation=_numbers(said["translation"], (3,)),
-        rotation=_unit(_numbers(said["rotation"], (4,))),
-        intrinsic=_numbers(said["intrinsic"], (3, 3)),
+        name=name_of(stored["name"], "the name of a camera", path),
+        translation=_numbers(stored["translation"], (3,)),
+        rotation=_unit(_numbers(stored["rotation"], (4,))),
+        intrinsic=_numbers(stored["intrinsic"], (3, 3)),
         width=width,
         height=height,
     )
 
 
-def _sweeps(said: Any, frames: int, cameras: int) -> SweepPoses | None:
-    if said is None:
+def _sweeps(stored: Any, frames: int, cameras: int) -> SweepPoses | None:
+    if stored is None:
         return None
-    return SweepPoses(_numbers(said["lidar"], (frames, 4, 4)), _numbers(said["cameras"], (cameras, frames, 4, 4)))
+    return SweepPoses(_numbers(stored["lidar"], (frames, 4, 4)), _numbers(stored["cameras"], (cameras, frames, 4, 4)))
 
 
 def _report(text: Any) -> dict[str, Any]:
@@ -291,7 +293,7 @@ def _unit(quaternions: Floats) -> Floats:
 
 
 def _whole_numbers(value: Any) -> NDArray[np.int64]:
-    found = np.asarray(value)
-    if found.dtype.kind not in "iu" or found.ndim != 1:
-        raise ValueError(f"{found.dtype} where whole numbers belong")
-    return found.astype(np.int64)
+    numbers = np.asarray(value)
+    if numbers.dtype.kind not in "iu" or numbers.ndim != 1:
+        raise ValueError(f"{numbers.dtype} where whole numbers belong")
+    return numbers.astype(np.int64)

@@ -76,7 +76,9 @@ class SceneTables:
     def annotations_by_category(self, token: str) -> Counter[str]:
         """Number of annotations of each category in a scene."""
         numbers = {table: self.numbers_of_scene(table, token) for table in ("instance", "sample_annotation")}
-        rows = {table: self.stored[table].read(np.array(own, np.int64)) for table, own in numbers.items()}
+        rows = {
+            table: self.stored[table].read(np.array(row_numbers, np.int64)) for table, row_numbers in numbers.items()
+        }
         return counted_by_category({**self.shared, **rows})
 
     def renamed(self, names: CategoryNames) -> Self:
@@ -227,12 +229,12 @@ class _Reading:
     def _follow(self, table: str, name: str, columns: dict[str, Numbers], targets: "_RowsByToken") -> Numbers:
         """Numbers of the rows that a field names; refuses one that leads nowhere."""
         link = next(link for link in LINKS if (link.table, link.field) == (table, name))
-        found = targets.find(columns[name], or_none=link.may_be_empty)
-        lost = np.flatnonzero(found == _LOST)
+        row_numbers = targets.find(columns[name], or_none=link.may_be_empty)
+        lost = np.flatnonzero(row_numbers == _LOST)
         if len(lost):
             row = self._row(table, int(lost[0]))
             note_dead_link(link, row["token"], row[name], self._faults)
-        return found
+        return row_numbers
 
     def _require_same_scene(self, scene_of: Numbers, following: Numbers) -> None:
         linked = np.flatnonzero(following != _NO_ROW)
@@ -249,20 +251,20 @@ class _RowsByToken:
     def __init__(self, hashes: Numbers) -> None:
         self._order = np.argsort(hashes, kind="stable")
         self._sorted = hashes[self._order]
-        alike = np.flatnonzero(self._sorted[1:] == self._sorted[:-1])[:1]
-        self.alike = tuple(int(number) for at in alike for number in self._order[at : at + 2])
+        equal_at = np.flatnonzero(self._sorted[1:] == self._sorted[:-1])[:1]
+        self.alike = tuple(int(number) for at in equal_at for number in self._order[at : at + 2])
 
     def find(self, hashes: Numbers, *, or_none: bool = False) -> Numbers:
         """Numbers of the rows that are named; where it may name none, -1 for the empty text; -2 for no row."""
         if not len(self._sorted):
-            found = np.full(len(hashes), _LOST)
+            row_numbers = np.full(len(hashes), _LOST)
         else:
             at = np.searchsorted(self._sorted, hashes)
             at[at == len(self._sorted)] = 0
-            found = np.where(self._sorted[at] == hashes, self._order[at], _LOST)
+            row_numbers = np.where(self._sorted[at] == hashes, self._order[at], _LOST)
         if or_none:
-            found[hashes == hash("")] = _NO_ROW
-        return found
+            row_numbers[hashes == hash("")] = _NO_ROW
+        return row_numbers
 
 
 def read_shared(folder: Path, faults: FaultList) -> CheckedTables:

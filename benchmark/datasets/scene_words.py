@@ -46,11 +46,11 @@ def place_and_light(metadata: Mapping[str, Any]) -> list[str]:
 
     Places of nuScenes are named with its maps already.
     """
-    said = {name: value.strip() for name, value in metadata.items() if isinstance(value, str)}
-    words = [_CITIES.get(said.get("map", "").lower(), ""), _LIGHTS.get(_one_of(said, "time_of_day", "timeofday"), "")]
+    texts = {name: value.strip() for name, value in metadata.items() if isinstance(value, str)}
+    words = [_CITIES.get(texts.get("map", "").lower(), ""), _LIGHTS.get(_one_of(texts, "time_of_day", "timeofday"), "")]
     if not words[1]:
-        words[1] = _light_at(_one_of(said, "log_name", "logfile", "log"))
-    words.append(_WEATHERS.get(said.get("weather", "").lower(), ""))
+        words[1] = _light_at(_one_of(texts, "log_name", "logfile", "log"))
+    words.append(_WEATHERS.get(texts.get("weather", "").lower(), ""))
     return [word for word in words if word]
 
 
@@ -65,25 +65,25 @@ def described(words: list[str]) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _one_of(said: Mapping[str, str], *names: str) -> str:
-    return next((said[name].lower() for name in names if name in said), "")
+def _one_of(texts: Mapping[str, str], *names: str) -> str:
+    return next((texts[name].lower() for name in names if name in texts), "")
 
 
 def _light_at(log: str) -> str:
     """Light at the hour that a nuScenes log has in its name, in local time; nothing at hours that may be either."""
-    found = _NUSCENES_LOG.match(log)
-    hour = int(found.group(1)) if found else -1
+    match = _NUSCENES_LOG.match(log)
+    hour = int(match.group(1)) if match else -1
     return "daytime" if hour in _DAY_HOURS else "night" if hour in _NIGHT_HOURS else ""
 
 
 def _traffic(scene: Scene) -> list[str]:
     agents, ego = scene.agents, scene.ego.position[:, :2]
-    apart = np.linalg.norm(agents.position[..., :2] - ego, axis=-1)
-    near = (np.where(agents.valid, apart, np.inf) <= _NEAR_M).any(axis=1)
+    distances = np.linalg.norm(agents.position[..., :2] - ego, axis=-1)
+    near = (np.where(agents.valid, distances, np.inf) <= _NEAR_M).any(axis=1)
     counts: dict[str, int] = {}
     for agent in np.flatnonzero(near):
-        seen = agents.position[agent, agents.valid[agent], :2]
-        moves = float(np.ptp(seen, axis=0).max()) > _MOVED_M
+        positions = agents.position[agent, agents.valid[agent], :2]
+        moves = float(np.ptp(positions, axis=0).max()) > _MOVED_M
         kind = _kind(agents.categories[agent], moves)
         counts[kind] = counts.get(kind, 0) + 1
     moving = sum(counts.get(kind, 0) for kind in ("car", "truck", "bus", "motorcycle"))
@@ -112,14 +112,14 @@ def _road(scene: Scene) -> list[str]:
     stood = float(np.linalg.norm(np.ptp(pose[:, :2], axis=0))) <= _MOVED_M
     points = [_lane_points(lane.centerline) for lane in scene.road_map.lanes.values()]
     lanes = np.concatenate(points) if points else np.zeros((0, 3))
-    beside = [_beside(now, lanes) for now in pose[::_EVERY_FRAMES]]
-    crossing = np.mean([crosses for crosses, _ in beside]) > 0.1
-    wide = np.median([count for _, count in beside]) >= 3
+    lanes_beside = [_beside(now, lanes) for now in pose[::_EVERY_FRAMES]]
+    crossing = np.mean([crosses for crosses, _ in lanes_beside]) > 0.1
+    wide = np.median([count for _, count in lanes_beside]) >= 3
     words = [("multi-lane road", bool(wide)), ("intersection", bool(crossing))]
     words += [("turn left", turned > _TURN_RAD), ("turn right", turned < -_TURN_RAD), ("waiting", stood)]
     crossings = scene.road_map.ped_crossings.values()
     words.append(("crosswalk", any(_touches(shape.bounds, pose) for shape in crossings)))
-    return [word for word, said in words if said]
+    return [word for word, applies in words if applies]
 
 
 def _lane_points(line: Floats) -> Floats:

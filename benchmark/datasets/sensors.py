@@ -169,13 +169,13 @@ def videos_of_scene(
 
 def _sweeps(nusc: Any, root: Path, token: str, keyframe: CameraView) -> list[CameraView]:
     """Views after a keyframe up to the next one; the calibration is that of the keyframe."""
-    found: list[CameraView] = []
-    row, seen = nusc.get("sample_data", token), {token}
-    while row["next"] and row["next"] not in seen:
-        seen.add(row["next"])
+    views: list[CameraView] = []
+    row, visited = nusc.get("sample_data", token), {token}
+    while row["next"] and row["next"] not in visited:
+        visited.add(row["next"])
         row = nusc.get("sample_data", row["next"])
         if row["is_key_frame"]:
-            return found
-        found.append(view_of(nusc, root, row, keyframe.camera))
+            return views
+        views.append(view_of(nusc, root, row, keyframe.camera))
     # No keyframe follows although there is a later sample: the chain is broken, and its rows belong nowhere.
     return []

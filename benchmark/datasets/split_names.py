@@ -31,14 +31,14 @@ def shifts_us(scenes: Sequence[tuple[str, int, int]]) -> dict[str, int]:
     Args:
         scenes: Name, first and last time of each, microseconds.
     """
-    found: dict[str, int] = {}
+    shifts: dict[str, int] = {}
     ended: int | None = None
     for name, first, last in sorted(scenes, key=lambda scene: (scene[1], scene[0])):
         shift = 0
         if ended is not None and first <= ended + _APART_US:
-            shift = found[name] = ended + _SHIFTED_APART_US - first
+            shift = shifts[name] = ended + _SHIFTED_APART_US - first
         ended = last + shift
-    return found
+    return shifts
 
 
 def exported_order(scenes: Sequence[str], times_us: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -123,9 +123,9 @@ def scenes_of_split(
     known = _known(present, custom, built_as)
     if split in known:
         return known[split]
-    there = split_names(present, custom, built_as)
-    only = f"the only one is {there[0]}" if len(there) == 1 else f"it has {', '.join(there)}"
-    raise NoSuchSplit(f"{where} has no split {split!r}; {did_you_mean(split, there)}{only}")
+    available = split_names(present, custom, built_as)
+    only = f"the only one is {available[0]}" if len(available) == 1 else f"it has {', '.join(available)}"
+    raise NoSuchSplit(f"{where} has no split {split!r}; {did_you_mean(split, available)}{only}")
 
 
 def evaluated_split(
@@ -136,12 +136,12 @@ def evaluated_split(
     Raises:
         InputError: If there are several and none is ``val``.
     """
-    there = split_names(present, custom, built_as)
-    if "val" in there:
+    available = split_names(present, custom, built_as)
+    if "val" in available:
         return "val"
-    if len(there) != 1:
-        raise InputError(f"{where} has the splits {', '.join(there)}; name one with --split")
-    return there[0]
+    if len(available) != 1:
+        raise InputError(f"{where} has the splits {', '.join(available)}; name one with --split")
+    return available[0]
 
 
 def split_names(
@@ -170,7 +170,7 @@ def _unsaid(present: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 def _official(present: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Official nuScenes splits, reduced to the scenes that are here; empty ones are left out."""
-    here = set(present)
+    present_names = set(present)
     create_splits_scenes = devkit_module("nuscenes.utils.splits").create_splits_scenes
-    reduced = {name: tuple(sorted(here & set(scenes))) for name, scenes in create_splits_scenes().items()}
+    reduced = {name: tuple(sorted(present_names & set(scenes))) for name, scenes in create_splits_scenes().items()}
     return {name: scenes for name, scenes in reduced.items() if scenes}

@@ -53,10 +53,10 @@ def listed_review(root: Path, split: str, *, version: str | None = None) -> Spli
 
 def _review(root: Path, split: str, version: str | None) -> SplitReview:
     version, tokens = find_version(root, version), scene_tokens(root, version)
-    said = read_kept_json(root / version / "challenger.json")
-    built_as = said.get("split") if isinstance(said, dict) else None
+    provenance = read_kept_json(root / version / "challenger.json")
+    built_as = provenance.get("split") if isinstance(provenance, dict) else None
     names = scenes_of_split(split, tuple(tokens), read_splits(root, version), where=str(root), built_as=built_as)
-    return review_of_rows(root, {name: tokens[name] for name in names}, said, split)
+    return review_of_rows(root, {name: tokens[name] for name in names}, provenance, split)
 
 
 _QUANTILES: Final = {"least": 0.0, "tenth": 0.1, "median": 0.5, "ninetieth": 0.9, "most": 1.0}
@@ -110,10 +110,10 @@ def statistics(root: Path, *, split: str | None = None, version: str | None = No
     """
     parts = _roots(root, split, version)
     counted = [count_rows(part.folder, part.scenes) for part in parts]
-    total = TableCounts(**{name: sum(getattr(one, name) for one in counted) for name in TableCounts.model_fields})
-    labels = [found for part in parts for found in _labels_of(part)]
+    total = TableCounts(**{name: sum(getattr(counts, name) for counts in counted) for name in TableCounts.model_fields})
+    labels = [label for part in parts for label in _labels_of(part)]
     adversaries = Counter(len(entry.get("adversaries", ())) for part in parts for entry in part.made.values())
-    reached = [found.time_to_collision.seconds for found in labels if found.time_to_collision is not None]
+    reached = [label.time_to_collision.seconds for label in labels if label.time_to_collision is not None]
     return Statistics(
         root=str(root),
         split=split,
@@ -121,8 +121,8 @@ def statistics(root: Path, *, split: str | None = None, version: str | None = No
         adversaries_per_scene=dict(sorted(adversaries.items())) if any(adversaries) else {},
         labelled=len(labels),
         manoeuvres=_rows_of(labels),
-        places=_falling(Counter(found.place for found in labels)),
-        gap_m=_quantiles([found.closest_approach.gap_m for found in labels]),
+        places=_falling(Counter(label.place for label in labels)),
+        gap_m=_quantiles([label.closest_approach.gap_m for label in labels]),
         time_to_collision_s=_quantiles(reached),
         within_5_s=len(reached),
     )
@@ -132,30 +132,32 @@ def _roots(root: Path, split: str | None, version: str | None) -> list[_Root]:
     folders = variant_folders(root)
     if split is None:
         return [_open(folder, version, None) for folder in ([root / name for name in folders] or [root])]
-    kept = listed_scenes(root, split, version=version)
+    listed = listed_scenes(root, split, version=version)
     if not folders:
-        return [_open(root, version, kept)]
+        return [_open(root, version, listed)]
     return [
-        _open(root / folder, version, [name.partition("/")[2] for name in kept if name.startswith(f"{folder}/")])
+        _open(root / folder, version, [name.partition("/")[2] for name in listed if name.startswith(f"{folder}/")])
         for folder in folders
     ]
 
 
 def _open(root: Path, version: str | None, names: Sequence[str] | None) -> _Root:
     version = find_version(root, version)
-    made: dict[str, Any] = _provenance(root / version / "challenger.json").get("scenes", {})
+    scene_reports: dict[str, Any] = _provenance(root / version / "challenger.json").get("scenes", {})
     if names is None:
-        return _Root(root / version, None, made)
-    return _Root(root / version, frozenset(names), {name: made[name] for name in names if name in made})
+        return _Root(root / version, None, scene_reports)
+    return _Root(
+        root / version, frozenset(names), {name: scene_reports[name] for name in names if name in scene_reports}
+    )
 
 
 def _provenance(path: Path) -> dict[str, Any]:
     if not path.is_file():
         return {}
     value = read_json(path)
-    made = value.get("scenes") if isinstance(value, dict) else None
-    if not isinstance(made, dict) or not all(
-        isinstance(entry, dict) and isinstance(entry.get("adversaries", []), list) for entry in made.values()
+    scene_reports = value.get("scenes") if isinstance(value, dict) else None
+    if not isinstance(scene_reports, dict) or not all(
+        isinstance(entry, dict) and isinstance(entry.get("adversaries", []), list) for entry in scene_reports.values()
     ):
         raise InputError(f"{path} must be an object with its scenes; write the data set again")
     return dict(value)
@@ -171,17 +173,17 @@ def _labels_of(part: _Root) -> Iterator[Labels]:
         )
 
     for name, entry in part.made.items():
-        yield from (labels(name, found) for found in stored_labels(entry.get("report")))
+        yield from (labels(name, stored_label) for stored_label in stored_labels(entry.get("report")))
 
 
 def _rows_of(labels: Sequence[Labels]) -> tuple[ManoeuvreRow, ...]:
-    primary = Counter(found.manoeuvre for found in labels)
-    occurred = Counter(kind for found in labels for kind in {item.kind for item in found.occurred})
+    primary = Counter(label.manoeuvre for label in labels)
+    occurred = Counter(kind for label in labels for kind in {item.kind for item in label.occurred})
     rows = []
     for kind in sorted({*primary, *occurred}, key=lambda kind: (-primary[kind], -occurred[kind], kind)):
-        own = [found for found in labels if found.manoeuvre == kind]
-        gaps = [found.closest_approach.gap_m for found in own]
-        places = _falling(Counter(found.place for found in own))
+        labels_of_kind = [label for label in labels if label.manoeuvre == kind]
+        gaps = [label.closest_approach.gap_m for label in labels_of_kind]
+        places = _falling(Counter(label.place for label in labels_of_kind))
         rows.append(
             ManoeuvreRow(
                 manoeuvre=kind,
@@ -219,11 +221,11 @@ def _manoeuvre_rows(table: Sequence[ManoeuvreRow], places: Mapping[str, int]) ->
     return [*rows, ("all", sum(row.primary for row in table), "", *places.values(), "")]
 
 
-def _quantile_rows(found: Statistics) -> list[tuple[Any, ...]]:
+def _quantile_rows(numbers: Statistics) -> list[tuple[Any, ...]]:
     rows: list[tuple[Any, ...]] = [("", "of", *(name for name in _QUANTILES))]
     for label, count, quantiles, digits in (
-        ("smallest gap, m", found.labelled, found.gap_m, 2),
-        ("time to collision, s", found.within_5_s, found.time_to_collision_s, 1),
+        ("smallest gap, m", numbers.labelled, numbers.gap_m, 2),
+        ("time to collision, s", numbers.within_5_s, numbers.time_to_collision_s, 1),
     ):
         if quantiles is not None:
             rows.append((label, count, *(f"{getattr(quantiles, name):.{digits}f}" for name in _QUANTILES)))

@@ -44,7 +44,7 @@ def other_interval_us(timestamps_us: "list[int] | NDArray[np.int64]") -> float |
 
     ``None`` where it is that of nuScenes, or there is no interval.
     """
-    intervals_us = [int(then) - int(now) for now, then in pairwise(timestamps_us)]
+    intervals_us = [int(next_time_us) - int(time_us) for time_us, next_time_us in pairwise(timestamps_us)]
     usual_us = float(median(intervals_us)) if intervals_us else float(STEP_US)
     return usual_us if abs(usual_us - STEP_US) > _RATE_TOLERANCE_US else None
 
@@ -145,9 +145,9 @@ def values_at(values: Floats, times_us: NDArray[np.int64], wanted_us: NDArray[np
     columns = np.asarray(values, np.float64).copy()
     columns[:, heading] = np.unwrap(columns[:, heading])
     seconds, wanted = (times_us - times_us[0]) * 1e-6, (np.asarray(wanted_us) - times_us[0]) * 1e-6
-    found = np.stack([np.interp(wanted, seconds, column) for column in columns.T], axis=-1)
-    found[..., heading] = wrap_angle(found[..., heading])
-    return found
+    interpolated = np.stack([np.interp(wanted, seconds, column) for column in columns.T], axis=-1)
+    interpolated[..., heading] = wrap_angle(interpolated[..., heading])
+    return interpolated
 
 
 def require_two_hz(scene: Scene, what: str) -> None:

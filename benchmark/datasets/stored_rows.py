@@ -206,15 +206,15 @@ def count_rows(folder: Path, names: Collection[str] | None) -> TableCounts:
     Args:
         names: Names of the scenes; ``None`` for every row of the tables, linked to a scene or not.
     """
-    every = names is None
+    all_scenes = names is None
     named, scene_count = _linked(folder / "scene.json", "name", names, "token")
-    samples, sample_count = _linked(folder / "sample.json", "scene_token", None if every else named, "token")
-    wanted = None if every else samples
+    samples, sample_count = _linked(folder / "sample.json", "scene_token", None if all_scenes else named, "token")
+    wanted = None if all_scenes else samples
     poses, data_count = _linked(folder / "sample_data.json", "sample_token", wanted, "ego_pose_token")
     instances, annotation_count = _linked(folder / "sample_annotation.json", "sample_token", wanted, "instance_token")
     return TableCounts(
-        instances=_linked(folder / "instance.json", "token", None if every else instances, "token")[1],
-        ego_poses=_linked(folder / "ego_pose.json", "token", None if every else poses, "token")[1],
+        instances=_linked(folder / "instance.json", "token", None if all_scenes else instances, "token")[1],
+        ego_poses=_linked(folder / "ego_pose.json", "token", None if all_scenes else poses, "token")[1],
         scenes=scene_count,
         samples=sample_count,
         sample_data=data_count,
@@ -224,17 +224,17 @@ def count_rows(folder: Path, names: Collection[str] | None) -> TableCounts:
 
 def _linked(path: Path, field: str, wanted: Collection[str] | None, gives: str) -> tuple[set[str], int]:
     """Values of one field in the rows whose other field is wanted (``None``: all rows), and how many rows these are."""
-    found, count = set(), 0
+    linked, count = set(), 0
     tokens = array("q")
     for row in table_rows(path, *dict.fromkeys(("token", field, gives))):
         tokens.append(hash(row["token"]))
         if wanted is None or row[field] in wanted:
             count += 1
-            found.add(row[gives])
+            linked.add(row[gives])
     # Eight bytes a row, as a table of trainval has millions; one in a million such tables has two tokens of one hash.
     if len(np.unique(tokens)) < len(tokens):
         raise InputError(f"{path} has two rows of one token; challenger-bench data check names them")
-    return found, count
+    return linked, count
 
 
 def table_rows(path: Path, *needed: str) -> Iterator[Row]:

@@ -14,14 +14,14 @@ Tables = Mapping[str, list[Row]]
 
 def version_folders(root: Path) -> tuple[str, ...]:
     """Names of the folders in a root that hold nuScenes tables, sorted; a single table is enough to count."""
-    found = []
+    names = []
     for folder in sorted(root.iterdir()):
         if not folder.is_dir() or folder.name.startswith("."):
             continue
         present = sum((folder / f"{table}.json").is_file() for table in NUSCENES_TABLES)
         if present == len(NUSCENES_TABLES) or (present and folder.name.startswith("v")):
-            found.append(folder.name)
-    return tuple(found)
+            names.append(folder.name)
+    return tuple(names)
 
 
 def variant_folders(root: Path) -> tuple[str, ...]:
@@ -50,16 +50,16 @@ def find_version(root: Path, version: str | None) -> str:
             raise InputError(f"{root} has no version folder {version!r}; versions there: {known}")
         _require_all_tables(root / version)
         return version
-    found = version_folders(root)
-    if not found:
+    versions = version_folders(root)
+    if not versions:
         raise InputError(
             f"{root} has no version folder with nuScenes tables (scene.json and 12 more); give the folder that "
             "contains for example v1.0-mini/"
         )
-    if len(found) > 1:
-        raise InputError(f"{root} has several versions ({', '.join(found)}); name one with --tables")
-    _require_all_tables(root / found[0])
-    return found[0]
+    if len(versions) > 1:
+        raise InputError(f"{root} has several versions ({', '.join(versions)}); name one with --tables")
+    _require_all_tables(root / versions[0])
+    return versions[0]
 
 
 def _require_all_tables(folder: Path) -> None:

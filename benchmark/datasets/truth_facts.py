@@ -85,9 +85,9 @@ class Steps:
 
     def directions(self, count: int) -> Floats:
         """(R,) where the owner of each of R annotations drives to from there, radians; NaN where it does not."""
-        found = np.full(count, np.nan)
-        found[self.row[self.drives]] = self.direction[self.drives]
-        return found
+        directions = np.full(count, np.nan)
+        directions[self.row[self.drives]] = self.direction[self.drives]
+        return directions
 
 
 def objects_across(steps: Steps, yaw: Floats, size: Floats) -> tuple[int, int]:
@@ -182,9 +182,9 @@ def truth_facts(data: "DataSet", name: str, truths: Sequence[SampleTruth]) -> Tr
     scene = data.scene(name)
     valid = scene.annotations.valid
     unknown: Counter[str] = Counter()
-    for category, there in zip(scene.agents.categories, valid.sum(axis=1).tolist(), strict=True):
+    for category, keyframe_count in zip(scene.agents.categories, valid.sum(axis=1).tolist(), strict=True):
         if category not in KNOWN:
-            unknown[category] += there
+            unknown[category] += keyframe_count
     interval_us = other_interval_us([truth.timestamp_us for truth in truths])
     labelled = labelled_keyframes(valid.sum(axis=0))
     return TruthFacts(

@@ -32,8 +32,8 @@ class Attack:
         Without a contact ``at_fault`` is not asked; ``None`` where it cannot be told. ``careful_survives`` is
         ``None`` where the scene was not judged.
         """
-        blamed = at_fault if contact else False
-        return cls(contact, blamed, None if careful_survives is None else _both(blamed, careful_survives))
+        ego_at_fault = at_fault if contact else False
+        return cls(contact, ego_at_fault, None if careful_survives is None else _both(ego_at_fault, careful_survives))
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,15 +51,17 @@ class AttackSuccess:
 
 def attack_success(attacks: Sequence[Attack]) -> AttackSuccess:
     """Sum scenes up."""
-    return AttackSuccess(len(attacks), *(_share(getattr(each, reading) for each in attacks) for reading in READINGS))
+    return AttackSuccess(
+        len(attacks), *(_share(getattr(attack, reading) for attack in attacks) for reading in READINGS)
+    )
 
 
 def any_known(verdicts: Iterable[bool | None]) -> bool | None:
     """Whether something holds anywhere: yes if it is known to somewhere, else unknown if it is unknown anywhere."""
-    said = list(verdicts)
-    if any(said):
+    known_verdicts = list(verdicts)
+    if any(known_verdicts):
         return True
-    return None if None in said else False
+    return None if None in known_verdicts else False
 
 
 def _both(first: bool | None, second: bool) -> bool | None:

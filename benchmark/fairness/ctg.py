@@ -97,15 +97,15 @@ def histograms(
     """
     edges = bin_edges() if edges is None else edges
     counts = [_counts(scene, version, mask, edges) for scene in scenes]
-    found = {}
+    shares = {}
     for name in counts[0]:
-        of_scenes = np.array([each[name] for each in counts])
+        of_scenes = np.array([scene_counts[name] for scene_counts in counts])
         totals = of_scenes.sum(axis=1, keepdims=True)
         if normalisation is Normalisation.SCENE:
-            found[name] = np.mean(of_scenes / np.where(totals > 0, totals, 1.0), axis=0)
+            shares[name] = np.mean(of_scenes / np.where(totals > 0, totals, 1.0), axis=0)
         else:
-            found[name] = of_scenes.sum(axis=0) / max(float(totals.sum()), 1.0)
-    return found
+            shares[name] = of_scenes.sum(axis=0) / max(float(totals.sum()), 1.0)
+    return shares
 
 
 def deviations(first: Histograms, second: Histograms, edges: Mapping[str, Floats] | None = None) -> dict[str, float]:
@@ -114,17 +114,17 @@ def deviations(first: Histograms, second: Histograms, edges: Mapping[str, Floats
     The means that are quoted are among them; the edges are those of `histograms`.
     """
     edges = bin_edges() if edges is None else edges
-    found = {}
+    distances = {}
     for name, shares in first.items():
         widths = np.diff(np.asarray(edges[name])[1:])
         moved = np.abs(np.cumsum(_normalised(shares) - _normalised(second[name])))[:-1]
-        found[name] = float((widths * moved).sum())
+        distances[name] = float((widths * moved).sum())
     means = {
-        mean: float(np.mean([found[name] for name in names]))
+        mean: float(np.mean([distances[name] for name in names]))
         for mean, names in MEANS.items()
-        if all(name in found for name in names)
+        if all(name in distances for name in names)
     }
-    return {**found, **means}
+    return {**distances, **means}
 
 
 def bin_edges() -> dict[str, Floats]:
@@ -148,17 +148,19 @@ def _counts(scene: SceneTracks, version: Version, mask: Mask, edges: Mapping[str
     values = _agent_values(position, yaw, version)
     masked = version in (Version.CTG, Version.MTD)
     counts = _counted(position, values["velocity"], mask) if masked else np.ones(yaw.shape, np.bool_)
-    found = {name: _histogram(values[name], counts, edges[name]) for name in AGENT_NAMES}
+    counts_of_feature = {name: _histogram(values[name], counts, edges[name]) for name in AGENT_NAMES}
     if version is Version.CTG:
         relative, of_other = _relative_values(position, yaw, counts)
-        found |= {name: _histogram(relative[name], of_other, edges[name]) for name in RELATIVE_NAMES}
-    return found
+        counts_of_feature |= {name: _histogram(relative[name], of_other, edges[name]) for name in RELATIVE_NAMES}
+    return counts_of_feature
 
 
 def _histogram(values: Singles, counts: Bools, edges: Floats) -> Floats:
-    kept = values[counts]
+    counted_values = values[counts]
     # What follows an absent sample is NaN and falls out, as what is out of range does.
-    return np.histogram(kept[np.isfinite(kept)], np.asarray(edges, np.float32))[0].astype(np.float64)
+    return np.histogram(counted_values[np.isfinite(counted_values)], np.asarray(edges, np.float32))[0].astype(
+        np.float64
+    )
 
 
 def _agent_values(position: Singles, yaw: Singles, version: Version) -> dict[str, Singles]:
@@ -195,10 +197,10 @@ def _counted(position: Singles, speed: Singles, mask: Mask) -> Bools:
 
 def _relative_values(position: Singles, yaw: Singles, counts: Bools) -> tuple[dict[str, Singles], Bools]:
     """Values of ordered pairs of observer and other, and where the other counts."""
-    seen = _seen_from(np.nan_to_num(position), yaw)
+    relative_position = _seen_from(np.nan_to_num(position), yaw)
     turn = np.asarray((yaw[None] - yaw[:, None] + np.pi) % (2 * np.pi) - np.pi, np.float32)
     pairs = ~np.eye(len(position), dtype=np.bool_)
-    place, turn = seen[pairs], turn[pairs]
+    place, turn = relative_position[pairs], turn[pairs]
     of_other = np.broadcast_to(counts, (len(position), *counts.shape))[pairs]
     velocity = _repeating(place)
     acceleration = _repeating(velocity)

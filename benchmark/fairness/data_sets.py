@@ -49,9 +49,9 @@ def judge_data(
             scene = adversarial_scene(data, name, recordings)
             yield scene, launches_of(data, scene)
 
-    made = executor.map(_judged, scenes(), total=len(missing), label="judging scenes")
-    found = {**stored, **dict(zip(missing, made, strict=True))}
-    return {name: found[name] for name in names}
+    computed = executor.map(_judged, scenes(), total=len(missing), label="judging scenes")
+    assessments = {**stored, **dict(zip(missing, computed, strict=True))}
+    return {name: assessments[name] for name in names}
 
 
 def adversarial_scene(data: DataSet, name: str, recordings: DataSet | None) -> Scene:
@@ -71,10 +71,10 @@ def launches_of(data: DataSet, scene: Scene) -> dict[str, int]:
 
     It lists launches as they were planned and adversaries as they stand in the scene: whose is whose is not said.
     """
-    made = ((data.provenance() or {}).get("scenes") or {}).get(scene.name, {})
-    reports = reports_of(made.get("report")) if isinstance(made, dict) else []
-    launches: list[Any] = [each.get("launch_frame") for each in reports]
-    frames = [each for each in launches if type(each) is int and 0 <= each < len(scene.timestamps_us)]
+    provenance = ((data.provenance() or {}).get("scenes") or {}).get(scene.name, {})
+    reports = reports_of(provenance.get("report")) if isinstance(provenance, dict) else []
+    launches: list[Any] = [entry.get("launch_frame") for entry in reports]
+    frames = [entry for entry in launches if type(entry) is int and 0 <= entry < len(scene.timestamps_us)]
     known = frames and len(frames) == len(launches) == len(scene.adversaries)
     return dict.fromkeys(scene.adversaries, min(frames)) if known else {}
 
@@ -139,5 +139,5 @@ def judged_facts(data: DataSet, names: Sequence[str], kept: Path, executor: Exec
 
 
 def _with(facts: SceneFacts, judgements: Sequence[SceneJudgement]) -> SceneFacts:
-    said = JudgementSummary.of(judgements) if judgements and facts.judgement is None else facts.judgement
-    return facts.model_copy(update={"judgement": said})
+    summary = JudgementSummary.of(judgements) if judgements and facts.judgement is None else facts.judgement
+    return facts.model_copy(update={"judgement": summary})

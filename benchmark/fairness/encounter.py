@@ -99,13 +99,13 @@ def severity_of(tracks: Tracks, agent: int) -> Severity:
     gap = np.where(present, box_gap(ego, other), np.nan)
     hits = np.flatnonzero(gap == 0.0)
     first_contact = int(hits[0]) if len(hits) else -1
-    asked = present.copy()
+    measured = present.copy()
     if len(hits):
-        asked[first_contact + 1 :] = False
+        measured[first_contact + 1 :] = False
     velocity = pair.velocities_at(times)[0] * is_agent(pair.categories[0])
     ego_velocity = pair.ego_velocities_at(times)
-    ttc = np.where(asked, time_to_contact(ego, ego_velocity, other, velocity), np.nan)
-    btn = np.where(asked, _braking_threat(tracks.only([agent]), times, ego_velocity), np.nan)
+    ttc = np.where(measured, time_to_contact(ego, ego_velocity, other, velocity), np.nan)
+    btn = np.where(measured, _braking_threat(tracks.only([agent]), times, ego_velocity), np.nan)
     pet, first = (0, "none") if len(hits) else _encroachment(ego, other, present)
     return Severity(times, gap, ttc, btn, first_contact, pet, first)
 

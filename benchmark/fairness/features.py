@@ -164,12 +164,12 @@ def recorded_runs(
 def stretches(valid: Bools, centres: Floats) -> list[slice]:
     """Runs of keyframes that count: at least 5 of them, along which the agent moves 5 m or more."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], valid, [False]]).astype(np.int8)))
-    found = []
+    slices = []
     for start, stop in edges.reshape(-1, 2).tolist():
         length = np.hypot(*np.diff(centres[start:stop], axis=0).T).sum()
         if stop - start >= FEWEST_KEYFRAMES and length >= SHORTEST_M:
-            found.append(slice(start, stop))
-    return found
+            slices.append(slice(start, stop))
+    return slices
 
 
 def splined(times: Floats, boxes: Floats, samples: Floats) -> SplinedMotion:
@@ -233,12 +233,12 @@ class Surroundings:
         heading_for = _circles_meet(motion, others[rows], velocity)
         row, column = np.nonzero(near[rows] & heading_for)
         mine, theirs = motion.boxes[column], others[rows[row], column]
-        found = time_to_contact(mine, motion.velocity[column], theirs, velocity[row, column])
-        soon = found <= LONGEST_TTC_S
+        contact_times = time_to_contact(mine, motion.velocity[column], theirs, velocity[row, column])
+        soon = contact_times <= LONGEST_TTC_S
         # Only of those that matter is it asked whether they are near enough to count.
         soon[soon] = box_gap(mine[soon], theirs[soon]) <= TTC_WITHIN_M
         ttc = np.full(len(samples), LONGEST_TTC_S)
-        np.minimum.at(ttc, column[soon], found[soon])
+        np.minimum.at(ttc, column[soon], contact_times[soon])
         return ttc
 
     def _velocities(self, rows: Integers, samples: Floats) -> Floats:

@@ -43,9 +43,9 @@ class PlanPaths:
     @classmethod
     def of(cls, ego: Floats) -> "PlanPaths":
         """The paths of tracks, (P, K, 5) boxes."""
-        kept = _spaced(ego[..., :2])
+        spaced = _spaced(ego[..., :2])
         count, rows = ego.shape[1], np.arange(len(ego))[:, None]
-        boxes = ego[rows, np.maximum.accumulate(np.where(kept, np.arange(count), 0), axis=1)]
+        boxes = ego[rows, np.maximum.accumulate(np.where(spaced, np.arange(count), 0), axis=1)]
         ends = boxes[:, [0, -1]]
         heading = np.stack([np.cos(ends[..., 4]), np.sin(ends[..., 4])], axis=-1)
         before = ends[:, :1, :2] - BEFORE_M * heading[:, :1]
@@ -56,7 +56,7 @@ class PlanPaths:
         direction = step / np.where(length > 0, length, 1.0)[..., None]
         station = np.concatenate([np.zeros((len(ego), 1)), np.cumsum(length, axis=1)], axis=1) - length[:, :1]
         # The segment that leads to the next vertex kept has the number of that vertex's instant.
-        following = np.where(np.roll(kept, -1, axis=1), np.arange(1, count + 1), count)
+        following = np.where(np.roll(spaced, -1, axis=1), np.arange(1, count + 1), count)
         following = np.minimum.accumulate(following[:, ::-1], axis=1)[:, ::-1]
         offset = ego[..., :2] - points[rows, following]
         along = (offset * direction[rows, following]).sum(axis=-1)
@@ -120,8 +120,14 @@ def braking_threats(ego: Floats, speed: Floats, other: Floats, present: Bools, v
     station, across = paths.project(path, boxes[:, :2], now - LOOK_BACK_M, now + LOOK_AHEAD_M)
     # Whoever is in the way has its centre no further from the path than its half diagonal beyond the ego's side.
     reach = 0.5 * (size[1] + np.hypot(boxes[:, 2], boxes[:, 3])) + 1e-6
-    asked = (station >= now) & (np.abs(across) <= reach)
-    path, at, now, station, boxes = path[asked], at[asked], now[asked], station[asked], boxes[asked]
+    in_the_way = (station >= now) & (np.abs(across) <= reach)
+    path, at, now, station, boxes = (
+        path[in_the_way],
+        at[in_the_way],
+        now[in_the_way],
+        station[in_the_way],
+        boxes[in_the_way],
+    )
     rear, side = _outlines(paths, path, station, boxes, size[1])
     tangent, moving = paths.tangent(path, station), velocity[path, at]
     along = moving[:, 0] * tangent[:, 0] + moving[:, 1] * tangent[:, 1]
@@ -148,15 +154,15 @@ def _outlines(paths: PlanPaths, path: Integers, station: Floats, boxes: Floats, 
 
 def _spaced(centres: Floats) -> Bools:
     """(P, K) the first centre of each track, and each that is half a metre or more from the last one kept."""
-    kept = np.zeros(centres.shape[:2], np.bool_)
-    if not kept.size:
-        return kept
-    kept[:, 0], last = True, centres[:, 0].copy()
+    spaced = np.zeros(centres.shape[:2], np.bool_)
+    if not spaced.size:
+        return spaced
+    spaced[:, 0], last = True, centres[:, 0].copy()
     for instant in range(1, centres.shape[1]):
         step = centres[:, instant] - last
-        kept[:, instant] = np.hypot(step[:, 0], step[:, 1]) >= VERTEX_SPACING_M
-        last[kept[:, instant]] = centres[kept[:, instant], instant]
-    return kept
+        spaced[:, instant] = np.hypot(step[:, 0], step[:, 1]) >= VERTEX_SPACING_M
+        last[spaced[:, instant]] = centres[spaced[:, instant], instant]
+    return spaced
 
 
 _MEMORY_STEPS: Final = 2
@@ -209,10 +215,12 @@ def ego_velocities(ego: Floats) -> Floats:
     Over the last 0.2 s, forward at the first, of boxes every 0.1 s.
     """
     centres = ego[..., :2]
-    found = np.empty(centres.shape)
-    found[:, _MEMORY_STEPS:] = (centres[:, _MEMORY_STEPS:] - centres[:, :-_MEMORY_STEPS]) / (_MEMORY_STEPS * STEP_S)
-    found[:, :_MEMORY_STEPS] = ((centres[:, 1] - centres[:, 0]) / STEP_S)[:, None]
-    return found
+    velocities = np.empty(centres.shape)
+    velocities[:, _MEMORY_STEPS:] = (centres[:, _MEMORY_STEPS:] - centres[:, :-_MEMORY_STEPS]) / (
+        _MEMORY_STEPS * STEP_S
+    )
+    velocities[:, :_MEMORY_STEPS] = ((centres[:, 1] - centres[:, 0]) / STEP_S)[:, None]
+    return velocities
 
 
 def _encroachment_steps(ego: Floats, other: Floats, present: Bools) -> Floats:
@@ -224,6 +232,6 @@ def _encroachment_steps(ego: Floats, other: Floats, present: Bools) -> Floats:
     touching = boxes_overlap(ego[pair, mine], other[pair, theirs])
     steps = np.abs(mine - theirs)
     touching &= steps <= LONGEST_PET_STEPS
-    found = np.full(len(ego), np.inf)
-    np.minimum.at(found, pair[touching], steps[touching].astype(np.float64))
-    return found
+    fewest_steps = np.full(len(ego), np.inf)
+    np.minimum.at(fewest_steps, pair[touching], steps[touching].astype(np.float64))
+    return fewest_steps

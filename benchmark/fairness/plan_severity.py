@@ -99,25 +99,25 @@ def plan_severities(
     plans = np.asarray(plans_lidar, np.float64)
     starts = range(0, len(truths), _SAMPLES_AT_ONCE)
     batches = [slice(start, start + _SAMPLES_AT_ONCE) for start in starts]
-    return [found for batch in batches for found in _batch(truths[batch], plans[batch], lanes)]
+    return [row for batch in batches for row in _batch(truths[batch], plans[batch], lanes)]
 
 
 def _batch(truths: Sequence[SampleTruth], plans_lidar: Floats, lanes: Lanes | None) -> list[PlanSeverityRow]:
     ego = np.concatenate([np.broadcast_to(_PRESENT, (len(truths), 1, 5)), ego_boxes(plans_lidar)], axis=1)
     world = _World.of(truths)
     contacts = _contacts(ego, world, truths, lanes)
-    spared = np.array([contact is None for contact in contacts])
-    near = _near(ego, world, spared)
+    without_contact = np.array([contact is None for contact in contacts])
+    near = _near(ego, world, without_contact)
     return [PlanSeverityRow(contact=contact, near=near.get(sample)) for sample, contact in enumerate(contacts)]
 
 
 def _contacts(
     ego: Floats, world: _World, truths: Sequence[SampleTruth], lanes: Lanes | None
 ) -> list[PlanContactRow | None]:
-    found: list[PlanContactRow | None] = [None] * len(truths)
+    contact_rows: list[PlanContactRow | None] = [None] * len(truths)
     rows, instants = _first_hits(ego, world)
     if not len(rows):
-        return found
+        return contact_rows
     samples = world.sample[rows]
     mine = ego[samples, instants]
     speed = np.hypot(*ego_velocities(ego[samples])[np.arange(len(rows)), instants].T)
@@ -133,11 +133,11 @@ def _contacts(
     changes = delta_v(impact, masses)
     unsure = _unsure(mine, kinds, [truths[sample].lidar_pose for sample in samples], lanes)
     for place, (sample, row) in enumerate(zip(samples.tolist(), rows.tolist())):
-        blamed = at_fault(kinds[place], bool(unsure[place]))
-        found[sample] = PlanContactRow(
+        fault = at_fault(kinds[place], bool(unsure[place]))
+        contact_rows[sample] = PlanContactRow(
             time_s=_rounded(_TIMES[instants[place]]),
             kind=kinds[place].value,
-            at_fault=None if lanes is None and kinds[place] is ContactKind.LATERAL else blamed,
+            at_fault=None if lanes is None and kinds[place] is ContactKind.LATERAL else fault,
             impact_speed_m_s=_rounded(impact[place]),
             delta_v_ego_m_s=_rounded(changes[0][place]),
             delta_v_other_m_s=_rounded(changes[1][place]),
@@ -145,7 +145,7 @@ def _contacts(
             agent=world.names[row],
             adversary=bool(world.adversary[row]),
         )
-    return found
+    return contact_rows
 
 
 def _first_hits(ego: Floats, world: _World) -> tuple[Integers, Integers]:
@@ -167,11 +167,11 @@ def _first_hits(ego: Floats, world: _World) -> tuple[Integers, Integers]:
 
 def _unsure(boxes: Floats, kinds: Sequence[ContactKind], lidar_poses: Sequence[Floats], lanes: Lanes | None) -> Bools:
     """Whether a lateral contact is the ego's fault; the map is asked about no other."""
-    found = np.zeros(len(kinds), np.bool_)
+    unsure = np.zeros(len(kinds), np.bool_)
     lateral = np.flatnonzero([kind is ContactKind.LATERAL for kind in kinds])
     if lanes is not None and len(lateral):
-        found[lateral] = lanes.unsure(_global(boxes[lateral], np.array(lidar_poses)[lateral]))
-    return found
+        unsure[lateral] = lanes.unsure(_global(boxes[lateral], np.array(lidar_poses)[lateral]))
+    return unsure
 
 
 def _global(boxes: Floats, lidar_poses: Floats) -> Floats:
@@ -191,17 +191,17 @@ def _near(ego: Floats, world: _World, spared: Bools) -> dict[int, PlanNearRow]:
     if not len(rows):
         return {}
     samples = world.sample[rows]
-    found = near_misses(ego[samples], world.boxes[rows], world.counts[rows], world.velocities(rows))
+    measures = near_misses(ego[samples], world.boxes[rows], world.counts[rows], world.velocities(rows))
     nearest: dict[int, PlanNearRow] = {}
     for sample in dict.fromkeys(samples.tolist()):
         own = samples == sample
         nearest[sample] = PlanNearRow(
-            least_gap_m=_rounded(found.gap[own].min()),
-            least_ttc_s=_finite(found.ttc[own].min()),
-            tet_s=_rounded(found.tet[own].max()),
-            tit_s2=_rounded(found.tit[own].max()),
-            pet_s=_finite(found.pet[own].min()),
-            max_btn=_rounded(found.btn[own].max()),
+            least_gap_m=_rounded(measures.gap[own].min()),
+            least_ttc_s=_finite(measures.ttc[own].min()),
+            tet_s=_rounded(measures.tet[own].max()),
+            tit_s2=_rounded(measures.tit[own].max()),
+            pet_s=_finite(measures.pet[own].min()),
+            max_btn=_rounded(measures.btn[own].max()),
         )
     return nearest
 

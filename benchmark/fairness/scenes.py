@@ -209,16 +209,16 @@ class _Judge:
         return "another_adversary" if agent in self.adversaries else "other"
 
     def _encounter(self, agent: int) -> EncounterSeverity:
-        found = severity_of(self.tracks, agent)
+        severity = severity_of(self.tracks, agent)
         return EncounterSeverity(
-            least_gap_m=_rounded(found.min_gap),
-            least_ttc_s=_rounded(found.min_ttc),
-            tet_s=_rounded(found.tet),
-            tit_s2=_rounded(found.tit),
-            pet_s=_rounded(found.pet),
-            pet_first=cast(Literal["ego", "other", "none"] | None, found.first),
-            max_btn=_rounded(found.max_btn),
-            contact=None if found.contact_s is None else self._impact(agent, found.contact_s),
+            least_gap_m=_rounded(severity.min_gap),
+            least_ttc_s=_rounded(severity.min_ttc),
+            tet_s=_rounded(severity.tet),
+            tit_s2=_rounded(severity.tit),
+            pet_s=_rounded(severity.pet),
+            pet_first=cast(Literal["ego", "other", "none"] | None, severity.first),
+            max_btn=_rounded(severity.max_btn),
+            contact=None if severity.contact_s is None else self._impact(agent, severity.contact_s),
         )
 
     def _impact(self, agent: int, time: float) -> Impact:

@@ -118,7 +118,7 @@ def _interval(adversaries: RunsOfScenes, reference: Floats, name: str, seed: int
     if len(scenes) < 2:
         return None
     bins = [quantile_bins(scene, reference) for scene in scenes]
-    counts = np.array([each.counts for each in bins])
+    counts = np.array([histogram.counts for histogram in bins])
     rng = np.random.default_rng(seed)
     drawn = rng.integers(len(scenes), size=(BOOTSTRAP_DRAWS, len(scenes)))
     values = [1.0 - Histograms(bins[0].edges, counts[draw].sum(axis=0), bins[0].reference).divergence for draw in drawn]
@@ -155,9 +155,15 @@ def split_realism(
     ``recordings`` is the data set that its scenes were made from, if at hand. Validity rates are there always, the
     comparison where there is something to compare with.
     """
-    judged = [each for of_scene in judgements.values() for each in of_scene if each.adversary is not None]
+    judged = [
+        assessment for of_scene in judgements.values() for assessment in of_scene if assessment.adversary is not None
+    ]
     validity = validity_rows(judged)
-    names = [name for name, said in judgements.items() if any(each.adversary is not None for each in said)]
+    names = [
+        name
+        for name, assessments in judgements.items()
+        if any(assessment.adversary is not None for assessment in assessments)
+    ]
     if not names:
         return SplitRealism(adversaries=0, validity=validity, not_compared=NO_ADVERSARY)
     if data.scene(names[0]).vehicle == OWN_TOWN:
@@ -168,12 +174,12 @@ def split_realism(
     adversaries: dict[str, list[Run]] = {}
     recorded: dict[str, list[Run]] = {}
     pairs: list[tuple[SceneTracks, SceneTracks]] = []
-    seen: set[tuple[str, str]] = set()
+    used_references: set[tuple[str, str]] = set()
     for name in progress(names, total=len(names), label="comparing with recordings"):
-        found = _compared(data, name, sources[name], recordings, seen)
-        adversaries.setdefault(sources[name], []).extend(found.adversaries)
-        recorded.setdefault(sources[name], []).extend(found.recorded)
-        pairs += [] if found.scenes is None else [found.scenes]
+        scene_comparison = _compared(data, name, sources[name], recordings, used_references)
+        adversaries.setdefault(sources[name], []).extend(scene_comparison.adversaries)
+        recorded.setdefault(sources[name], []).extend(scene_comparison.recorded)
+        pairs += [] if scene_comparison.scenes is None else [scene_comparison.scenes]
     realism = realism_of(adversaries, {name: recorded[name] for name in sorted(recorded)})
     if realism is None:
         return SplitRealism(adversaries=len(judged), validity=validity, not_compared=TOO_SHORT)
@@ -191,21 +197,21 @@ def split_realism(
 
 def validity_rows(judged: Sequence[SceneJudgement]) -> tuple[ValidityRow, ...]:
     """Faults of adversaries, counted: one row for each kind."""
-    tracks = [each.faults for each in judged if each.faults is not None]
+    tracks = [item.faults for item in judged if item.faults is not None]
     rows = []
     for name in FAULT_NAMES:
-        asked = [value for value in (getattr(each, name) for each in tracks) if value is not None]
-        unknown = sorted({each.unknown[name] for each in tracks if name in each.unknown})
-        rows.append(ValidityRow(fault=name, count=sum(asked), of=len(asked), unknown=tuple(unknown)))
+        known_values = [value for value in (getattr(item, name) for item in tracks) if value is not None]
+        unknown = sorted({item.unknown[name] for item in tracks if name in item.unknown})
+        rows.append(ValidityRow(fault=name, count=sum(known_values), of=len(known_values), unknown=tuple(unknown)))
     return tuple(rows)
 
 
 def _compared(
-    data: DataSet, name: str, source: str, recordings: DataSet | None, seen: set[tuple[str, str]]
+    data: DataSet, name: str, source: str, recordings: DataSet | None, used_references: set[tuple[str, str]]
 ) -> _Compared:
     scene = adversarial_scene(data, name, recordings)
     base = scene if recordings is None else recordings.scene(source)
-    agents = [scene.agents.ids.index(each) for each in scene.adversaries if each in scene.agents.ids]
+    agents = [scene.agents.ids.index(identifier) for identifier in scene.adversaries if identifier in scene.agents.ids]
     with_map = not scene.road_map.drivable_area.is_empty and not base.road_map.drivable_area.is_empty
     tracks, launches = Tracks.of_scene(scene), launches_of(data, scene)
     road, last = RoadEdge(scene.road_map.drivable_area) if with_map else None, float(scene.seconds[-1])
@@ -216,8 +222,8 @@ def _compared(
     theirs: list[Run] = []
     for category in sorted({scene.agents.categories[agent] for agent in agents}):
         # Variants of one recording have one reference.
-        if (source, category) not in seen:
-            seen.add((source, category))
+        if (source, category) not in used_references:
+            used_references.add((source, category))
             theirs += recorded_runs(
                 Tracks.of_scene(base),
                 base.keyframes,
@@ -242,13 +248,13 @@ def _ten_hz(scene: Scene) -> SceneTracks:
 def _ctg(pairs: Sequence[tuple[SceneTracks, SceneTracks]]) -> CtgRow:
     version, normalisation, mask = Version.CTG, Normalisation.SCENE, Mask.CURRENT_SPEED
     ours, theirs = (histograms(scenes, version, normalisation, mask) for scenes in zip(*pairs, strict=True))
-    found = deviations(ours, theirs)
+    distances = deviations(ours, theirs)
     return CtgRow(
         version=version.value,
         normalisation=normalisation.value,
         mask=mask.value,
-        mean_real_dev=round(found["mean_real_dev"], DIGITS),
-        mean_real_dev_int=round(found["mean_real_dev_int"], DIGITS),
+        mean_real_dev=round(distances["mean_real_dev"], DIGITS),
+        mean_real_dev_int=round(distances["mean_real_dev_int"], DIGITS),
     )
 
 
@@ -306,18 +312,22 @@ def judge_split(
     if recordings is not None:
         sources = {facts.source for facts in data.scene_facts(names).values()}
         ordinary = judge_data(recordings, sorted(sources & set(recordings.scene_names(None))), executor)
-    met = [each.encounter for said in judged.values() for each in said if each.encounter is not None]
-    free = [each for each in met if each.contact is None]
+    encounters = [
+        item.encounter for assessments in judged.values() for item in assessments if item.encounter is not None
+    ]
+    free = [item for item in encounters if item.contact is None]
     return SplitJudgement(
         scenes=dict(judged),
-        ladder=ladder([said for said in judged.values() if said]),
-        ladder_of_recordings=ladder([said for said in ordinary.values() if said]) if ordinary else (),
-        unsolvable=tuple(name for name, said in judged.items() if unsolvable(said)),
+        ladder=ladder([assessments for assessments in judged.values() if assessments]),
+        ladder_of_recordings=ladder([assessments for assessments in ordinary.values() if assessments])
+        if ordinary
+        else (),
+        unsolvable=tuple(name for name, assessments in judged.items() if unsolvable(assessments)),
         severity=(
-            *(_severity(label, name, met) for name, label in _ALWAYS.items()),
+            *(_severity(label, name, encounters) for name, label in _ALWAYS.items()),
             *(_severity(label, name, free) for name, label in _BEFORE_CONTACT.items()),
         ),
-        contacts=len(met) - len(free),
+        contacts=len(encounters) - len(free),
         realism=split_realism(data, judged, recordings),
     )
 
@@ -326,7 +336,7 @@ def ladder(scenes: Sequence[Sequence[SceneJudgement]]) -> tuple[LadderRow, ...]:
     """How many scenes, of at least one, each driver survives."""
     rows = []
     for name in DRIVER_NAMES:
-        runs = [said[0].drivers[name] for said in scenes]
+        runs = [assessments[0].drivers[name] for assessments in scenes]
         rows.append(
             LadderRow(
                 driver=name,
@@ -345,7 +355,7 @@ def _hits_adversary(run: DriverRun) -> bool:
 
 
 def _severity(label: str, name: str, met: Sequence[EncounterSeverity]) -> SeverityRow:
-    values = [value for value in (getattr(each, name) for each in met) if value is not None]
+    values = [value for value in (getattr(severity, name) for severity in met) if value is not None]
     quantiles = {level: float(np.quantile(values, at)) for level, at in _LEVELS.items()} if values else None
     return SeverityRow(
         name=label, of=len(values), quantiles=None if quantiles is None else Quantiles.model_validate(quantiles)

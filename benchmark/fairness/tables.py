@@ -34,10 +34,10 @@ def judgement_text(judged: SplitJudgement) -> str:
 
 
 def _scene_table(judged: SplitJudgement) -> Table:
-    rows = [_scene_row(name, said) for name, said in judged.scenes.items() if said]
-    missing = sum(not said for said in judged.scenes.values())
-    tracks = {each.tracks for said in judged.scenes.values() for each in said}
-    maps = {each.has_map for said in judged.scenes.values() for each in said}
+    rows = [_scene_row(name, assessments) for name, assessments in judged.scenes.items() if assessments]
+    missing = sum(not assessments for assessments in judged.scenes.values())
+    tracks = {assessment.tracks for assessments in judged.scenes.values() for assessment in assessments}
+    maps = {assessment.has_map for assessments in judged.scenes.values() for assessment in assessments}
     notes = [
         "ok: the driver hits nobody; else kind and second of its first contact, * with an adversary, "
         "> with the recorded path behind it.",
@@ -45,7 +45,11 @@ def _scene_table(judged: SplitJudgement) -> Table:
     ]
     if "annotated" in tracks:
         notes.append("Judged on what a reader interpolates between 2 Hz keyframes, where no 12 Hz track was at hand.")
-    if any(each.adversary is not None and each.acts_s is None for said in judged.scenes.values() for each in said):
+    if any(
+        assessment.adversary is not None and assessment.acts_s is None
+        for assessments in judged.scenes.values()
+        for assessment in assessments
+    ):
         notes.append("Where nobody says when an adversary begins to act, drivers take over at the first frame.")
     if False in maps:
         notes.append("no map: manoeuvres may go anywhere.")
@@ -55,19 +59,24 @@ def _scene_table(judged: SplitJudgement) -> Table:
     return table_of("", "Who survives which scene", columns, rows, notes=notes)
 
 
-def _scene_row(name: str, said: Sequence[SceneJudgement]) -> tuple[str, ...]:
-    first, met = said[0], [each.encounter for each in said if each.encounter is not None]
-    margins = [each.margin_s for each in said if each.margin_s is not None]
+def _scene_row(name: str, assessments: Sequence[SceneJudgement]) -> tuple[str, ...]:
+    first, encounters = (
+        assessments[0],
+        [assessment.encounter for assessment in assessments if assessment.encounter is not None],
+    )
+    margins = [assessment.margin_s for assessment in assessments if assessment.margin_s is not None]
     margin = f"{min(margins):.2f}" if margins else {"never": "never"}.get(first.chance, _NOTHING)
-    faults = {fault for each in said if each.faults is not None for fault in each.faults.found}
+    faults = {fault for assessment in assessments if assessment.faults is not None for fault in assessment.faults.found}
     return (
         name,
         *(_run_cell(first.drivers[driver]) for driver in _SHOWN),
-        f"{margin}, unsolvable" if unsolvable(said) else margin,
-        _least([each.least_gap_m for each in met], 2),
-        _least([each.least_ttc_s for each in met], 1),
-        _least([each.pet_s for each in met], 1),
-        _number(max((each.max_btn for each in met if each.max_btn is not None), default=None), 2),
+        f"{margin}, unsolvable" if unsolvable(assessments) else margin,
+        _least([assessment.least_gap_m for assessment in encounters], 2),
+        _least([assessment.least_ttc_s for assessment in encounters], 1),
+        _least([assessment.pet_s for assessment in encounters], 1),
+        _number(
+            max((assessment.max_btn for assessment in encounters if assessment.max_btn is not None), default=None), 2
+        ),
         ", ".join(sorted(faults)) or _NOTHING,
     )
 

@@ -30,13 +30,13 @@ def visible(eyes: Floats, agents: Integers, boxes: Floats, present: Bools, hides
 
     ``hides`` says which of them can hide a car.
     """
-    seen = np.zeros(len(agents), np.bool_)
+    is_visible = np.zeros(len(agents), np.bool_)
     blockers = np.flatnonzero(present & hides)
     target = boxes[agents]
     near = np.hypot(*(target[:, :2] - eyes).T) <= SIGHT_M
     rows = np.flatnonzero(near)
     if not len(rows):
-        return seen
+        return is_visible
     points = np.concatenate([target[rows, None, :2], box_corners(target[rows])], axis=1)
     lines = _lines(eyes[rows, None], points)
     block = boxes[blockers]
@@ -46,10 +46,10 @@ def visible(eyes: Floats, agents: Integers, boxes: Floats, present: Bools, hides
     counts &= ~boxes_overlap(eye_boxes[:, None], block[None])
     query, blocker = np.nonzero(counts)
     hidden = np.zeros(points.shape[:2], np.bool_)
-    met = boxes_overlap(lines[query], block[blocker, None])
-    np.logical_or.at(hidden, query, met)
-    seen[rows] = ~hidden.all(axis=1)
-    return seen
+    blocks_line = boxes_overlap(lines[query], block[blocker, None])
+    np.logical_or.at(hidden, query, blocks_line)
+    is_visible[rows] = ~hidden.all(axis=1)
+    return is_visible
 
 
 def first_visible(tracks: Tracks, agent: int, times: Floats) -> float | None:
@@ -57,8 +57,8 @@ def first_visible(tracks: Tracks, agent: int, times: Floats) -> float | None:
     boxes, present = tracks.agents_at(times)
     eyes, hides = tracks.ego_at(times)[:, :2], tracks.hides
     for instant in np.flatnonzero(present[agent]).tolist():
-        found = visible(eyes[instant, None], np.array([agent]), boxes[:, instant], present[:, instant], hides)
-        if found[0]:
+        is_visible = visible(eyes[instant, None], np.array([agent]), boxes[:, instant], present[:, instant], hides)
+        if is_visible[0]:
             return float(times[instant])
     return None
 
@@ -207,20 +207,20 @@ class Advancing:
         now, before = speed[:, step], speed[:, max(step - 1, 0)]
         watched = _Watched(seen, around, instant, station[:, step], now, (now - before) / STEP_S)
         latched = self.free_from <= step
-        found, targets = watched.reactions(rungs, latched | (now >= SLOWEST_REACTING_M_S))
-        visible_ones = watched.seen(found | watched.in_the_way(idm))
-        found &= visible_ones
-        verdict = found.any(axis=1)
+        unsafe, targets = watched.reactions(rungs, latched | (now >= SLOWEST_REACTING_M_S))
+        visible_ones = watched.seen(unsafe | watched.in_the_way(idm))
+        unsafe &= visible_ones
+        verdict = unsafe.any(axis=1)
         self._unsafe[:, step] = verdict
         for row in np.flatnonzero(verdict & ~latched).tolist():
             # The largest target for FSM; the others' are all alike, and so the first of them.
-            self._reasons[row] = int(np.argmax(np.where(found[row], targets[row], -1.0)))
+            self._reasons[row] = int(np.argmax(np.where(unsafe[row], targets[row], -1.0)))
             self.free_from[row] = step
         latched |= verdict
-        target = np.where(found, targets, 0.0).max(axis=1, initial=0.0)
+        target = np.where(unsafe, targets, 0.0).max(axis=1, initial=0.0)
         reacted = self._memory.react(verdict[:, None], now[:, None], target[:, None])[:, 0]
-        asked = idm_acceleration(now, self._free_speed, *watched.leaders(visible_ones & idm[:, None]))
-        following = now + STEP_S * asked
+        acceleration = idm_acceleration(now, self._free_speed, *watched.leaders(visible_ones & idm[:, None]))
+        following = now + STEP_S * acceleration
         after = np.maximum(np.where(idm, following, np.where(verdict, reacted, now)), 0.0)
         speed[:, step + 1] = np.where(latched, after, speed[:, step + 1])
         station[:, step + 1] = np.where(latched, station[:, step] + STEP_S * after, station[:, step + 1])
@@ -255,7 +255,7 @@ class _Watched:
     def reactions(self, rungs: Sequence[Rung], looks: Bools) -> tuple[Bools, Floats]:
         """(R, N) agents that each driver would find unsafe if it saw them, and (R, N) what braking FSM asks for."""
         shape = self.around.gap.shape
-        found, targets = np.zeros(shape, np.bool_), np.zeros(shape)
+        unsafe, targets = np.zeros(shape, np.bool_), np.zeros(shape)
         length = float(self.situation.path.size[0])
         for row, rung in enumerate(rungs):
             if rung.driver is Driver.IDM or not looks[row]:
@@ -264,12 +264,12 @@ class _Watched:
             dynamics = (self.speed[row : row + 1, None], self.acceleration[row : row + 1, None], length)
             if rung.driver is Driver.FSM:
                 targets[row] = fuzzy_targets(around, *dynamics)[0]
-                found[row] = targets[row] > 0
+                unsafe[row] = targets[row] > 0
             else:
-                found[row] = unsafe_agents(rung.driver, around, dynamics[0])[0]
+                unsafe[row] = unsafe_agents(rung.driver, around, dynamics[0])[0]
             if rung.adversary_only:
-                found[row] &= np.arange(shape[1]) == self.situation.adversary
-        return found & ~self.situation.ignored, targets
+                unsafe[row] &= np.arange(shape[1]) == self.situation.adversary
+        return unsafe & ~self.situation.ignored, targets
 
     def in_the_way(self, idm: Bools) -> Bools:
         """(R, N) agents that those who keep distance might follow."""
@@ -284,13 +284,13 @@ class _Watched:
         rows = np.arange(len(gap))
         return gap[rows, nearest], self.around.along[rows, nearest]
 
-    def seen(self, asked: Bools) -> Bools:
+    def seen(self, candidates: Bools) -> Bools:
         """Those of (R, N) agents that are visible."""
-        row, agent = np.nonzero(asked)
+        row, agent = np.nonzero(candidates)
         if not len(row):
-            return asked
+            return candidates
         relations = self.situation.relations
         eyes = self.situation.path.position(self.station[row])
         boxes, present = relations.boxes[:, self.step], relations.present[:, self.step]
-        asked[row, agent] = visible(eyes, agent, boxes, present, relations.hides)
-        return asked
+        candidates[row, agent] = visible(eyes, agent, boxes, present, relations.hides)
+        return candidates

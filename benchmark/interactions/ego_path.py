@@ -47,8 +47,8 @@ class EgoPath:
     @classmethod
     def of(cls, tracks: Tracks) -> "EgoPath":
         """The path of a recorded ego."""
-        kept = _spaced(tracks.ego[:, :2])
-        boxes = tracks.ego[kept]
+        spaced_frames = _spaced(tracks.ego[:, :2])
+        boxes = tracks.ego[spaced_frames]
         ends = boxes[[0, -1]]
         heading = np.column_stack([np.cos(ends[:, 4]), np.sin(ends[:, 4])])
         before, after = ends[0, :2] - BEFORE_M * heading[0], ends[1, :2] + AFTER_M * heading[1]
@@ -58,7 +58,9 @@ class EgoPath:
         step = np.diff(points, axis=0).T
         length = np.hypot(*step)
         station = np.concatenate([[0.0], np.cumsum(length)]) - length[0]
-        return cls(points, yaw, station, tracks.ego[0, 2:4], tracks, tracks.seconds[kept], length, step / length)
+        return cls(
+            points, yaw, station, tracks.ego[0, 2:4], tracks, tracks.seconds[spaced_frames], length, step / length
+        )
 
     @property
     def end_m(self) -> float:
@@ -149,7 +151,7 @@ class EgoPath:
         """Feet of points on segments between two stations: station, and distance squared."""
         base = self.station[segment]
         x, y = (points[..., axis] - self.points[:, axis][segment] for axis in range(2))
-        cos, sin = (each[segment] for each in self.direction)
+        cos, sin = (component[segment] for component in self.direction)
         along = x * cos
         along += y * sin
         np.clip(along, np.maximum(low - base, 0.0), np.minimum(high - base, self.length[segment]), out=along)
@@ -163,10 +165,10 @@ class EgoPath:
 
 def _spaced(centres: Floats) -> Integers:
     """Frames of the first centre and of each that is half a metre or more from the last one kept."""
-    kept = [0]
+    spaced_frames = [0]
     x, y = centres[0].tolist()
     for frame, (next_x, next_y) in enumerate(centres.tolist()):
         if np.hypot(next_x - x, next_y - y) >= VERTEX_SPACING_M:
-            kept.append(frame)
+            spaced_frames.append(frame)
             x, y = next_x, next_y
-    return np.array(kept)
+    return np.array(spaced_frames)

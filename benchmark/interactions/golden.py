@@ -27,7 +27,7 @@ def fragile(facts: Mapping[str, Any], *names: str) -> bool:
     names ask for all of the facts.
     """
     marked = facts.get("fragile", False)
-    return marked if isinstance(marked, bool) else any(re.split(r"[/.: ]", each)[-1] in names for each in marked)
+    return marked if isinstance(marked, bool) else any(re.split(r"[/.: ]", mark)[-1] in names for mark in marked)
 
 
 def differ(ours: float | None, golden: float | None) -> bool:

@@ -58,8 +58,8 @@ def manoeuvres(path: EgoPath, starts: Starts, steps: int) -> Floats:
     (O, 25, steps + 1, 5) states, the start included; steps are of 0.05 s.
     """
     shape = (len(starts.speed), len(MANOEUVRES))
-    braking = np.broadcast_to([each for each, _ in MANOEUVRES], shape).ravel()
-    offset = np.broadcast_to([each for _, each in MANOEUVRES], shape).ravel()
+    braking = np.broadcast_to([value for value, _ in MANOEUVRES], shape).ravel()
+    offset = np.broadcast_to([value for _, value in MANOEUVRES], shape).ravel()
     x, y, heading, speed, steering, station = (
         np.broadcast_to(column[:, None], shape).ravel() for column in _start(path, starts)
     )

@@ -156,7 +156,7 @@ class Reactions:
         Returns:
             (R, C) speed after the step where it is unsafe; during the reaction of the careful human it may be negative.
         """
-        regulation, careful, fuzzy = (self._are(who) for who in (Driver.R157, Driver.CC, Driver.FSM))
+        regulation, careful, fuzzy = (self._are(driver) for driver in (Driver.R157, Driver.CC, Driver.FSM))
         waiting = self.delay > 0
         built_up = np.minimum(self.braking + _BUILD_UP, HARDEST_BRAKING)
         built_up = np.where(fuzzy, np.minimum(built_up, target), built_up)
@@ -168,4 +168,4 @@ class Reactions:
         return np.where(waiting, slower, np.maximum(slower, 0.0))
 
     def _are(self, driver: Driver) -> Bools:
-        return np.array([[each is driver] for each in self.drivers], np.bool_)
+        return np.array([[own_driver is driver] for own_driver in self.drivers], np.bool_)

@@ -68,13 +68,13 @@ class Relations:
         # An agent that has not moved since the instant before is where it was.
         moved = np.ones(shape, np.bool_)
         moved[:, 1:] = (boxes[:, 1:] != boxes[:, :-1]).any(axis=-1) | ~present[:, :-1]
-        asked = moved & present
+        needs_placing = moved & present
         # Nobody drives backwards: what is behind all of the recording is behind everybody, whatever its outline.
-        found = placed(path, boxes[asked], outlines_from=float(path.recorded_station(times).min()))
-        owner = np.cumsum(asked.ravel()).reshape(shape) - 1
+        placements = placed(path, boxes[needs_placing], outlines_from=float(path.recorded_station(times).min()))
+        owner = np.cumsum(needs_placing.ravel()).reshape(shape) - 1
         owner = np.where(present, owner, 0)
         filled = {
-            name: getattr(found, name)[owner] if asked.any() else np.zeros(shape)
+            name: getattr(placements, name)[owner] if needs_placing.any() else np.zeros(shape)
             for name in Places.__dataclass_fields__
         }
         places = Places(**filled)
@@ -89,10 +89,10 @@ class Relations:
 
         ``hides`` says which can hide a car. No agent behind the station ``behind_m`` matters.
         """
-        found = placed(path, boxes[present], outlines_from=behind_m)
+        placements = placed(path, boxes[present], outlines_from=behind_m)
         filled = {name: np.zeros((len(boxes), 1)) for name in Places.__dataclass_fields__}
         for name, array in filled.items():
-            array[present, 0] = getattr(found, name)
+            array[present, 0] = getattr(placements, name)
         places = Places(**filled)
         along, across = _components(path, places.station, velocity[:, None])
         return cls(
@@ -115,18 +115,22 @@ class Relations:
         offset = self.boxes[agents, instants, :2] - eyes
         near = self.present[agents, instants] & (np.hypot(offset[..., 0], offset[..., 1]) <= HORIZON_M)
         low, high = stations - LOOK_BACK_M, stations + LOOK_AHEAD_M
-        again = near & ((places["station"] < low) | (places["station"] > high))
-        if again.any():
-            boxes = self.boxes[agents[again], instants[again]]
-            places["station"][again], _ = self.path.project(boxes[:, :2], low[again], high[again])
+        needs_placing = near & ((places["station"] < low) | (places["station"] > high))
+        if needs_placing.any():
+            boxes = self.boxes[agents[needs_placing], instants[needs_placing]]
+            places["station"][needs_placing], _ = self.path.project(
+                boxes[:, :2], low[needs_placing], high[needs_placing]
+            )
             # What is behind is ignored, so that only what lies ahead on this stretch is placed again.
-            again &= places["station"] >= stations
-        if again.any():
-            agent, instant = agents[again], instants[again]
-            found = placed(self.path, self.boxes[agent, instant], low[again], high[again])
+            needs_placing &= places["station"] >= stations
+        if needs_placing.any():
+            agent, instant = agents[needs_placing], instants[needs_placing]
+            placements = placed(self.path, self.boxes[agent, instant], low[needs_placing], high[needs_placing])
             for name, array in places.items():
-                array[again] = getattr(found, name)
-            along[again], across[again] = _components(self.path, found.station, self.velocity[agent, instant])
+                array[needs_placing] = getattr(placements, name)
+            along[needs_placing], across[needs_placing] = _components(
+                self.path, placements.station, self.velocity[agent, instant]
+            )
         length, width = self.path.size
         return Around(
             ahead=near & (places["station"] >= stations),

@@ -47,8 +47,8 @@ class SceneLadder:
         situation = Situation.of(tracks, start, adversary)
         surroundings = Surroundings.of(situation)
         outcomes = {motion.rung.driver: surroundings.outcome(motion) for motion in drive(situation)}
-        seen = None if adversary is None else first_visible(tracks, adversary, situation.times)
-        return cls(situation, outcomes, seen, drivable)
+        visible_from = None if adversary is None else first_visible(tracks, adversary, situation.times)
+        return cls(situation, outcomes, visible_from, drivable)
 
     def about(self, adversary: int) -> Self:
         """The same scene with another one as the adversary: drivers and last chance do not depend on who that is.
@@ -56,8 +56,8 @@ class SceneLadder:
         All that was found already is kept.
         """
         situation = self.situation
-        seen = first_visible(situation.tracks, adversary, situation.times)
-        other = type(self)(situation, self.outcomes, seen, self.drivable)
+        visible_from = first_visible(situation.tracks, adversary, situation.times)
+        other = type(self)(situation, self.outcomes, visible_from, self.drivable)
         other.__dict__.update({name: getattr(self, name) for name in ("base", "last_chance")})
         return other
 

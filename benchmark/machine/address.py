@@ -43,8 +43,8 @@ class Address:
             raise InputError(f"{form} ({one_line(error)})") from error
         if parts.scheme.lower() == "https":
             raise InputError(f"{form}: the protocol is plain HTTP, without a certificate")
-        beside = parts.username or parts.password or parts.query or parts.fragment or parts.path.strip("/")
-        if parts.scheme.lower() != "http" or not host or not port or beside:
+        extra_parts = parts.username or parts.password or parts.query or parts.fragment or parts.path.strip("/")
+        if parts.scheme.lower() != "http" or not host or not port or extra_parts:
             raise InputError(form)
         if equals and (not name.strip() or not name.isprintable() or len(name) > _LONGEST_NAME or "/" in name):
             raise InputError(f"{form}; a name has 1 to {_LONGEST_NAME} printable characters")

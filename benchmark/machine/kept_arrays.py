@@ -52,8 +52,8 @@ def write_batch(path: Path, source: Path, made_of: str, batch: "pa.RecordBatch")
     with pa.ipc.new_file(stream, batch.schema) as writer:
         writer.write_batch(batch)
     body = memoryview(stream.getvalue())
-    said = {"source": str(source.resolve()), "made_of": made_of, "sha256": hashlib.sha256(body).hexdigest()}
-    head = canonical_json(said).encode()
+    head_values = {"source": str(source.resolve()), "made_of": made_of, "sha256": hashlib.sha256(body).hexdigest()}
+    head = canonical_json(head_values).encode()
     _forget_what_is_gone(path.parent)
     try:
         write_parts(path, (head, b" " * (-(len(head) + 1) % _ALIGNED), b"\n", body))
@@ -79,8 +79,8 @@ def read_batch(path: Path, made_of: str) -> "pa.RecordBatch | None":
     try:
         with open_file(path, KEPT_ARRAYS) as stream:
             head, start = _head(stream), stream.tell()
-            own = hashlib.file_digest(stream, "sha256").hexdigest()
-            if (head.get("made_of"), head.get("sha256")) != (made_of, own):
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+            if (head.get("made_of"), head.get("sha256")) != (made_of, digest):
                 return None
             mapped = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
         batch = pa.ipc.open_file(pa.py_buffer(mapped)[start:]).get_batch(0)
@@ -127,5 +127,5 @@ def _forget_what_is_gone(folder: Path) -> None:
             with open_file(path, KEPT_ARRAYS) as stream:
                 source = _head(stream).get("source")
             if not (isinstance(source, str) and Path(source).exists()):
-                for gone in folder.glob(f"{path.stem}.*"):
-                    gone.unlink()
+                for orphan in folder.glob(f"{path.stem}.*"):
+                    orphan.unlink()

@@ -23,9 +23,9 @@ class LastMade(Generic[Source, Made]):
 
     def __call__(self, source: Source, *values: object) -> Made:
         """What was made of them, or is made now."""
-        for known, others, made in self._last:
+        for known, others, result in self._last:
             if known is source and others == values:
-                return made
-        made = self._make(source, *values)
-        self._last = [(source, values, made), *self._last][: self._kept]
-        return made
+                return result
+        result = self._make(source, *values)
+        self._last = [(source, values, result), *self._last][: self._kept]
+        return result

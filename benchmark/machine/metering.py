@@ -21,7 +21,7 @@ def keep_pages_of(*weights_sha256: str | None) -> None:
 
     ``None`` stands for a planner that has none.
     """
-    if any(each is not None for each in weights_sha256):
+    if any(sha256 is not None for sha256 in weights_sha256):
         keep_pages()
 
 

@@ -15,15 +15,15 @@ def require_file(path: Path | None, option: str, endings: Sequence[str] = ()) ->
     if endings and path.suffix.lower() not in endings:
         raise InputError(f"{option} {path} must end in {' or '.join(endings)}; name another file")
     if not path.is_file():
-        what = "is a folder, not a file" if path.is_dir() else "does not exist"
-        raise InputError(f"{option} {path} {what}; name a file that is there")
+        problem = "is a folder, not a file" if path.is_dir() else "does not exist"
+        raise InputError(f"{option} {path} {problem}; name a file that is there")
 
 
 def require_folder(path: Path | None, option: str) -> None:
     """Raise `InputError` for a folder to read from that is not there; ``None`` is none, which is fine."""
     if path is not None and not path.is_dir():
-        what = "is a file, not a folder" if path.is_file() else "does not exist"
-        raise InputError(f"{option} {path} {what}; name a folder that is there")
+        problem = "is a file, not a folder" if path.is_file() else "does not exist"
+        raise InputError(f"{option} {path} {problem}; name a folder that is there")
 
 
 def require_place(path: Path, option: str) -> None:

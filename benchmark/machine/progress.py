@@ -69,10 +69,10 @@ class Work:
 
     def add(self, result: Any) -> None:
         """A unit is finished; may be called from any thread."""
-        each, kept = self._count.each(result), self._count.kept(result)
+        amount, is_cached = self._count.each(result), self._count.kept(result)
         with self._lock:
-            self._done += each
-            self._made += 0 if kept else each
+            self._done += amount
+            self._made += 0 if is_cached else amount
 
     def sentence(self, now_s: float, unit: "Work | None" = None) -> str:
         """How far it is: for example ``rendering: 3 of 10 scenes (9 of 40 frames), 0:30, about 1:04 left``.
@@ -85,14 +85,14 @@ class Work:
     def state(self, now_s: float, unit: "Work | None" = None) -> str:
         """The `sentence` without what is done."""
         with self._lock:
-            done, made = self._done, float(self._made)
+            done, fresh = self._done, float(self._made)
         gone_s, left, within = now_s - self.begun_s, float(self.total - done), ""
         if unit is not None and left > 0:
             share = unit.share()
-            made, left = made + share, left - share
+            fresh, left = fresh + share, left - share
             within = f" ({unit.counts()})"
-        said = f"{self.counts()}{within}, {clock_time(gone_s)}"
-        return f"{said}, about {clock_time(gone_s * left / made)} left" if made and left > 0 else said
+        text = f"{self.counts()}{within}, {clock_time(gone_s)}"
+        return f"{text}, about {clock_time(gone_s * left / fresh)} left" if fresh and left > 0 else text
 
     def counts(self) -> str:
         """How many there are of how many."""

@@ -194,15 +194,15 @@ def _is_healthy(address: str) -> bool:
 
 def _places(ray: Any, address: str | None, gpus: int) -> int:
     """How many units can work at the same time."""
-    there = ray.cluster_resources()
-    for resource, each, what in (("CPU", 1, "processors"), ("GPU", gpus, "GPUs")):
-        if there.get(resource, 0) < each:
+    resources = ray.cluster_resources()
+    for resource, needed, resource_name in (("CPU", 1, "processors"), ("GPU", gpus, "GPUs")):
+        if resources.get(resource, 0) < needed:
             raise InputError(
-                f"the Ray cluster at {address} has no {what} to work on; add a node that has some with ray start "
+                f"the Ray cluster at {address} has no {resource_name} to work on; add a node that has some with ray start "
                 "--address=HOST:PORT"
             )
-    processors = int(there["CPU"])
-    return min(processors, int(there["GPU"]) // gpus) if gpus else processors
+    processors = int(resources["CPU"])
+    return min(processors, int(resources["GPU"]) // gpus) if gpus else processors
 
 
 def _first_line(error: BaseException) -> str:

@@ -91,8 +91,8 @@ class Workspace:
 
         It is below ``<out>/timings``; `timings_beside` of all that is not below the folder.
         """
-        own = made.is_relative_to(self.out)
-        return self.out / TIMINGS_FOLDER / made.relative_to(self.out) if own else timings_beside(made)
+        is_inside = made.is_relative_to(self.out)
+        return self.out / TIMINGS_FOLDER / made.relative_to(self.out) if is_inside else timings_beside(made)
 
     def rendering_root(self) -> Path:
         """Folder of what takes long to draw, kept between the stages of photorealistic rendering."""

@@ -84,8 +84,8 @@ def has_adversaries(record: RunRecord) -> bool:
 
 def says_severity(record: RunRecord) -> bool:
     """Whether a record says of its plans how severe they are; older ones do not."""
-    said = record.columns.values("severity")
-    return any(said[place] is not None for place in record.columns.planned.tolist())
+    severities = record.columns.values("severity")
+    return any(severities[place] is not None for place in record.columns.planned.tolist())
 
 
 def knows_adversaries(record: RunRecord) -> bool:
@@ -130,11 +130,11 @@ def scene_attacks(record: RunRecord) -> dict[str, SceneAttack]:
     missing = {columns.values("scene")[place] for place in lost}
     return {
         scene: SceneAttack(
-            tuple(found),
-            {reading: _of_scene(found, reading, scene in missing, survivors[scene]) for reading in READINGS},
+            tuple(attacks),
+            {reading: _of_scene(attacks, reading, scene in missing, survivors[scene]) for reading in READINGS},
             tuple(bystanders[scene]),
         )
-        for scene, found in by_scene.items()
+        for scene, attacks in by_scene.items()
     }
 
 
@@ -143,15 +143,15 @@ def attack_rates(record: RunRecord) -> AttackRates:
 
     The record must say how severe its plans are (`says_severity`).
     """
-    found = scene_attacks(record)
-    samples = [(scene, each) for scene, attack in found.items() for each in attack.samples]
-    known = [survives for scene in found if (survives := careful_survives(record, scene)) is not None]
-    others = [(scene, each) for scene, attack in found.items() for each in attack.bystanders]
+    attacks = scene_attacks(record)
+    samples = [(scene, sample) for scene, attack in attacks.items() for sample in attack.samples]
+    known = [survives for scene in attacks if (survives := careful_survives(record, scene)) is not None]
+    others = [(scene, sample) for scene, attack in attacks.items() for sample in attack.bystanders]
     return AttackRates(
         bystander_samples=_rate(record, others),
-        bystander_scenes=_rate(record, [(scene, attack.bystander) for scene, attack in found.items()]),
-        samples=_rates(record, [(scene, [getattr(each, name) for name in READINGS]) for scene, each in samples]),
-        scenes=_rates(record, [(scene, list(attack.verdicts.values())) for scene, attack in found.items()]),
+        bystander_scenes=_rate(record, [(scene, attack.bystander) for scene, attack in attacks.items()]),
+        samples=_rates(record, [(scene, [getattr(sample, name) for name in READINGS]) for scene, sample in samples]),
+        scenes=_rates(record, [(scene, list(attack.verdicts.values())) for scene, attack in attacks.items()]),
         judged=len(known),
         spared=sum(known),
         unknown_blame=sum(attack.contact and attack.at_fault is None for _, attack in samples),
@@ -166,12 +166,12 @@ def attack_facts(record: RunRecord) -> dict[str, Any]:
     """
     if not counts_attacks(record):
         return {}
-    found = attack_rates(record)
-    of_samples: dict[str, Rate] = {name: found.samples[name] for name in READINGS}
-    of_scenes: dict[str, Rate] = {name: found.scenes[name] for name in READINGS}
+    success = attack_rates(record)
+    of_samples: dict[str, Rate] = {name: success.samples[name] for name in READINGS}
+    of_scenes: dict[str, Rate] = {name: success.scenes[name] for name in READINGS}
     parts = {
-        "samples": of_samples | {"bystander": found.bystander_samples},
-        "scenes": of_scenes | {"bystander": found.bystander_scenes},
+        "samples": of_samples | {"bystander": success.bystander_samples},
+        "scenes": of_scenes | {"bystander": success.bystander_scenes},
     }
     return {
         "attack_success": {part: {name: asdict(rate) for name, rate in rates.items()} for part, rates in parts.items()}
@@ -197,17 +197,19 @@ def _of_scene(attacks: Iterable[Attack], reading: Reading, missing: bool, surviv
 def _rate(record: RunRecord, verdicts: Sequence[tuple[str, bool | None]]) -> Rate:
     """Rate of verdicts on samples or scenes, with its interval over recorded scenes."""
     sources = source_of_scenes(record)
-    said = [(sources[scene], float(verdict)) for scene, verdict in verdicts if verdict is not None]
-    values = np.array([value for _, value in said]).reshape(-1, 1)
-    (rate,) = ratios_over_scenes(values, np.ones_like(values), [name for name, _ in said], seed=record.run.seed)
+    known_verdicts = [(sources[scene], float(verdict)) for scene, verdict in verdicts if verdict is not None]
+    values = np.array([value for _, value in known_verdicts]).reshape(-1, 1)
+    (rate,) = ratios_over_scenes(
+        values, np.ones_like(values), [name for name, _ in known_verdicts], seed=record.run.seed
+    )
     return rate
 
 
 def _rates(record: RunRecord, verdicts: Sequence[tuple[str, Sequence[bool | None]]]) -> dict[Reading, Rate]:
     sources = source_of_scenes(record)
-    said = np.array([[np.nan if one is None else one for one in each] for _, each in verdicts], np.float64)
-    said = said.reshape(-1, len(READINGS))
+    values = np.array([[np.nan if one is None else one for one in readings] for _, readings in verdicts], np.float64)
+    values = values.reshape(-1, len(READINGS))
     names = [sources[scene] for scene, _ in verdicts]
-    known = ~np.isnan(said)
-    found = ratios_over_scenes(np.where(known, said, 0.0), known.astype(np.float64), names, seed=record.run.seed)
-    return dict(zip(READINGS, found, strict=True))
+    known = ~np.isnan(values)
+    rates = ratios_over_scenes(np.where(known, values, 0.0), known.astype(np.float64), names, seed=record.run.seed)
+    return dict(zip(READINGS, rates, strict=True))

@@ -61,16 +61,20 @@ def consistency(record: RunRecord) -> Consistency:
         if first[0] == second[0] and second[1] == first[1] + 1 and is_step(second[2] - first[2])
     ]
     still = np.isnan(columns.moved[:, 0]).tolist()
-    found = [
+    compared_pairs = [
         (place_of[first], place_of[second], sources[scenes[first]])
         for first, second in pairs
         if first in place_of and second in place_of and not still[place_of[first]]
     ]
-    first, second = [one for one, _, _ in found], [other for _, other, _ in found]
+    first, second = [one for one, _, _ in compared_pairs], [other for _, other, _ in compared_pairs]
     values = plans_apart(columns.in_lidar[first], columns.moved[first], columns.in_lidar[second])
     with_mean = np.concatenate([values, values.mean(axis=1, keepdims=True)], axis=1)
-    rates = ratios_over_scenes(with_mean, np.ones_like(with_mean), [scene for *_, scene in found], seed=record.run.seed)
-    return Consistency(dict(zip((*INSTANTS, MEAN), rates, strict=True)), len(found), len(pairs) - len(found))
+    rates = ratios_over_scenes(
+        with_mean, np.ones_like(with_mean), [scene for *_, scene in compared_pairs], seed=record.run.seed
+    )
+    return Consistency(
+        dict(zip((*INSTANTS, MEAN), rates, strict=True)), len(compared_pairs), len(pairs) - len(compared_pairs)
+    )
 
 
 def plans_apart(first: Floats, moved: Floats, second: Floats) -> Floats:

@@ -84,8 +84,8 @@ class Ladder:
         """
         within, followed = self.verdicts.any(axis=-1), self._followed()
         samples, rung = np.arange(within.shape[1]), _last_change(followed.any(axis=-1))
-        lost, found = followed[rung, samples], followed[rung + 1, samples]
-        steps = np.where(within[-1][:, None], found, lost)
+        lost, gained = followed[rung, samples], followed[rung + 1, samples]
+        steps = np.where(within[-1][:, None], gained, lost)
         return np.asarray(steps & (within[0] != within[-1])[:, None])
 
     def _followed(self) -> Bools:
@@ -170,9 +170,9 @@ def disagreements(
     plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
     if any(count != len(truths) for count in (len(plans), *map(len, outcomes.values()))):
         raise ValueError(f"{len(truths)} truths, but plans or outcomes of another number of samples")
-    found: list[dict[str, str]] = [{} for _ in truths]
+    causes: list[dict[str, str]] = [{} for _ in truths]
     if EXACT not in outcomes:
-        return found
+        return causes
     exact = outcomes[EXACT]
     for name, official in outcomes.items():
         differ = np.flatnonzero(compared(exact, official) & (any_contact(exact) != any_contact(official)))
@@ -180,7 +180,7 @@ def disagreements(
             continue
         apart = np.array([truths[index].timed is not None for index in differ], np.bool_)
         for index in differ[apart].tolist():
-            found[index][name] = f"{FALSE_ALARM if official.collision[index].any() else MISS}: {OTHER_INSTANTS}"
+            causes[index][name] = f"{FALSE_ALARM if official.collision[index].any() else MISS}: {OTHER_INSTANTS}"
         differ = differ[~apart]
         if not len(differ):
             continue
@@ -193,8 +193,8 @@ def disagreements(
         )
         for index, cause in zip(differ.tolist(), rungs.causes()):
             assert cause is not None
-            found[index][name] = cause
-    return found
+            causes[index][name] = cause
+    return causes
 
 
 def _some_of(outcomes: Outcomes, samples: NDArray[np.int64]) -> Outcomes:
@@ -300,11 +300,11 @@ def comparisons(record: RunRecord) -> dict[str, ProtocolComparison]:
     that both count.
     """
     names = tuple(sorted(record.run.protocols))
-    kept = record.columns.kept
-    if (key := ("comparisons", names)) not in kept:
+    cache = record.columns.kept
+    if (key := ("comparisons", names)) not in cache:
         exact = outcomes_of(record.rows, EXACT)
-        kept[key] = {name: _compared(record, name, exact) for name in names if name != EXACT}
-    return dict(kept[key])
+        cache[key] = {name: _compared(record, name, exact) for name in names if name != EXACT}
+    return dict(cache[key])
 
 
 def _compared(record: RunRecord, protocol: str, exact: Outcomes) -> ProtocolComparison:
@@ -312,8 +312,8 @@ def _compared(record: RunRecord, protocol: str, exact: Outcomes) -> ProtocolComp
     both = compared(exact, official)
     removed = (before_mask(official) & ~official.collision)[both]
     wrong = both & (any_contact(exact) != any_contact(official))
-    said = record.columns.values("disagreements")
-    differing = [said[place] for place in record.columns.planned[wrong].tolist()]
+    disagreements = record.columns.values("disagreements")
+    differing = [disagreements[place] for place in record.columns.planned[wrong].tolist()]
     known = all(protocol in causes for causes in differing)
     return ProtocolComparison(
         samples=sample_confusion(exact, official),

@@ -53,12 +53,12 @@ def over_seeds(sums: dict[int, SceneSums], *, seed: int = 0) -> DrawnSeeds:
     """Put the rates of several seeds of the search together, given as (N, 1) sums by recording."""
     order = sorted(sums)
     names = tuple(sorted({name for one in sums.values() for name in one.names}))
-    sides = [sums[each].over(names) for each in order]
+    sides = [sums[seed_rates].over(names) for seed_rates in order]
     above = np.hstack([side.numerators for side in sides])
     below = np.hstack([side.denominators for side in sides])
     drawn = _ratios(resampled(above, names, seed=seed), resampled(below, names, seed=seed))
     values = _ratios(above.sum(axis=0), below.sum(axis=0))
-    each = tuple(
+    seed_rates = tuple(
         SeedRate(which, _rate(values[place], above[:, place], below[:, place], drawn[:, place]))
         for place, which in enumerate(order)
     )
@@ -67,7 +67,7 @@ def over_seeds(sums: dict[int, SceneSums], *, seed: int = 0) -> DrawnSeeds:
     deviation = float(known.std(ddof=1)) if len(known) > 1 else None
     half = None if deviation is None else student_975(len(known) - 1) * deviation / len(known) ** 0.5
     return DrawnSeeds(
-        seeds=each,
+        seeds=seed_rates,
         mean=_rate(mean, above, below, _means(drawn)),
         deviation=deviation,
         low=None if half is None else max(mean - half, 0.0),

@@ -146,37 +146,37 @@ def effect_of(record: RunRecord, unchanged: RunRecord | None) -> AdversaryEffect
     """
     if not (has_adversaries(record) and _judges_whom(record)):
         return None
-    found, known = sample_contacts(record), knows_adversaries(record)
-    rows = np.flatnonzero(found.counted)
-    weights = found.weights[rows]
+    contacts, known = sample_contacts(record), knows_adversaries(record)
+    rows = np.flatnonzero(contacts.counted)
+    weights = contacts.weights[rows]
     total = float(weights.sum())
     return AdversaryEffect(
         record=record,
-        touched=_weighted(found.adversary[rows], weights) if total and known else None,
-        at_fault=_weighted(found.at_fault[rows], weights) if total and known else None,
-        unknown_fault=int(found.unknown_fault[rows].sum()),
+        touched=_weighted(contacts.adversary[rows], weights) if total and known else None,
+        at_fault=_weighted(contacts.at_fault[rows], weights) if total and known else None,
+        unknown_fault=int(contacts.unknown_fault[rows].sum()),
         samples=len(rows),
-        recordings=len({found.keys[row][0] for row in rows.tolist()}),
+        recordings=len({contacts.keys[row][0] for row in rows.tolist()}),
         unchanged=unchanged,
-        paired=None if unchanged is None else _paired(found, record, unchanged, known=known),
+        paired=None if unchanged is None else _paired(contacts, record, unchanged, known=known),
     )
 
 
 def effect_facts(record: RunRecord, unchanged: RunRecord | None) -> dict[str, Any]:
     """`effect_of` as JSON values under ``effect``; empty where there is none, or a sentence why it cannot be told."""
     try:
-        found = effect_of(record, unchanged)
+        effect = effect_of(record, unchanged)
     except InputError as refusal:
         return {"effect": {"refused": str(refusal)}}
-    if found is None:
+    if effect is None:
         return {}
     rates = {
         name: None if values is None else dict(zip(HORIZONS, values, strict=True))
-        for name, values in (("adversary", found.touched), ("at_fault", found.at_fault))
+        for name, values in (("adversary", effect.touched), ("at_fault", effect.at_fault))
     }
     partner = None if unchanged is None else {"data": unchanged.run.data.name, "split": unchanged.run.split}
-    pairs = None if found.paired is None else {**asdict(found.paired), "ratio": found.paired.ratio}
-    counts = {name: getattr(found, name) for name in ("samples", "recordings", "unknown_fault")}
+    pairs = None if effect.paired is None else {**asdict(effect.paired), "ratio": effect.paired.ratio}
+    counts = {name: getattr(effect, name) for name in ("samples", "recordings", "unknown_fault")}
     return {"effect": {**rates, **counts, "unchanged": partner, "paired": pairs}}
 
 
@@ -195,7 +195,7 @@ def sample_contacts(record: RunRecord) -> SampleContacts:
     facts, severity = outcomes.facts, columns.values("severity")
     hit, first_s, adversary = (facts.get(name, (None,) * len(planned)) for name in _FIRST)
     contacts = [None if (own := severity[place]) is None else own.contact for place in planned]
-    with_adversary = np.array([bool(each) for each in adversary], np.bool_)
+    with_adversary = np.array([bool(flag) for flag in adversary], np.bool_)
     same = [one is not None and one.agent == name for one, name in zip(contacts, hit)]
     faults = [one.at_fault if known and one is not None else None for one, known in zip(contacts, same)]
     by_horizon = np.array([[time is not None and time <= horizon for horizon in HORIZON_S] for time in first_s])
@@ -233,13 +233,15 @@ def touched_scenes(record: RunRecord, protocol: str = EXACT) -> dict[str, bool |
     Verdicts as `benchmark.records.run.scene_failures` has them; ``None`` also where a plan collides and the record
     does not say with whom.
     """
-    anybody = scene_failures(record.rows, protocol)
+    any_failures = scene_failures(record.rows, protocol)
     if not attributes(record):
-        return anybody
-    found = first_touches(record, protocol)
-    silent = {scene for scene, places in record.columns.places_of_scenes.items() if found.unsaid[places].any()}
-    verdicts = scenes_with(record.columns, protocol, found.adversary)
-    return {scene: None if scene in silent else failed for scene, failed in verdicts.items()}
+        return any_failures
+    first_contacts = first_touches(record, protocol)
+    undecided_scenes = {
+        scene for scene, places in record.columns.places_of_scenes.items() if first_contacts.unsaid[places].any()
+    }
+    verdicts = scenes_with(record.columns, protocol, first_contacts.adversary)
+    return {scene: None if scene in undecided_scenes else failed for scene, failed in verdicts.items()}
 
 
 def attributed_collisions(record: RunRecord) -> Bools:
@@ -248,8 +250,8 @@ def attributed_collisions(record: RunRecord) -> Bools:
     On a split with adversaries those whose first contact is with one; of recordings, and where the record does not
     say whom contacts are with, any collision.
     """
-    found = first_touches(record)
-    return found.adversary | found.unsaid
+    first_contacts = first_touches(record)
+    return first_contacts.adversary | first_contacts.unsaid
 
 
 def touching_adversary(record: RunRecord) -> Scored:
@@ -257,11 +259,11 @@ def touching_adversary(record: RunRecord) -> Scored:
 
     The record must say whom contacts are with (`says_whom`).
     """
-    own, kept = scored(record, protocol=EXACT), record.columns.kept
-    if _TOUCHING not in kept:
+    own, cache = scored(record, protocol=EXACT), record.columns.kept
+    if _TOUCHING not in cache:
         # Slices of every kind ask for it.
-        kept[_TOUCHING] = np.where(np.isnan(own.values), np.nan, sample_contacts(record).adversary)
-    return replace(own, values=kept[_TOUCHING], kept={})
+        cache[_TOUCHING] = np.where(np.isnan(own.values), np.nan, sample_contacts(record).adversary)
+    return replace(own, values=cache[_TOUCHING], kept={})
 
 
 _TOUCHING: Final = "touching an adversary"
@@ -272,18 +274,20 @@ def _weighted(values: Floats, weights: Floats) -> tuple[float, ...]:
     return tuple((values * weights[:, None]).sum(axis=0) / weights.sum())
 
 
-def _paired(found: SampleContacts, record: RunRecord, unchanged: RunRecord, *, known: bool) -> PairedEffect:
+def _paired(contacts: SampleContacts, record: RunRecord, unchanged: RunRecord, *, known: bool) -> PairedEffect:
     """Pairs by recording and key-frame index."""
     base = sample_contacts(unchanged)
     partner = _partners(base)
-    rows = np.array([row for row in np.flatnonzero(found.counted).tolist() if found.keys[row] in partner], np.int64)
-    weights = found.weights[rows]
-    adversarial = found.any_contact[rows, AT_3_S]
-    before = np.array([partner[found.keys[row]] for row in rows.tolist()])
-    others = adversarial * (found.adversary[rows, AT_3_S] == 0.0)
-    names = sorted({found.keys[row][0] for row in rows.tolist()})
+    rows = np.array(
+        [row for row in np.flatnonzero(contacts.counted).tolist() if contacts.keys[row] in partner], np.int64
+    )
+    weights = contacts.weights[rows]
+    adversarial = contacts.any_contact[rows, AT_3_S]
+    before = np.array([partner[contacts.keys[row]] for row in rows.tolist()])
+    others = adversarial * (contacts.adversary[rows, AT_3_S] == 0.0)
+    names = sorted({contacts.keys[row][0] for row in rows.tolist()})
     place = {name: number for number, name in enumerate(names)}
-    own = np.array([place[found.keys[row][0]] for row in rows.tolist()], np.int64)
+    own = np.array([place[contacts.keys[row][0]] for row in rows.tolist()], np.int64)
     total = float(weights.sum())
 
     def share(values: Floats) -> float | None:
@@ -297,7 +301,7 @@ def _paired(found: SampleContacts, record: RunRecord, unchanged: RunRecord, *, k
         lost_others=share(before * (1.0 - others)) if known else None,
         pairs=len(rows),
         unpaired_scenes=_without_partner(record, unchanged),
-        unpaired=int(found.counted.sum()) - len(rows),
+        unpaired=int(contacts.counted.sum()) - len(rows),
     )
 
 

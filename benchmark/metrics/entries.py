@@ -47,14 +47,14 @@ def adversary_sums(record: RunRecord, horizon: str, refused: Sequence[Refused]) 
 def attributable_sums(record: RunRecord, refused: Sequence[Refused]) -> SceneSums:
     """What each recording adds to the rate of attributable contacts; arguments as of `collision_sums`."""
     sources = source_of_scenes(record)
-    said = [
-        (sources[scene], each.attributable)
+    known_verdicts = [
+        (sources[scene], sample.attributable)
         for scene, attack in scene_attacks(record).items()
-        for each in attack.samples
-        if each.attributable is not None
+        for sample in attack.samples
+        if sample.attributable is not None
     ]
-    values = np.array([verdict for _, verdict in said], np.float64).reshape(-1, 1)
-    return _with_refused(sums_by_scene(values, np.ones_like(values), [name for name, _ in said]), refused)
+    values = np.array([verdict for _, verdict in known_verdicts], np.float64).reshape(-1, 1)
+    return _with_refused(sums_by_scene(values, np.ones_like(values), [name for name, _ in known_verdicts]), refused)
 
 
 def _of_horizon(samples: Scored, horizon: str, refused: Sequence[Refused]) -> SceneSums:
@@ -64,10 +64,10 @@ def _of_horizon(samples: Scored, horizon: str, refused: Sequence[Refused]) -> Sc
 
 
 def _with_refused(sums: SceneSums, refused: Sequence[Refused]) -> SceneSums:
-    found = sums.over(sorted({*sums.names, *(each.recording for each in refused)}))
-    for each in refused:
-        found.denominators[found.names.index(each.recording)] += each.samples
-    return found
+    extended_sums = sums.over(sorted({*sums.names, *(refused_scene.recording for refused_scene in refused)}))
+    for refused_scene in refused:
+        extended_sums.denominators[extended_sums.names.index(refused_scene.recording)] += refused_scene.samples
+    return extended_sums
 
 
 def mean_of(planners: Sequence[SceneSums], recordings: Sequence[str], seed: int) -> tuple[Measured, Floats]:
@@ -107,14 +107,16 @@ def pairs_of(entries: Sequence[tuple[str, float, Floats]], *, enough: bool) -> t
     An entry is a name, a score and (2000,) scores in the same resamples, best first. ``enough`` says whether there
     are two recordings or more to draw from; else no two are told apart.
     """
-    found = []
+    pairs = []
     for index, (name, score, draws) in enumerate(entries):
         for other, other_score, other_draws in entries[index + 1 :]:
             difference = score - other_score
-            said = _measured(difference, draws - other_draws, (-1.0, 1.0), len(draws), enough)
-            apart = said.low is not None and said.high is not None and (said.low > 0.0 or said.high < 0.0)
-            found.append(Pair(first=name, second=other, difference=said, told_apart=apart))
-    return tuple(found)
+            measured = _measured(difference, draws - other_draws, (-1.0, 1.0), len(draws), enough)
+            apart = (
+                measured.low is not None and measured.high is not None and (measured.low > 0.0 or measured.high < 0.0)
+            )
+            pairs.append(Pair(first=name, second=other, difference=measured, told_apart=apart))
+    return tuple(pairs)
 
 
 def places_of(names: Sequence[str], pairs: Sequence[Pair]) -> dict[str, tuple[int, int]]:

@@ -27,9 +27,9 @@ def samples_frame(record: RunRecord) -> pd.DataFrame:
     Raises:
         InputError: If a protocol judged the record in another version than the present one, or is not known here.
     """
-    said = ("scene", "sample_token", "index", "status", "place", "speed_m_s")
-    of_rows = list(zip(*(record.columns.values(name) for name in said)))
-    frame = pd.DataFrame(of_rows, columns=[name.removesuffix("_token") for name in said])
+    fields = ("scene", "sample_token", "index", "status", "place", "speed_m_s")
+    of_rows = list(zip(*(record.columns.values(name) for name in fields)))
+    frame = pd.DataFrame(of_rows, columns=[name.removesuffix("_token") for name in fields])
     planned = (frame["status"] == "ok").to_numpy()
     columns: dict[str, Floats] = {}
     for name in dict.fromkeys([*PROTOCOLS, *record.run.protocols]):

@@ -78,16 +78,16 @@ class NearPasses:
 def contacts_of(record: RunRecord, *, bystanders: bool = False) -> Contacts:
     """The first contacts of a record's plans with an adversary, or those with a bystander instead."""
     rows = [row.severity.contact for row in counted_rows(record) if row.severity is not None]
-    found = [contact for contact in rows if contact is not None and contact.adversary is not bystanders]
-    fatal = [contact.fatal_probability for contact in found]
+    contacts = [contact for contact in rows if contact is not None and contact.adversary is not bystanders]
+    fatal = [contact.fatal_probability for contact in contacts]
 
     def spread(value: Callable[[PlanContactRow], float]) -> Spread:
-        return spread_of([value(contact) for contact in found])
+        return spread_of([value(contact) for contact in contacts])
 
     return Contacts(
-        samples=len(found),
-        at_fault=sum(contact.at_fault is True for contact in found),
-        kinds=dict(Counter(contact.kind for contact in found)),
+        samples=len(contacts),
+        at_fault=sum(contact.at_fault is True for contact in contacts),
+        kinds=dict(Counter(contact.kind for contact in contacts)),
         impact_speed=spread(lambda contact: contact.impact_speed_m_s),
         delta_v_ego=spread(lambda contact: contact.delta_v_ego_m_s),
         delta_v_other=spread(lambda contact: contact.delta_v_other_m_s),
@@ -99,21 +99,21 @@ def contacts_of(record: RunRecord, *, bystanders: bool = False) -> Contacts:
 def near_passes_of(record: RunRecord) -> NearPasses:
     """How near a record's plans without contact come to the adversaries."""
     rows = [row.severity.near for row in counted_rows(record) if row.severity is not None]
-    found = [near for near in rows if near is not None]
+    passes = [near for near in rows if near is not None]
 
     def spread(value: Callable[[PlanNearRow], float | None], *, less_is_worse: bool = False) -> Spread:
-        known = [one for one in map(value, found) if one is not None]
+        known = [one for one in map(value, passes) if one is not None]
         return spread_of(known, less_is_worse=less_is_worse)
 
     return NearPasses(
-        samples=len(found),
+        samples=len(passes),
         gap=spread(lambda near: near.least_gap_m, less_is_worse=True),
         ttc=spread(lambda near: near.least_ttc_s, less_is_worse=True),
         tet=spread(lambda near: near.tet_s),
         tit=spread(lambda near: near.tit_s2),
         pet=spread(lambda near: near.pet_s, less_is_worse=True),
         btn=spread(lambda near: near.max_btn),
-        critical=sum(near.max_btn >= CRITICAL_BTN for near in found),
+        critical=sum(near.max_btn >= CRITICAL_BTN for near in passes),
     )
 
 
@@ -161,9 +161,11 @@ class SplitLadder:
 
 def judged_scenes(record: RunRecord) -> dict[str, JudgementSummary]:
     """What a record says of its scenes, by scene; only of those that were judged."""
-    found = {scene: record.run.scene_facts.get(scene) for scene in record.run.scenes}
+    facts_of_scene = {scene: record.run.scene_facts.get(scene) for scene in record.run.scenes}
     return {
-        scene: facts.judgement for scene, facts in found.items() if facts is not None and facts.judgement is not None
+        scene: facts.judgement
+        for scene, facts in facts_of_scene.items()
+        if facts is not None and facts.judgement is not None
     }
 
 
@@ -182,28 +184,32 @@ def split_ladders(records: Sequence[RunRecord]) -> dict[str, SplitLadder]:
 
 def _ladder(record: RunRecord) -> SplitLadder:
     judged = judged_scenes(record)
-    said = list(judged.values())
-    survived = np.array([[each.survives.get(name, np.nan) for name in DRIVER_NAMES] for each in said], np.float64)
+    summaries = list(judged.values())
+    survived = np.array(
+        [[summary.survives.get(name, np.nan) for name in DRIVER_NAMES] for summary in summaries], np.float64
+    )
     # Without a known adversary nobody can be asked for faults, nor whether the scene is solvable.
-    asked = [each.least_gap_m is not None or bool(each.faults) for each in said]
-    values = np.column_stack([np.nan_to_num(survived), [not each.faults for each in said]]).astype(np.float64)
-    weights = np.column_stack([~np.isnan(survived), asked]).astype(np.float64)
+    answerable = [summary.least_gap_m is not None or bool(summary.faults) for summary in summaries]
+    values = np.column_stack([np.nan_to_num(survived), [not summary.faults for summary in summaries]]).astype(
+        np.float64
+    )
+    weights = np.column_stack([~np.isnan(survived), answerable]).astype(np.float64)
     sources = source_of_scenes(record)
     rates = ratios_over_scenes(values * weights, weights, [sources[name] for name in judged], seed=record.run.seed)
-    margins = [each.margin_s for each in said if each.margin_s is not None]
+    margins = [summary.margin_s for summary in summaries if summary.margin_s is not None]
     return SplitLadder(
         record=record,
-        scenes=len(said),
+        scenes=len(summaries),
         survives=dict(zip(DRIVER_NAMES, rates[:-1], strict=True)),
-        unsolvable=sum(each.unsolvable is True for each in said),
+        unsolvable=sum(summary.unsolvable is True for summary in summaries),
         margin=spread_of(margins, less_is_worse=True),
         too_late=sum(margin < 0 for margin in margins),
-        gap=_least([each.least_gap_m for each in said]),
-        ttc=_least([each.least_ttc_s for each in said]),
-        btn=spread_of([each.max_btn for each in said if each.max_btn is not None]),
-        without_map=sum(not each.has_map for each in said),
-        annotated=sum(each.tracks == "annotated" for each in said),
-        outdated=sum(each.definition != DEFINITION for each in said),
+        gap=_least([summary.least_gap_m for summary in summaries]),
+        ttc=_least([summary.least_ttc_s for summary in summaries]),
+        btn=spread_of([summary.max_btn for summary in summaries if summary.max_btn is not None]),
+        without_map=sum(not summary.has_map for summary in summaries),
+        annotated=sum(summary.tracks == "annotated" for summary in summaries),
+        outdated=sum(summary.definition != DEFINITION for summary in summaries),
         without_fault=rates[-1],
     )
 

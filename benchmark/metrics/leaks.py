@@ -99,52 +99,52 @@ class LeakFigures:
     @property
     def suspicions(self) -> tuple[str, ...]:
         """What no honest planner was seen to do, each in words with its figure; empty where there is nothing."""
-        said = []
+        sentences = []
         if _below(self.error_m, LEAST_ERROR_M):
-            said.append(
+            sentences.append(
                 f"the median plan is {self.error_m:.2f} m from the recorded future after 3 s (planners: over "
                 f"{LEAST_ERROR_M} m)"
             )
         if _below(self.growth, LEAST_GROWTH) and _below(self.first_m, SMALL_AT_FIRST_M):
-            said.append(
+            sentences.append(
                 f"errors grow {self.growth:.1f} times from 0.5 s to 3 s (planners: over {LEAST_GROWTH:.0f} times)"
             )
         elif _below(self.growth_in_danger, LEAST_GROWTH) and _below(self.first_in_danger_m, SMALL_AT_FIRST_M):
-            said.append(
+            sentences.append(
                 f"where the recorded future was dangerous errors grow {self.growth_in_danger:.1f} times from 0.5 s to "
                 f"3 s (planners: over {LEAST_GROWTH:.0f} times)"
             )
         if self.hits >= FEWEST_HITS and self.hits > MOST_HITS * self.surprises:
-            said.append(
+            sentences.append(
                 f"{self.hits} of {self.surprises} futures that could not be foretold are met (planners: at most "
                 f"{MOST_HITS:.0%})"
             )
         if _below(self.ratio, LEAST_RATIO):
-            said.append(
+            sentences.append(
                 f"the median error is {self.ratio:.2f} times the surprise of the future (planners: over {LEAST_RATIO})"
             )
         if _below(self.ratio_braking, LEAST_RATIO_BRAKING):
-            said.append(
+            sentences.append(
                 f"plans know when the recorded car will brake: error over surprise {self.ratio_braking:.2f} at "
                 f"{self.braking} samples before it does (planners: over {LEAST_RATIO_BRAKING})"
             )
         if _below(self.ratio_in_danger, LEAST_RATIO_IN_DANGER):
-            said.append(
+            sentences.append(
                 f"plans are better where the recorded future was dangerous, {self.ratio_in_danger:.2f} times the error "
                 f"elsewhere at equal surprise (planners: over {LEAST_RATIO_IN_DANGER})"
             )
-        return tuple(said)
+        return tuple(sentences)
 
 
 def leak_figures(moments: Sequence[Moment]) -> LeakFigures:
     """Figures of the samples that have a plan and a recorded future of 3 s, and a second before it."""
-    errors = np.array([_distances(each.planned, each.recorded) for each in moments]).reshape(-1, PLAN_STEPS)
+    errors = np.array([_distances(moment.planned, moment.recorded) for moment in moments]).reshape(-1, PLAN_STEPS)
     error = np.sqrt((errors**2).mean(axis=1))
-    surprise = np.array([surprise_m(each) for each in moments])
-    way = np.array([np.hypot(*each.recorded.T).max() for each in moments])
-    danger = np.array([each.dangerous for each in moments], bool)
-    braking = np.array([_brakes_later(each) for each in moments], bool)
-    moving = (way > MOVES_M) & np.isfinite(error)
+    surprise = np.array([surprise_m(moment) for moment in moments])
+    recorded_reach_m = np.array([np.hypot(*moment.recorded.T).max() for moment in moments])
+    danger = np.array([moment.dangerous for moment in moments], bool)
+    braking = np.array([_brakes_later(moment) for moment in moments], bool)
+    moving = (recorded_reach_m > MOVES_M) & np.isfinite(error)
     surprising = (surprise >= SURPRISE_M) & np.isfinite(error)
     ratio = error / np.maximum(surprise, SURPRISE_M)
     growth, first = _growth(errors[moving])
@@ -170,8 +170,10 @@ def surprise_m(moment: Moment) -> float:
     before, now = moment.speeds
     acceleration = (now - before) / PLAN_STEP_S
     times = PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
-    ways = [np.zeros(PLAN_STEPS), *(_way(now, share * acceleration, times) for share in (0.0, 0.5, 1.0))]
-    continued = np.array([path for way in ways for path in (way[:, None] * moment.ahead, _along(moment.recorded, way))])
+    travels = [np.zeros(PLAN_STEPS), *(_way(now, share * acceleration, times) for share in (0.0, 0.5, 1.0))]
+    continued = np.array(
+        [path for travel in travels for path in (travel[:, None] * moment.ahead, _along(moment.recorded, travel))]
+    )
     return float(np.sqrt(((continued - moment.recorded) ** 2).sum(axis=2).mean(axis=1)).min())
 
 
@@ -204,8 +206,8 @@ def _brakes_later(moment: Moment) -> bool:
 
 
 def _distances(planned: Floats, recorded: Floats) -> Floats:
-    found: Floats = np.hypot(*(planned - recorded).T)
-    return found
+    distances: Floats = np.hypot(*(planned - recorded).T)
+    return distances
 
 
 def _growth(errors: Floats) -> tuple[float | None, float | None]:

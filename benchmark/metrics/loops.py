@@ -101,10 +101,10 @@ def run_of(drives: DriveRecord, runs: Sequence[RunRecord]) -> RunRecord | None:
 
     The one with most of the driven scenes, or ``None`` where none has any, or was judged by the present ``exact``.
     """
-    found = [run for run in runs if _same_planner(drives, run) and _judged(run)]
+    same_planner_runs = [run for run in runs if _same_planner(drives, run) and _judged(run)]
     driven = set(drives.facts.scenes)
-    shared = [(len(driven & set(run.run.scenes)), run.content_id, run) for run in found]
-    best = max((each for each in shared if each[0]), key=lambda each: each[:2], default=None)
+    shared = [(len(driven & set(run.run.scenes)), run.content_id, run) for run in same_planner_runs]
+    best = max((candidate for candidate in shared if candidate[0]), key=lambda each: each[:2], default=None)
     return None if best is None else best[2]
 
 
@@ -120,11 +120,11 @@ def planner_loops(drives: DriveRecord, run: RunRecord) -> PlannerLoops:
         rows.setdefault(row.scene, []).append(row)
     scenes, without = [], []
     for scene in sorted(verdicts.keys() & rows.keys()):
-        found = _scene_loops(scene, drives, verdicts[scene], rows[scene])
-        if found is None:
+        scene_loops = _scene_loops(scene, drives, verdicts[scene], rows[scene])
+        if scene_loops is None:
             without.append(scene)
         else:
-            scenes.append(found)
+            scenes.append(scene_loops)
     rates = _rates(scenes, drives.facts.seed)
     return PlannerLoops(drives, run, tuple(scenes), tuple(without), *rates)
 
@@ -135,8 +135,8 @@ def rank_correlation(found: Sequence[PlannerLoops], *, at_fault: bool = False) -
     Kendall's tau-b between shares of failed scenes and of drives with a contact (``at_fault``: of the ego's fault
     only), over the scenes that all ranked planners have.
     """
-    ranked = [each for each in found if not each.drives.facts.planner.miniature and each.scenes]
-    common = set.intersection(*({each.scene for each in one.scenes} for one in ranked)) if ranked else set()
+    ranked = [item for item in found if not item.drives.facts.planner.miniature and item.scenes]
+    common = set.intersection(*({item.scene for item in one.scenes} for one in ranked)) if ranked else set()
     if len(ranked) < FEWEST_RANKED or not common:
         return RankCorrelation(None, len(ranked), len(common))
     shares = np.array([_shares(one.scenes, common, at_fault=at_fault) for one in ranked])
@@ -151,8 +151,8 @@ def kendall_tau(first: Floats, second: Floats) -> float | None:
     pairs = list(combinations(range(len(first)), 2))
     one = np.array([np.sign(first[a] - first[b]) for a, b in pairs])
     other = np.array([np.sign(second[a] - second[b]) for a, b in pairs])
-    told = np.count_nonzero(one) * np.count_nonzero(other)
-    return float((one * other).sum() / np.sqrt(told)) if told else None
+    untied_product = np.count_nonzero(one) * np.count_nonzero(other)
+    return float((one * other).sum() / np.sqrt(untied_product)) if untied_product else None
 
 
 def _same_planner(drives: DriveRecord, run: RunRecord) -> bool:
@@ -180,23 +180,25 @@ def _scene_loops(
     if open_fails is None or not driven or (len(driven) < len(rows) and not hits):
         return None
     facts = drives.facts.scene_facts
-    blamed = sum(row.contact is not None and row.contact.at_fault for row in hits)
+    at_fault_count = sum(row.contact is not None and row.contact.at_fault for row in hits)
     return SceneLoops(
         scene=scene,
         source=facts[scene].source if scene in facts else scene,
         open_fails=open_fails,
         contact=len(hits) / len(driven),
-        at_fault=blamed / len(driven),
+        at_fault=at_fault_count / len(driven),
         first=min(hits, key=lambda row: row.run, default=None),
     )
 
 
 def _rates(scenes: Sequence[SceneLoops], seed: int) -> list[Rate]:
-    values = np.array([[each.open_fails, each.contact, each.at_fault] for each in scenes], np.float64).reshape(-1, 3)
-    return ratios_over_scenes(values, np.ones_like(values), [each.source for each in scenes], seed=seed)
+    values = np.array(
+        [[scene_loops.open_fails, scene_loops.contact, scene_loops.at_fault] for scene_loops in scenes], np.float64
+    ).reshape(-1, 3)
+    return ratios_over_scenes(values, np.ones_like(values), [scene_loops.source for scene_loops in scenes], seed=seed)
 
 
 def _shares(scenes: Sequence[SceneLoops], common: set[str], *, at_fault: bool) -> tuple[float, float]:
-    shown = [each for each in scenes if each.scene in common]
-    closed = [each.at_fault if at_fault else each.contact for each in shown]
-    return float(np.mean([each.open_fails for each in shown])), float(np.mean(closed))
+    common_scenes = [scene_loops for scene_loops in scenes if scene_loops.scene in common]
+    closed = [scene_loops.at_fault if at_fault else scene_loops.contact for scene_loops in common_scenes]
+    return float(np.mean([scene_loops.open_fails for scene_loops in common_scenes])), float(np.mean(closed))

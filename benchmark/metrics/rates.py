@@ -138,8 +138,8 @@ class SceneSums:
         if self.names == tuple(names):
             return self
         row_of = {name: row for row, name in enumerate(self.names)}
-        found = [(row, row_of[name]) for row, name in enumerate(names) if name in row_of]
-        to, of = [row for row, _ in found], [row for _, row in found]
+        row_pairs = [(row, row_of[name]) for row, name in enumerate(names) if name in row_of]
+        to, of = [row for row, _ in row_pairs], [row for _, row in row_pairs]
         shape = (len(names), self.numerators.shape[1])
         numerators, denominators = np.zeros(shape), np.zeros(shape)
         numerators[to], denominators[to] = self.numerators[of], self.denominators[of]
@@ -158,15 +158,15 @@ def rates(
     columns: dict[str, dict[str, Rate]] = {}
     for column, by_horizon in published_values(definition, outcomes).items():
         values = with_average(by_horizon)
-        said = ~np.isnan(values)
-        weights = np.where(said, outcomes.counted[:, None], False).astype(np.float64)
-        values, own = np.where(said, values, 0.0) * weights, scenes
-        if outcomes.known is not None and not said.all():
+        is_known = ~np.isnan(values)
+        weights = np.where(is_known, outcomes.counted[:, None], False).astype(np.float64)
+        values, own = np.where(is_known, values, 0.0) * weights, scenes
+        if outcomes.known is not None and not is_known.all():
             # A scene whose surroundings are not annotated is not drawn either.
-            rows = np.flatnonzero(said.any(axis=1)).tolist()
+            rows = np.flatnonzero(is_known.any(axis=1)).tolist()
             values, weights, own = values[rows], weights[rows], [scenes[row] for row in rows]
-        found = ratios_over_scenes(values, weights, own, seed=seed)
-        columns[column] = dict(zip(HORIZONS, found))
+        column_rates = ratios_over_scenes(values, weights, own, seed=seed)
+        columns[column] = dict(zip(HORIZONS, column_rates))
     return columns
 
 
@@ -213,12 +213,12 @@ def sums_by_scene(values: Floats, weights: Floats, scenes: Sequence[str]) -> Sce
 
 def _added(values: Floats, counts: NDArray[np.int64]) -> Floats:
     """(N, C) sums of runs of the (S, C) rows, ``counts`` rows each, every run from its first row to its last."""
-    found = np.zeros((len(counts), values.shape[1]))
+    totals = np.zeros((len(counts), values.shape[1]))
     starts = np.cumsum(counts) - counts
     for place in range(int(counts.max(initial=0))):
         longer = np.flatnonzero(counts > place)
-        found[longer] += values[starts[longer] + place]
-    return found
+        totals[longer] += values[starts[longer] + place]
+    return totals
 
 
 def resampled(sums: Floats, names: tuple[str, ...], *, seed: int) -> Floats:
@@ -229,16 +229,16 @@ def resampled(sums: Floats, names: tuple[str, ...], *, seed: int) -> Floats:
         return np.asarray(drawn @ sums)
     if sums.shape[1] == 1 or not exact.any():
         return _in_order(drawn, sums)
-    found = np.empty((len(drawn), sums.shape[1]))
-    found[:, exact], found[:, ~exact] = drawn @ sums[:, exact], _in_order(drawn, sums[:, ~exact], alone=False)
-    return found
+    totals = np.empty((len(drawn), sums.shape[1]))
+    totals[:, exact], totals[:, ~exact] = drawn @ sums[:, exact], _in_order(drawn, sums[:, ~exact], alone=False)
+    return totals
 
 
 def _adds_exactly(sums: Floats, scenes: int) -> Bools:
     """(C,) whether a column has whole numbers alone, so few that their totals are exact in any order."""
     with np.errstate(invalid="ignore"):
-        whole = (np.rint(sums) == sums).all(axis=0)
-        return np.asarray(whole & (np.abs(sums).max(axis=0, initial=0.0) * scenes < 2**53))
+        is_integer = (np.rint(sums) == sums).all(axis=0)
+        return np.asarray(is_integer & (np.abs(sums).max(axis=0, initial=0.0) * scenes < 2**53))
 
 
 def _in_order(drawn: Floats, sums: Floats, *, alone: bool = True) -> Floats:
@@ -270,8 +270,8 @@ def all_ends(draws: Floats, bounds: tuple[float, float]) -> tuple[Floats, Floats
     ranks = math.floor(INTERVAL[0] * last), math.ceil(INTERVAL[1] * last)
     unknown = np.isnan(draws)
     if not unknown.any():
-        found = np.partition(draws, ranks, axis=1)
-        return found[:, ranks[0]], found[:, ranks[1]]
+        partitioned = np.partition(draws, ranks, axis=1)
+        return partitioned[:, ranks[0]], partitioned[:, ranks[1]]
     low, high = (np.where(unknown, bound, draws) for bound in bounds)
     return np.partition(low, ranks[0], axis=1)[:, ranks[0]], np.partition(high, ranks[1], axis=1)[:, ranks[1]]
 
@@ -312,8 +312,8 @@ def _interval(sums: SceneSums, seed: int) -> tuple[Floats, Floats]:
         chosen = list(wanted.values())
         # The first column stands beside a single one: what is alone is added in another order.
         beside = chosen if len(chosen) > 1 or columns == 1 else [*chosen, *chosen]
-        found = _percentiles(sums.numerators[:, beside], sums.denominators[:, beside], sums.names, seed)
-        where |= dict(zip(wanted, zip(*(part.tolist() for part in found))))
+        bounds = _percentiles(sums.numerators[:, beside], sums.denominators[:, beside], sums.names, seed)
+        where |= dict(zip(wanted, zip(*(part.tolist() for part in bounds))))
     low, high = zip(*(where[key] for key in keys))
     if len(where) > _MOST_KEPT:
         where.clear()

@@ -56,9 +56,9 @@ class Scored:
         # A scene of which nothing is said is not drawn either.
         rows = rows[~np.isnan(self.values[rows]).all(axis=1)]
         values = self.values[rows]
-        said = ~np.isnan(values)
-        weights = (said & self.counted[rows, None]).astype(np.float64)
-        values = np.where(said, values, 0.0) * weights
+        is_known = ~np.isnan(values)
+        weights = (is_known & self.counted[rows, None]).astype(np.float64)
+        values = np.where(is_known, values, 0.0) * weights
         return sums_by_scene(values, weights, [unit_of[self.scenes[row]] for row in rows])
 
 
@@ -119,11 +119,11 @@ def source_of_scenes(record: RunRecord) -> Mapping[str, str]:
 
     The mapping is shared and must not be changed.
     """
-    kept, run = record.columns.kept, record.run
-    if (known := kept.get(_SOURCES)) is None or known[0] is not run:
+    cache, run = record.columns.kept, record.run
+    if (known := cache.get(_SOURCES)) is None or known[0] is not run:
         facts = run.scene_facts
-        found = {name: facts[name].source if name in facts else name for name in run.scenes}
-        known = kept[_SOURCES] = run, MappingProxyType(found)
+        source_of = {name: facts[name].source if name in facts else name for name in run.scenes}
+        known = cache[_SOURCES] = run, MappingProxyType(source_of)
     sources: Mapping[str, str] = known[1]
     return sources
 

@@ -198,13 +198,15 @@ def _compared(
     sides = first.over(names), second.over(names)
     # One recording with counted samples has nothing to be drawn against.
     enough = all(np.count_nonzero(side.denominators[:, 0]) > 1 for side in sides)
-    asked = [HORIZONS.index(horizon) for horizon in horizons]
-    rates = [_ratio(side.numerators.sum(axis=0), side.denominators.sum(axis=0))[asked] for side in sides]
+    columns = [HORIZONS.index(horizon) for horizon in horizons]
+    rates = [_ratio(side.numerators.sum(axis=0), side.denominators.sum(axis=0))[columns] for side in sides]
     difference = rates[1] - rates[0]
-    differences: list[Ends] = [(None, None)] * len(asked)
+    differences: list[Ends] = [(None, None)] * len(columns)
     if enough:
-        kept = [_draws(side.names, seed, *map(_frozen, (side.numerators, side.denominators))) for side in sides]
-        drawn = [draws[asked] for draws in kept]
+        draws_of_sides = [
+            _draws(side.names, seed, *map(_frozen, (side.numerators, side.denominators))) for side in sides
+        ]
+        drawn = [draws[columns] for draws in draws_of_sides]
         apart = drawn[1] - drawn[0]
         differences = _intervals(apart, (-1.0, 1.0))
     return {

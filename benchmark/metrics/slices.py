@@ -85,8 +85,8 @@ def slicing(record: RunRecord, kind: SliceKind) -> Slicing | None:
 
 
 def _sliced(record: RunRecord, kind: SliceKind) -> Slicing | None:
-    found = _labels(record, kind)
-    if found is None:
+    labels = _labels(record, kind)
+    if labels is None:
         return None
     order = {
         "place": get_args(PlaceName),
@@ -95,9 +95,9 @@ def _sliced(record: RunRecord, kind: SliceKind) -> Slicing | None:
         "speed": SPEEDS,
         "command": COMMANDS,
     }[kind]
-    there = {name for names in found for name in names}
+    there = {name for names in labels for name in names}
     names = tuple(name for name in (*order, NOT_SAID) if name in there)
-    members = np.array([[name in said for name in names] for said in found], np.bool_)
+    members = np.array([[name in row_labels for name in names] for row_labels in labels], np.bool_)
     return Slicing(names, members.reshape(-1, len(names)))
 
 
@@ -146,7 +146,7 @@ def causes_by(record: RunRecord, kind: SliceKind) -> list[Slice]:
     parts = slicing(record, kind)
     chosen = np.flatnonzero(attributed_collisions(record))
     diagnoses = record.columns.values("diagnosis")
-    causes = [None if (said := diagnoses[place]) is None else said.cause for place in chosen.tolist()]
+    causes = [None if (diagnosis := diagnoses[place]) is None else diagnosis.cause for place in chosen.tolist()]
     if parts is None or not causes or None in causes:
         return []
     values = np.array([[cause == one for one in CAUSES] for cause in causes], np.float64)
@@ -169,7 +169,7 @@ def _slices(
     rates = ratios_of_sums(
         slice_sums(members, values, weights, [sources[scene] for scene in scenes]), seed=record.run.seed
     )
-    found = []
+    slices = []
     for place, name in enumerate(parts.names):
         inside = np.flatnonzero(members[:, place] & counted).tolist()
         if not inside:
@@ -177,8 +177,8 @@ def _slices(
         columns: dict[str, dict[str, Rate]] = {}
         for (column, part), rate in zip(keys, rates[place * len(keys) : (place + 1) * len(keys)], strict=True):
             columns.setdefault(column, {})[part] = rate
-        found.append(Slice(name, len(inside), len({scenes[row] for row in inside}), columns))
-    return found
+        slices.append(Slice(name, len(inside), len({scenes[row] for row in inside}), columns))
+    return slices
 
 
 def slice_sums(members: Bools, values: Floats, weights: Floats, scenes: Sequence[str]) -> SceneSums:
@@ -194,13 +194,13 @@ def slice_sums(members: Bools, values: Floats, weights: Floats, scenes: Sequence
         spread = (weights[:, None, :] * members[:, :, None]).reshape(len(scenes), -1)
         return sums_by_scene(np.tile(values, (1, members.shape[1])) * spread, spread, scenes)
     names = tuple(sorted(set(scenes)))
-    found = []
+    sums_of_slices = []
     for inside in members.T:
         rows = np.flatnonzero(inside)
         counting = weights[rows]
         sums = sums_by_scene(values[rows] * counting, counting, [scenes[row] for row in rows.tolist()])
-        found.append(sums.over(names))
-    numerators, denominators = zip(*((sums.numerators, sums.denominators) for sums in found))
+        sums_of_slices.append(sums.over(names))
+    numerators, denominators = zip(*((sums.numerators, sums.denominators) for sums in sums_of_slices))
     return SceneSums(names, np.concatenate(numerators, axis=1), np.concatenate(denominators, axis=1))
 
 
@@ -222,18 +222,18 @@ def _labels(record: RunRecord, kind: SliceKind) -> list[tuple[str, ...]] | None:
 
 def _lights(record: RunRecord) -> dict[str, tuple[str, ...]] | None:
     facts = record.run.scene_facts
-    said = {name: facts[name].light if name in facts else None for name in record.run.scenes}
-    if None in said.values():
+    light_of_scene = {name: facts[name].light if name in facts else None for name in record.run.scenes}
+    if None in light_of_scene.values():
         return None
-    return {name: tuple(light or ()) or (NOT_SAID,) for name, light in said.items()}
+    return {name: tuple(light or ()) or (NOT_SAID,) for name, light in light_of_scene.items()}
 
 
 def _manoeuvres(record: RunRecord) -> dict[str, tuple[str, ...]] | None:
     facts = record.run.scene_facts
-    said = {name: facts[name].manoeuvre if name in facts else None for name in record.run.scenes}
-    if not any(said.values()):
+    manoeuvre_of_scene = {name: facts[name].manoeuvre if name in facts else None for name in record.run.scenes}
+    if not any(manoeuvre_of_scene.values()):
         return None
-    return {name: (manoeuvre or NOT_SAID,) for name, manoeuvre in said.items()}
+    return {name: (manoeuvre or NOT_SAID,) for name, manoeuvre in manoeuvre_of_scene.items()}
 
 
 def _by_frequency(record: RunRecord) -> tuple[str, ...]:

@@ -200,13 +200,13 @@ class Failures:
         tables = np.stack([both, only_first, only_second, neither])
         totals = tables.sum(axis=2)
         values = _phi(totals.T)
-        asked = ~np.isnan(values) & (np.count_nonzero(shared, axis=1) > 1)
-        intervals = self._ends(tables, shared, asked, (-1.0, 1.0), lambda drawn: _phi_of(*drawn), seed)
+        estimable = ~np.isnan(values) & (np.count_nonzero(shared, axis=1) > 1)
+        intervals = self._ends(tables, shared, estimable, (-1.0, 1.0), lambda drawn: _phi_of(*drawn), seed)
         lifts = _lift_of(*totals)
-        asked = ~np.isnan(lifts) & (np.count_nonzero(shared, axis=1) > 1)
+        estimable = ~np.isnan(lifts) & (np.count_nonzero(shared, axis=1) > 1)
         # The most there can be: both fail one scene, the same one.
         most = float(self.fails.shape[1])
-        of_lift = self._ends(tables, shared, asked, (0.0, most), lambda drawn: _lift_of(*drawn), seed)
+        of_lift = self._ends(tables, shared, estimable, (0.0, most), lambda drawn: _lift_of(*drawn), seed)
         return [
             Agreement(
                 (names[first], names[first + 1 + place]),
@@ -231,9 +231,9 @@ class Failures:
 
     def _rates(self, both: Floats, failed: Floats, shared: Bools, seed: int) -> list[Rate]:
         """Rates of (P, U) counts, and intervals where more than one unit has something below the line."""
-        asked = np.count_nonzero(failed, axis=1) > 1
+        estimable = np.count_nonzero(failed, axis=1) > 1
         intervals = self._ends(
-            np.stack([both, failed]), shared, asked, (0.0, 1.0), lambda drawn: _quotient(drawn[0], drawn[1]), seed
+            np.stack([both, failed]), shared, estimable, (0.0, 1.0), lambda drawn: _quotient(drawn[0], drawn[1]), seed
         )
         return [
             Rate(above / below if below else None, above, round(below), *interval)
@@ -246,7 +246,7 @@ class Failures:
         self,
         counts: Floats,
         shared: Bools,
-        asked: Bools,
+        estimable: Bools,
         bounds: tuple[float, float],
         number: Callable[[Floats], Floats],
         seed: int,
@@ -255,16 +255,20 @@ class Failures:
 
         Units are drawn that a pair shares: pairs that share the same ones are drawn together.
         """
-        found: list[tuple[float | None, float | None]] = [(None, None)] * len(asked)
-        for units in np.unique(shared[asked], axis=0):
-            those = np.flatnonzero(asked & (shared == units).all(axis=1))
+        intervals: list[tuple[float | None, float | None]] = [(None, None)] * len(estimable)
+        for units in np.unique(shared[estimable], axis=0):
+            planners = np.flatnonzero(estimable & (shared == units).all(axis=1))
             names = tuple(name for name, there in zip(self.units, units.tolist()) if there)
             # Whole numbers: their totals are the same in any order.
-            chosen = counts[:, those][:, :, units].reshape(-1, len(names))
-            drawn = resampled(np.ascontiguousarray(chosen.T), names, seed=seed).T.reshape(len(counts), len(those), -1)
-            for place, low, high in zip(those.tolist(), *(part.tolist() for part in all_ends(number(drawn), bounds))):
-                found[place] = low, high
-        return found
+            chosen = counts[:, planners][:, :, units].reshape(-1, len(names))
+            drawn = resampled(np.ascontiguousarray(chosen.T), names, seed=seed).T.reshape(
+                len(counts), len(planners), -1
+            )
+            for place, low, high in zip(
+                planners.tolist(), *(part.tolist() for part in all_ends(number(drawn), bounds))
+            ):
+                intervals[place] = low, high
+        return intervals
 
 
 def _phi(counts: Floats) -> Floats:
@@ -296,8 +300,8 @@ def adversary_failures(record: RunRecord) -> dict[str, bool | None]:
         raise InputError(
             f"{named(record)} does not say whom contacts are with, or who is an adversary; run challenger-bench rescore"
         )
-    found = touched_scenes(record)
-    return {scene: found.get(scene) for scene in record.run.scenes}
+    failures = touched_scenes(record)
+    return {scene: failures.get(scene) for scene in record.run.scenes}
 
 
 def _judges(records: Sequence[RunRecord], protocol: str) -> tuple[str, ...]:

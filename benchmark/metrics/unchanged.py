@@ -67,14 +67,14 @@ def unchanged_candidates(root: Path, records: Iterable[RunRecord], elsewhere: st
         if has_adversaries(record)
         for data_name in _data_names(record, elsewhere)
     }
-    found: list[RunRecord] = []
+    candidates: list[RunRecord] = []
     for data_name, planner in sorted(wanted):
         for split in UNCHANGED_SPLITS:
             folder = root / file_name(data_name) / file_name(split)
             for head in folder.glob(f"{glob.escape(file_name(planner))}*/{RUN_FILE}"):
                 with suppress(InputError):
-                    found.append(load_record(head.parent))
-    return sorted(found, key=lambda record: ((record.directory / RUN_FILE).stat().st_mtime_ns, record.directory))
+                    candidates.append(load_record(head.parent))
+    return sorted(candidates, key=lambda record: ((record.directory / RUN_FILE).stat().st_mtime_ns, record.directory))
 
 
 def _data_names(record: RunRecord, elsewhere: str | None) -> set[str]:
@@ -86,7 +86,7 @@ def _data_names(record: RunRecord, elsewhere: str | None) -> set[str]:
 def _same_planner(first: RunRecord, second: RunRecord) -> bool:
     """The same weights, code, settings and seed; plan files hold one split each."""
     one, other = first.run.planner, second.run.planner
-    settings = [{k: v for k, v in version_of(each).items() if k != PLANS_SHA256} for each in (one, other)]
+    settings = [{k: v for k, v in version_of(planner).items() if k != PLANS_SHA256} for planner in (one, other)]
     return (one.name, one.code_sha256, settings[0]) == (
         other.name,
         other.code_sha256,

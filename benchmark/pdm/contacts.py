@@ -81,8 +81,14 @@ def collisions(states: Floats, samples: Integers, traffic: Traffic, where: Where
     speed = np.hypot(states[plan, state, SPEED], states[plan, state, SIDE_SPEED])
     kind = contact_kinds(mine, speed, theirs, traffic.speed[other], traffic.is_agent[other])
     at_fault = (kind == STOPPED_TRACK) | (kind == FRONT) | ((kind == LATERAL) & unsure)
-    kept = _up_to_first(pair, state, ~at_fault, len(pairs.plan))
-    plan, state, other, kind, at_fault = plan[kept], state[kept], other[kept], kind[kept], at_fault[kept]
+    up_to_first = _up_to_first(pair, state, ~at_fault, len(pairs.plan))
+    plan, state, other, kind, at_fault = (
+        plan[up_to_first],
+        state[up_to_first],
+        other[up_to_first],
+        kind[up_to_first],
+        at_fault[up_to_first],
+    )
     score, step = np.ones(len(states)), np.full(len(states), STATES)
     np.minimum.at(score, plan[at_fault], np.where(traffic.is_agent[other[at_fault]], 0.0, 0.5))
     np.minimum.at(step, plan[at_fault], state[at_fault])
@@ -96,12 +102,12 @@ def near_misses(states: Floats, samples: Integers, traffic: Traffic, where: Wher
 
     ``traffic`` is without those that touch the car at the start.
     """
-    asked = states[:, :TTC_STATES]
-    speed = np.hypot(asked[..., SPEED], asked[..., SIDE_SPEED])
-    boxes = np.repeat(footprints(asked)[:, :, None], len(AHEAD_STATES), axis=2)
+    scored_states = states[:, :TTC_STATES]
+    speed = np.hypot(scored_states[..., SPEED], scored_states[..., SIDE_SPEED])
+    boxes = np.repeat(footprints(scored_states)[:, :, None], len(AHEAD_STATES), axis=2)
     ahead_m = speed[..., None] * (np.array(AHEAD_STATES) * 0.1)
-    boxes[..., 0] += ahead_m * np.cos(asked[..., None, HEADING])
-    boxes[..., 1] += ahead_m * np.sin(asked[..., None, HEADING])
+    boxes[..., 0] += ahead_m * np.cos(scored_states[..., None, HEADING])
+    boxes[..., 1] += ahead_m * np.sin(scored_states[..., None, HEADING])
     boxes = boxes.reshape(len(states), TTC_STATES * len(AHEAD_STATES), 5)
     # An instant is a state and a projection of it, in the order in which the official loops visit them.
     state_of, ahead_of = np.divmod(np.arange(boxes.shape[1]), len(AHEAD_STATES))
@@ -118,10 +124,10 @@ def near_misses(states: Floats, samples: Integers, traffic: Traffic, where: Wher
     unsure = (where.multiple_lanes | where.non_drivable | where.axle_in_intersection)[plan, state]
     ahead, behind = angle < AHEAD_RAD, angle > BEHIND_RAD
     counts = ahead | (unsure & ~behind)
-    kept = _up_to_first(pair, instant, ~counts, len(pairs.plan))
-    asked_behind = np.where(~ahead & unsure, behind, -1)
-    columns = (plan, state, ahead_of[instant], other, ahead, asked_behind, counts)
-    events = np.column_stack(columns).astype(np.int64)[kept]
+    up_to_first = _up_to_first(pair, instant, ~counts, len(pairs.plan))
+    behind_flag = np.where(~ahead & unsure, behind, -1)
+    columns = (plan, state, ahead_of[instant], other, ahead, behind_flag, counts)
+    events = np.column_stack(columns).astype(np.int64)[up_to_first]
     step = np.full(len(states), STATES)
     counted = events[events[:, 6] == 1]
     np.minimum.at(step, counted[:, 0], counted[:, 1])

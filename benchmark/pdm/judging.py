@@ -44,7 +44,7 @@ def judge_planners(
     scene: Scene, plans: Sequence[Sequence[Plan | None]], recorded: RecordedScene | None = None
 ) -> list[list[DrivenPlan | None]]:
     """`judge_scene` of several planners together: of each planner K verdicts, the same as one by one."""
-    found: list[list[DrivenPlan | None]] = [[None] * len(own) for own in plans]
+    scores: list[list[DrivenPlan | None]] = [[None] * len(own) for own in plans]
     recorded = recorded or RecordedScene(scene)
     chosen = [
         (planner, sample)
@@ -54,7 +54,7 @@ def judge_planners(
     ]
     # Without lanes every plan would be on the wrong side of the road.
     if not (recorded.road.drivable and recorded.road.lanes and chosen):
-        return found
+        return scores
     ahead_m = float(scene.lidar.translation[0])
     samples = np.array([sample for _, sample in chosen], np.int64)
     poses = all_headed([_known(plans[planner][sample]) for planner, sample in chosen], ahead_m)
@@ -64,11 +64,11 @@ def judge_planners(
         motions, verdicts = _batch(recorded, samples[batch], poses[batch])
         states.append(motions)
         for (planner, sample), verdict in zip(chosen[batch], verdicts, strict=True):
-            found[planner][sample] = verdict
+            scores[planner][sample] = verdict
     for row, comfort in _between_plans(chosen, recorded.seconds, np.concatenate(states)).items():
         planner, sample = chosen[row]
-        found[planner][sample] = replace(_known(found[planner][sample]), ec=comfort)
-    return found
+        scores[planner][sample] = replace(_known(scores[planner][sample]), ec=comfort)
+    return scores
 
 
 def _batch(recorded: RecordedScene, samples: NDArray[np.int64], poses: Floats) -> tuple[Floats, list[DrivenPlan]]:
@@ -105,18 +105,18 @@ def _touches(
     events: NDArray[np.int64], number: NDArray[np.int64], recorded: RecordedScene, plans: int
 ) -> list[dict[str, Any]]:
     """Whom each of some plans touches; contacts in order of time within each plan, `number` as of `Traffic`."""
-    found: list[dict[str, Any]] = [
+    touched: list[dict[str, Any]] = [
         {"hit": None, "first_contact_s": None, "hit_adversary": False, "adversary_contact_s": None}
         for _ in range(plans)
     ]
     for plan, state, row in events[:, :3].tolist():
-        own, time_s, agent = found[plan], _seconds(state), int(number[row])
+        own, time_s, agent = touched[plan], _seconds(state), int(number[row])
         name, adversary = recorded.instances[agent], bool(recorded.adversaries[agent])
         if own["hit"] is None or (own["first_contact_s"] == time_s and name < own["hit"]):
             own |= {"hit": name, "first_contact_s": time_s, "hit_adversary": adversary}
         if adversary and own["adversary_contact_s"] is None:
             own["adversary_contact_s"] = time_s
-    return found
+    return touched
 
 
 def _references(recorded: RecordedScene, samples: NDArray[np.int64]) -> tuple[Surroundings, Judged]:
@@ -126,8 +126,8 @@ def _references(recorded: RecordedScene, samples: NDArray[np.int64]) -> tuple[Su
         around = recorded.surroundings(samples)
         plans = tracked(recorded.recorded_plans(samples), around.now)
         recorded.references[key] = around, judged(plans, np.arange(len(samples)), around)
-    found: tuple[Surroundings, Judged] = recorded.references[key]
-    return found
+    references: tuple[Surroundings, Judged] = recorded.references[key]
+    return references
 
 
 def _between_plans(chosen: Sequence[tuple[int, int]], seconds: Floats, states: Floats) -> dict[int, float]:
@@ -138,12 +138,12 @@ def _between_plans(chosen: Sequence[tuple[int, int]], seconds: Floats, states: F
         apart = states_between(float(seconds[later] - seconds[earlier])) if planner == before else None
         if apart is not None:
             rows_apart.setdefault(apart, []).append(row)
-    found: dict[int, float] = {}
+    comfort_of_row: dict[int, float] = {}
     for apart, rows in rows_apart.items():
         here = np.array(rows)
         comfort = extended_comfort(disagreement(states[here - 1], states[here], apart))
-        found |= dict(zip(rows, comfort.tolist(), strict=True))
-    return found
+        comfort_of_row |= dict(zip(rows, comfort.tolist(), strict=True))
+    return comfort_of_row
 
 
 def _known(there: There | None) -> There:

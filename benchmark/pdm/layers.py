@@ -69,15 +69,15 @@ class Road:
 
     def straddled(self, corners: "_Points", shape: tuple[int, ...]) -> Bools:
         """Whether cars (four corners each) are on more than one lane or connector and none holds them whole."""
-        touched, whole = np.zeros(shape, np.int64), np.zeros(shape, np.bool_)
+        touched, contained = np.zeros(shape, np.int64), np.zeros(shape, np.bool_)
         for surface in self.lanes:
             which, inside = corners.inside(surface)
             if which.size:
                 held = np.zeros((*shape, 4), np.bool_)
                 held.reshape(-1)[which[inside]] = True
                 touched += held.any(axis=-1)
-                whole |= held.all(axis=-1)
-        return np.asarray((touched > 1) & ~whole)
+                contained |= held.all(axis=-1)
+        return np.asarray((touched > 1) & ~contained)
 
     def left(self, corners: "_Points", shape: tuple[int, ...]) -> Bools:
         """Whether a corner of cars is on no drivable surface."""
@@ -217,7 +217,7 @@ def road_of(road_map: RoadMap, route: Floats) -> Road:
         (Layer.CAR_PARK, [road_map.carparks[name] for name in sorted(road_map.carparks)]),
         (Layer.DRIVABLE_AREA, list(road_map.drivable_area.geoms)),
     )
-    return Road.of([*surfaces, *((layer, shape, False) for layer, found in layers for shape in found)])
+    return Road.of([*surfaces, *((layer, shape, False) for layer, polygons in layers for shape in polygons)])
 
 
 def on_route(lanes: Sequence[Lane], route: Floats) -> Bools:
@@ -228,16 +228,16 @@ def on_route(lanes: Sequence[Lane], route: Floats) -> Bools:
     """
     lines = [_headed(lane.centerline) for lane in lanes]
     path = _headed(route[: len(route) - EXTENSION_M + ROUTED_EXTENSION_M])
-    found = np.array([_passes(line, path) for line in lines], dtype=np.bool_)
+    routed = np.array([_passes(line, path) for line in lines], dtype=np.bool_)
     plain = np.array([not lane.is_connector for lane in lanes], dtype=np.bool_)
-    waiting = list(np.flatnonzero(found & plain))
+    waiting = list(np.flatnonzero(routed & plain))
     while waiting:
         here = lines[waiting.pop()]
-        for other in np.flatnonzero(plain & ~found):
+        for other in np.flatnonzero(plain & ~routed):
             if _beside(here, lines[other]):
-                found[other] = True
+                routed[other] = True
                 waiting.append(other)
-    return found
+    return routed
 
 
 def derived_intersections(road_map: RoadMap, lanes: Sequence[Lane], shapes: Sequence[Polygon]) -> list[Polygon]:
@@ -250,7 +250,7 @@ def derived_intersections(road_map: RoadMap, lanes: Sequence[Lane], shapes: Sequ
     plain = shapely.union_all([shape for number, shape in enumerate(shapes) if number not in inside])
     rest = as_multipolygon(road_map.drivable_area.difference(plain.buffer(SLIT_M)))
     lines = {number: LineString(lanes[number].centerline) for number in sorted(inside)}
-    found: list[Polygon] = []
+    intersections: list[Polygon] = []
     for part in rest.geoms:
         shapely.prepare(part)
         near = [number for number, line in lines.items() if part.intersects(line)]
@@ -258,8 +258,8 @@ def derived_intersections(road_map: RoadMap, lanes: Sequence[Lane], shapes: Sequ
         headings = [_mean_heading(lanes[member]) for member in members]
         if members and max(_between(headings[0], heading) for heading in headings) > CROSSING_RAD:
             hull = shapely.union_all([shapes[member] for member in members]).convex_hull
-            found += as_multipolygon(part.intersection(hull)).geoms
-    return found
+            intersections += as_multipolygon(part.intersection(hull)).geoms
+    return intersections
 
 
 def _surface(lane: Lane) -> Polygon:

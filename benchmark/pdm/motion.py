@@ -193,17 +193,17 @@ def headed(plan: Plan, lidar_ahead_m: float) -> Floats:
 
 def all_headed(plans: Sequence[Plan], lidar_ahead_m: float) -> Floats:
     """`headed` of B plans, those of a frame at once: (B, 6, 3)."""
-    found = np.zeros((len(plans), PLAN_STEPS, 3))
+    poses = np.zeros((len(plans), PLAN_STEPS, 3))
     for frame in dict.fromkeys(plan.frame for plan in plans):
-        those = [place for place, plan in enumerate(plans) if plan.frame is frame]
-        waypoints = np.array([plans[place].waypoints[:PLAN_STEPS] for place in those], np.float64)
+        rows = [place for place, plan in enumerate(plans) if plan.frame is frame]
+        waypoints = np.array([plans[place].waypoints[:PLAN_STEPS] for place in rows], np.float64)
         if frame is PlanFrame.LIDAR:
             along = chord_headings(waypoints, start_heading_rad=np.pi / 2) - np.pi / 2
             behind = lidar_ahead_m * np.stack([np.cos(along), np.sin(along)], axis=-1)
             waypoints = points_in_ego(waypoints, lidar_ahead_m) - behind
         headings = chord_headings(waypoints, start_heading_rad=0.0)
-        found[those] = np.concatenate([waypoints, headings[..., None]], axis=-1)
-    return found
+        poses[rows] = np.concatenate([waypoints, headings[..., None]], axis=-1)
+    return poses
 
 
 def interpolated(plans: Floats) -> Floats:

@@ -80,9 +80,9 @@ def offsets(states: Floats, route: Floats) -> Floats:
 def _beside(route: Floats, points: NDArray[Any]) -> Bools:
     """Whether points are off the lane: `offsets` from it, asked only of the pieces of the route that are near."""
     pieces = shapely.STRtree(shapely.linestrings(np.stack([route[:-1], route[1:]], axis=1)))
-    found = np.ones(points.shape, np.bool_)
-    found.reshape(-1)[pieces.query(points.reshape(-1), predicate="dwithin", distance=OFF_LANE_M)[0]] = False
-    return found
+    off_lane = np.ones(points.shape, np.bool_)
+    off_lane.reshape(-1)[pieces.query(points.reshape(-1), predicate="dwithin", distance=OFF_LANE_M)[0]] = False
+    return off_lane
 
 
 def direction_compliance(wrong_way_m: Floats) -> Floats:

@@ -85,8 +85,8 @@ class BEVPlanner:
         stacked = stack(truths)
         paths = [forward_left(path) for path in (plans, stacked.ego_future[..., :2])]
         plan, recorded, below = footprint(paths[0]), footprint(paths[1]), Points(paths[0].reshape(-1, 2), np.float32)
-        found = touched((plan, recorded, below), *drawn_polygons(self, stacked), fill)
-        on_plan, on_recorded, at_point = (hit.reshape(-1, PLAN_STEPS) for hit in found)
+        contacts = touched((plan, recorded, below), *drawn_polygons(self, stacked), fill)
+        on_plan, on_recorded, at_point = (hit.reshape(-1, PLAN_STEPS) for hit in contacts)
         kerb, kerb_recorded, kerb_point = at_kerbs(stacked, *paths)
         return Outcomes(
             collision=on_plan & ~on_recorded,
@@ -152,8 +152,8 @@ def drawn_polygons(
 
     (N, 4, 2) column and row of each corner, and (N,) the place of each: sample times 6 plus step.
     """
-    asked = np.True_ if among is None else among[:, None]
-    objects, steps = np.nonzero(definition.counted_objects(truths) & asked)
+    selected = np.True_ if among is None else among[:, None]
+    objects, steps = np.nonzero(definition.counted_objects(truths) & selected)
     single = truths.boxes_in_ego(objects, steps + 1).astype(np.float32)
     cos, sin = np.cos(single[:, 4]), np.sin(single[:, 4])
     corners = np.empty((len(single), 4, 2), np.float32)
@@ -176,15 +176,15 @@ def at_kerbs(truths: StackedTruths, plans: Floats, recorded: Floats) -> list[Boo
     Returns:
         (S, 6) of the plan's rectangle, of the recorded ego's, and of the points below the plan's waypoints.
     """
-    found = [np.zeros(plans.shape[:2], dtype=np.bool_) for _ in range(3)]
+    contacts = [np.zeros(plans.shape[:2], dtype=np.bool_) for _ in range(3)]
     for start in range(0, len(plans), _SAMPLES_AT_ONCE):
         some = slice(start, start + _SAMPLES_AT_ONCE)
         path = plans[some]
         looked_at = (footprint(path), footprint(recorded[some]), Points(path.reshape(-1, 2), np.float32))
         lines, place_of = _kerbs_of(truths.roads[some], looked_at)
-        for verdicts, hit in zip(found, touched(looked_at, lines, place_of, outline)):
+        for verdicts, hit in zip(contacts, touched(looked_at, lines, place_of, outline)):
             verdicts[some] = hit.reshape(-1, PLAN_STEPS)
-    return found
+    return contacts
 
 
 def _kerbs_of(
@@ -210,5 +210,5 @@ def kerb_cells(roads: Roads) -> NDArray[np.int32]:
     """(N, 2, 2) column and row of both ends of every line of the kerb; what is off the grid is squeezed onto it."""
     points = roads.kerb_lines().astype(np.float32)
     cells = (points - np.float32(FIRST_CELL_M)) / np.float32(CELL_M)
-    whole = np.trunc(np.clip(cells, 0, CELLS - 1)).astype(np.int32)
-    return np.asarray(np.stack([whole[:, :-1], whole[:, 1:]], axis=2).reshape(-1, 2, 2))
+    indices = np.trunc(np.clip(cells, 0, CELLS - 1)).astype(np.int32)
+    return np.asarray(np.stack([indices[:, :-1], indices[:, 1:]], axis=2).reshape(-1, 2, 2))

@@ -102,10 +102,10 @@ class Exact:
             counted=stacked.ego_future_valid.all(axis=-1) | _cut_short(truths),
             steps={"waypoint_collision": by_step[..., -1]},
             facts={
-                "first_contact_s": tuple(each.time_s for each in first),
-                "hit": tuple(each.instance for each in first),
-                HIT_ADVERSARY: tuple(each.adversary for each in first),
-                ADVERSARY_S: tuple(each.adversary_s for each in first),
+                "first_contact_s": tuple(first_contact.time_s for first_contact in first),
+                "hit": tuple(first_contact.instance for first_contact in first),
+                HIT_ADVERSARY: tuple(first_contact.adversary for first_contact in first),
+                ADVERSARY_S: tuple(first_contact.adversary_s for first_contact in first),
             },
         )
 

@@ -144,8 +144,8 @@ def touched(
         covered = [one.cells(places[some]) for one in looked_at]
         for index, (place, rows) in enumerate(zip(places[some].tolist(), rows_of[some])):
             draw(grid, polygons[rows])
-            for found, (cells, there) in zip(verdicts, covered):
-                found[place] = (grid[cells[index, :, 0], cells[index, :, 1]] & there[index]).any()
+            for verdict, (cells, there) in zip(verdicts, covered):
+                verdict[place] = (grid[cells[index, :, 0], cells[index, :, 1]] & there[index]).any()
             (top, left), (bottom, right) = first[rows].min(axis=0), last[rows].max(axis=0)
             grid[max(top, 0) : bottom + 1, max(left, 0) : right + 1] = 0
     return verdicts

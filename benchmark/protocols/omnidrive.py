@@ -96,8 +96,8 @@ class OmniDrive:
             recorded: (S, 6, 2) those of the recorded ego.
         """
         covers = [footprint(path), footprint(recorded)]
-        found = touched(covers, *drawn_polygons(self, truths), fill)
-        on_plan, on_recorded = (hit.reshape(-1, PLAN_STEPS) for hit in found)
+        contacts = touched(covers, *drawn_polygons(self, truths), fill)
+        on_plan, on_recorded = (hit.reshape(-1, PLAN_STEPS) for hit in contacts)
         offset, valid = path - recorded, truths.ego_future_valid
         off_road, now = leaving(truths, path)
         return Outcomes(
@@ -177,8 +177,8 @@ def drawn_polygons(
 
     (N, 4, 2) column and row of each corner, and (N,) the place of each: sample times 6 plus step.
     """
-    asked = np.True_ if among is None else among[:, None]
-    objects, steps = np.nonzero(definition.counted_objects(truths) & asked)
+    selected = np.True_ if among is None else among[:, None]
+    objects, steps = np.nonzero(definition.counted_objects(truths) & selected)
     boxes = truths.boxes_in_ego(objects, steps + 1)
     boxes[:, 2:4] = truths.boxes[objects, 0, 2:4]
     return _nodes(boxes), truths.sample_of[objects] * PLAN_STEPS + steps

@@ -39,8 +39,8 @@ def touches_adversary(collision: Sequence[bool], facts: Mapping[str, Any]) -> bo
     """
     if not any(collision):
         return None
-    said = facts.get(TOUCHED_ADVERSARY)
-    first = facts.get(HIT_ADVERSARY) if said is None else said[list(collision).index(True)]
+    touched_flags = facts.get(TOUCHED_ADVERSARY)
+    first = facts.get(HIT_ADVERSARY) if touched_flags is None else touched_flags[list(collision).index(True)]
     return None if first is None else bool(first)
 
 
@@ -125,7 +125,7 @@ def occupied(
         cells: Groups of cells to look at, each (P, C, 2), row first.
         bounds: `bounds_of` each group, where they are at hand.
     """
-    found = [np.zeros(group.shape[:2], dtype=np.bool_) for group in cells]
+    covered = [np.zeros(group.shape[:2], dtype=np.bool_) for group in cells]
     low, high = polygons.min(axis=1)[:, ::-1], polygons.max(axis=1)[:, ::-1]
     near = np.zeros(len(polygons), dtype=np.bool_)
     for first, last in map(bounds_of, cells) if bounds is None else bounds:
@@ -134,12 +134,12 @@ def occupied(
     for index in np.flatnonzero(near).tolist():
         place = place_of[index]
         cv2.fillPoly(grid, [polygons[index]], (1,))
-        for group, verdicts in zip(cells, found):
+        for group, verdicts in zip(cells, covered):
             at = group[place]
             verdicts[place] |= grid[at[:, 0], at[:, 1]] > 0
         (top, left), (bottom, right) = np.maximum(low[index], 0), high[index]
         grid[top : bottom + 1, left : right + 1] = 0
-    return found
+    return covered
 
 
 def covering(
@@ -153,14 +153,14 @@ def covering(
         cells: (P, C, 2) cells to look at, row first.
         counts: (P, C) which of them count, if not all.
     """
-    found = np.zeros(len(polygons), dtype=np.bool_)
+    covers = np.zeros(len(polygons), dtype=np.bool_)
     grid = np.zeros((CELLS, CELLS), np.uint8)
     for index, place in enumerate(place_of.tolist()):
         cv2.fillPoly(grid, [polygons[index]], (1,))
         at = cells[place] if counts is None else cells[place][counts[place]]
-        found[index] = grid[at[:, 0], at[:, 1]].any()
+        covers[index] = grid[at[:, 0], at[:, 1]].any()
         grid[:] = 0
-    return found
+    return covers
 
 
 def _may_reach(
@@ -292,5 +292,5 @@ class RasterProtocol(ABC):
         rows = (EXTENT_M - boxes[:, 1] if self.first_row_ahead else boxes[:, 1] + EXTENT_M) / CELL_M
         bounds = [bounds_of(cells) for cells in flat]
         near = _may_reach(boxes, place_of, bounds, rows)
-        found = occupied(self.drawn_polygons(boxes[near]), place_of[near], flat, bounds)
-        return [hit.any(axis=-1).reshape(-1, PLAN_STEPS) for hit in found]
+        covered = occupied(self.drawn_polygons(boxes[near]), place_of[near], flat, bounds)
+        return [hit.any(axis=-1).reshape(-1, PLAN_STEPS) for hit in covered]

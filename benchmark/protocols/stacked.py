@@ -84,8 +84,8 @@ def stack(truths: Sequence[SampleTruth]) -> StackedTruths:
         if len(known) == len(truths) and all(map(is_, known, truths)):
             return stacked
     stacked = _stacked(truths)
-    for each in fields(stacked):
-        values = getattr(stacked, each.name)
+    for column in fields(stacked):
+        values = getattr(stacked, column.name)
         if isinstance(values, np.ndarray):
             values.flags.writeable = False
     _LAST.append((tuple(truths), stacked))

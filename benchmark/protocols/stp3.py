@@ -64,9 +64,9 @@ class STP3:
     def counted_objects(self, truths: StackedTruths) -> Bools:
         """People and vehicles of the step that were seen now or in the second before."""
         kind = [name.startswith(("human.", "vehicle.")) for name in truths.categories]
-        seen = truths.seen_before & np.array(kind, np.bool_)
+        was_seen = truths.seen_before & np.array(kind, np.bool_)
         recorded = truths.ego_future_valid[truths.sample_of]
-        return np.asarray(truths.annotated[:, 1:] & seen[:, None] & recorded)
+        return np.asarray(truths.annotated[:, 1:] & was_seen[:, None] & recorded)
 
     def headings(self, plans_lidar: Floats) -> Floats:
         """Straight ahead at every step."""
@@ -131,8 +131,8 @@ def drawn_polygons(
 
     (N, 4, 2) column (left) and row (forward) of each corner, and (N,) the place of each: sample times 6 plus step.
     """
-    asked = np.True_ if among is None else among[:, None]
-    return _polygons_of(truths, *np.nonzero(definition.counted_objects(truths) & asked))
+    selected = np.True_ if among is None else among[:, None]
+    return _polygons_of(truths, *np.nonzero(definition.counted_objects(truths) & selected))
 
 
 def _polygons_of(
@@ -162,13 +162,13 @@ def warps(axle_poses: Floats) -> tuple[Singles, Singles, Singles]:
     """
     poses = _matrices(axle_poses)
     chained = np.broadcast_to(np.eye(3, dtype=np.float32), (len(poses), 3, 3))
-    found = np.empty((3, len(poses), PLAN_STEPS), np.float32)
+    motions = np.empty((3, len(poses), PLAN_STEPS), np.float32)
     for step in range(PLAN_STEPS):
         back = _product(_inverse(poses[:, step + 1]), poses[:, step])
         reduced = np.stack([back[:, 0, 2], back[:, 1, 2], _angle(back)], axis=-1)
         chained = _product(chained, _inverse(_matrices(reduced)))
-        found[:, :, step] = chained[:, 0, 2], chained[:, 1, 2], _angle(chained)
-    return found[0], found[1], found[2]
+        motions[:, :, step] = chained[:, 0, 2], chained[:, 1, 2], _angle(chained)
+    return motions[0], motions[1], motions[2]
 
 
 def before_warp(rows: Cells, columns: Cells, tx: Singles, ty: Singles, angle: Singles) -> tuple[Cells, Cells]:
@@ -192,8 +192,8 @@ def _covered(
 ) -> list[Bools]:
     """For each of some (S, 6, C, 2) cells of the warped picture whether (S, 6) any is covered by polygons."""
     groups, on_grid = zip(*(_cells_before_warp(truths, cells) for cells in blocks))
-    found = occupied(polygons, place_of, [cells.reshape(-1, cells.shape[-2], 2) for cells in groups])
-    return [(hit.reshape(there.shape) & there).any(axis=-1) for hit, there in zip(found, on_grid)]
+    covered = occupied(polygons, place_of, [cells.reshape(-1, cells.shape[-2], 2) for cells in groups])
+    return [(hit.reshape(there.shape) & there).any(axis=-1) for hit, there in zip(covered, on_grid)]
 
 
 def _cells_before_warp(truths: StackedTruths, cells: Cells) -> tuple[Cells, Bools]:
@@ -227,20 +227,20 @@ def _single_trigonometry(angle: Singles) -> tuple[Singles, Singles]:
 
 def _matrices(poses: Floats | Singles) -> Singles:
     """(..., 3) x, y, yaw as (..., 3, 3) motions in single precision."""
-    found = np.zeros((*poses.shape[:-1], 3, 3), np.float32)
+    matrices = np.zeros((*poses.shape[:-1], 3, 3), np.float32)
     cos, sin = np.cos(poses[..., 2].astype(np.float64)), np.sin(poses[..., 2].astype(np.float64))
-    found[..., 0, 0], found[..., 0, 1], found[..., 1, 0], found[..., 1, 1] = cos, -sin, sin, cos
-    found[..., :2, 2], found[..., 2, 2] = poses[..., :2], 1.0
-    return found
+    matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 0], matrices[..., 1, 1] = cos, -sin, sin, cos
+    matrices[..., :2, 2], matrices[..., 2, 2] = poses[..., :2], 1.0
+    return matrices
 
 
 def _inverse(motions: Singles) -> Singles:
     """Transposed rotation, and the translation turned by it."""
-    found = motions.copy()
+    inverses = motions.copy()
     turn = np.swapaxes(motions[..., :2, :2], -1, -2)
-    found[..., :2, :2] = turn
-    found[..., :2, 2] = -(turn[..., 0] * motions[..., 0, 2, None] + turn[..., 1] * motions[..., 1, 2, None])
-    return found
+    inverses[..., :2, :2] = turn
+    inverses[..., :2, 2] = -(turn[..., 0] * motions[..., 0, 2, None] + turn[..., 1] * motions[..., 1, 2, None])
+    return inverses
 
 
 def _product(first: Singles, second: Singles) -> Singles:

@@ -75,7 +75,9 @@ class AblationRow(Stored):
     def _without_the_papers_number(cls, value: Any) -> Any:
         """Earlier records quote the paper in each row."""
         return (
-            {name: each for name, each in value.items() if name != "paper_rate"} if isinstance(value, dict) else value
+            {name: member for name, member in value.items() if name != "paper_rate"}
+            if isinstance(value, dict)
+            else value
         )
 
 

@@ -184,7 +184,7 @@ def reports_of(report: Any) -> list[dict[str, Any]]:
     """Reports on each adversary of a scene: the report itself, or those below its ``adversaries``; any JSON value."""
     several = report.get("adversaries") if isinstance(report, dict) else None
     reports = several if isinstance(several, list) else [report]
-    return [each for each in reports if isinstance(each, dict)]
+    return [entry for entry in reports if isinstance(entry, dict)]
 
 
 def stored_labels(report: Any) -> list[Any]:
@@ -194,8 +194,8 @@ def stored_labels(report: Any) -> list[Any]:
         report: Report on a scene: on its adversary, or on each of several below ``adversaries``; any JSON value, as it
             comes from a stranger's data set.
     """
-    labels = (each.get("labels") for each in reports_of(report))
-    return [found for found in labels if found is not None]
+    labels = (entry.get("labels") for entry in reports_of(report))
+    return [stored for stored in labels if stored is not None]
 
 
 _NAMED: Final = re.compile(r"adv-seed-(0|[1-9]\d{0,17})")

@@ -65,8 +65,8 @@ class RowColumns:
 
     def __init__(self, rows: Sequence[SampleRow], batch: pa.RecordBatch | None = None) -> None:
         self._rows = rows
-        found = batch_of(rows) if batch is None else batch
-        self.batch = _piece(list(rows)) if found is None else found
+        built = batch_of(rows) if batch is None else batch
+        self.batch = _piece(list(rows)) if built is None else built
         self.kept: dict[Any, Any] = {}
 
     def __len__(self) -> int:
@@ -126,9 +126,9 @@ class RowColumns:
         return self._of_planned(says_all(PROTOCOLS[protocol], self.outcomes(protocol)))
 
     def _of_planned(self, flags: Bools) -> Bools:
-        found = np.zeros(len(self), np.bool_)
-        found[self.planned] = flags
-        return found
+        row_flags = np.zeros(len(self), np.bool_)
+        row_flags[self.planned] = flags
+        return row_flags
 
     @property
     def driving(self) -> tuple[Floats, Bools] | None:
@@ -151,8 +151,8 @@ class RowColumns:
     @cached_property
     def failed(self) -> Bools:
         """(R,) whether a sample has no plan."""
-        found: Bools = np.array(self.values("status")) == "failed"
-        return found
+        is_failed: Bools = np.array(self.values("status")) == "failed"
+        return is_failed
 
     @cached_property
     def failed_tokens(self) -> frozenset[str]:
@@ -204,10 +204,10 @@ def _outcomes(columns: RowColumns, protocol: str) -> Outcomes:
         names = (name for name in columns.batch.schema.names if name.startswith(above))
         return {unquote(name.removeprefix(above)): read(name, planned) for name in names}
 
-    own, steps, facts = map(those, _VERDICTS, (columns._numbers, columns._numbers, columns._json))
-    own["l2"] = own["l2"] if "l2" in own else columns._numbers(_SHARED_L2, planned)
-    known = own.pop("known")
-    return Outcomes(**own, steps=steps, facts=facts, known=None if known.all() else known)
+    arrays, steps, facts = map(those, _VERDICTS, (columns._numbers, columns._numbers, columns._json))
+    arrays["l2"] = arrays["l2"] if "l2" in arrays else columns._numbers(_SHARED_L2, planned)
+    known = arrays.pop("known")
+    return Outcomes(**arrays, steps=steps, facts=facts, known=None if known.all() else known)
 
 
 def _named(kind: str, protocol: str, part: str = "") -> str:
@@ -223,9 +223,9 @@ def batch_of(rows: Iterable[SampleRow]) -> pa.RecordBatch | None:
         ``None`` where only all rows together show what goes together.
     """
     waiting, pieces, unjudged = iter(rows), list[pa.Table](), 0
-    while some := list(islice(waiting, _ROWS_AT_ONCE)):
-        pieces.append(pa.Table.from_batches([_piece(some)]))
-        unjudged += 0 if any(row.status == "ok" for row in some) else len(some)
+    while batch_rows := list(islice(waiting, _ROWS_AT_ONCE)):
+        pieces.append(pa.Table.from_batches([_piece(batch_rows)]))
+        unjudged += 0 if any(row.status == "ok" for row in batch_rows) else len(batch_rows)
     if not pieces:
         return _piece([])
     try:
@@ -249,8 +249,8 @@ def _piece(rows: Sequence[SampleRow]) -> pa.RecordBatch:
     for name in sorted({name for row in planned for name in row.outcomes}):
         if all(name in row.outcomes for row in planned):
             numbers |= _verdicts(name, planned)
-    there = np.array([row.status == "ok" for row in rows], np.bool_)
-    columns |= {name: _placed(values, there) for name, values in numbers.items()}
+    has_plan = np.array([row.status == "ok" for row in rows], np.bool_)
+    columns |= {name: _placed(values, has_plan) for name, values in numbers.items()}
     scored = np.array([row.driving is not None for row in rows], np.bool_)
     columns |= {name: _placed(values, scored) for name, values in _scores(rows).items()}
     return pa.RecordBatch.from_arrays(list(columns.values()), names=list(columns))
@@ -275,16 +275,16 @@ def _brief(rows: Sequence[SampleRow]) -> dict[str, pa.Array]:
 def _verdicts(protocol: str, planned: Sequence[SampleRow]) -> dict[str, Any]:
     """Verdicts of a protocol on rows with a plan; none where they do not go together."""
     try:
-        found = Outcomes.from_rows([vars(row.outcomes[protocol]) for row in planned])
+        outcomes = Outcomes.from_rows([vars(row.outcomes[protocol]) for row in planned])
     except (KeyError, ValueError):
         # Whoever asks for them gets the error that they deserve.
         return {}
-    if any(values.shape != found.l2.shape or values.dtype.kind not in "bif" for values in found.steps.values()):
+    if any(values.shape != outcomes.l2.shape or values.dtype.kind not in "bif" for values in outcomes.steps.values()):
         return {}
-    own = {name: getattr(found, name) for name in ("collision", "l2", "valid", "counted")}
-    own["known"] = np.ones(len(found), np.bool_) if found.known is None else found.known
-    kinds = zip(_VERDICTS, (own, found.steps, found.facts))
-    return {_named(kind, protocol, part): values for kind, those in kinds for part, values in those.items()}
+    arrays = {name: getattr(outcomes, name) for name in ("collision", "l2", "valid", "counted")}
+    arrays["known"] = np.ones(len(outcomes), np.bool_) if outcomes.known is None else outcomes.known
+    kinds = zip(_VERDICTS, (arrays, outcomes.steps, outcomes.facts))
+    return {_named(kind, protocol, part): values for kind, parts in kinds for part, values in parts.items()}
 
 
 def _motion(rows: Sequence[SampleRow]) -> dict[str, Any]:
@@ -300,8 +300,8 @@ def _motion(rows: Sequence[SampleRow]) -> dict[str, Any]:
             moved[place] = future[0]
         if len(future) == PLAN_STEPS:
             recorded[place] = [pose[:2] if pose is not None and len(pose) > 1 else _ENDED for pose in future]
-    for frame, those in of_frames.items():
-        places, ahead, stacked = map(np.array, zip(*those))
+    for frame, plans in of_frames.items():
+        places, ahead, stacked = map(np.array, zip(*plans))
         in_lidar[places] = waypoints_in_lidar(stacked, frame, ahead)
     return {_IN_LIDAR: in_lidar, _RECORDED: recorded, _MOVED: moved}
 
@@ -317,10 +317,10 @@ def _placed(values: NDArray[Any] | tuple[Any, ...], there: Bools) -> pa.Array:
     """Values of the rows that are there as a column of all rows."""
     if isinstance(values, tuple):
         waiting = iter(values)
-        return _texts(next(waiting) if found else None for found in there.tolist())
-    whole = np.zeros((len(there), math.prod(values.shape[1:])), values.dtype)
-    whole[there] = values.reshape(-1, whole.shape[1])
-    return pa.FixedSizeListArray.from_arrays(arrow_of(whole), whole.shape[1])
+        return _texts(next(waiting) if is_there else None for is_there in there.tolist())
+    filled = np.zeros((len(there), math.prod(values.shape[1:])), values.dtype)
+    filled[there] = values.reshape(-1, filled.shape[1])
+    return pa.FixedSizeListArray.from_arrays(arrow_of(filled), filled.shape[1])
 
 
 def _texts(values: Iterable[Any]) -> pa.DictionaryArray:

@@ -65,21 +65,21 @@ def considered_path(directory: Path, scene: str, run: int) -> Path:
 def write_considered(directory: Path, row: DriveRow, frames: tuple[ConsideredFrame, ...]) -> None:
     """Keep the candidates of a drive's adversary, one entry for each of its planning frames."""
     assert row.adversary is not None
-    found = _ConsideredFile(schema_version=SCHEMA, adversary=_key(row.adversary), frames=frames)
-    write_json(considered_path(directory, row.scene, row.run), found.model_dump(mode="json"), indent=None)
+    file = _ConsideredFile(schema_version=SCHEMA, adversary=_key(row.adversary), frames=frames)
+    write_json(considered_path(directory, row.scene, row.run), file.model_dump(mode="json"), indent=None)
 
 
 def read_considered(directory: Path, row: DriveRow) -> tuple[ConsideredFrame, ...] | None:
     """Planning frames of a drive's adversary; ``None`` where they were not kept, or were of another drive."""
     if row.adversary is None:
         return None
-    kept: Any = read_kept_json(considered_path(directory, row.scene, row.run))
+    stored: Any = read_kept_json(considered_path(directory, row.scene, row.run))
     try:
-        found = _ConsideredFile.model_validate(kept)
+        file = _ConsideredFile.model_validate(stored)
     except ValueError:
         # What is absent or damaged is made again by whoever asks for it.
         return None
-    return found.frames if found.adversary == _key(row.adversary) else None
+    return file.frames if file.adversary == _key(row.adversary) else None
 
 
 def _key(adversary: AdversaryRow) -> str:

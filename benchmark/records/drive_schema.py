@@ -55,8 +55,8 @@ class Measured(Stored):
     @property
     def world(self) -> str:
         """Engine, agents, latency, end of a drive: settings that records of one table share, with any sensor."""
-        said = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in sorted(self.agents_facts.items()))
-        agents = f", agents {self.agents}{f' ({said})' if said else ''}" if self.engine == "default" else ""
+        facts = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in sorted(self.agents_facts.items()))
+        agents = f", agents {self.agents}{f' ({facts})' if facts else ''}" if self.engine == "default" else ""
         scenarios = "" if self.scenarios == "recorded" else f", {self.scenarios} scenarios"
         late = f", latency {self.latency_ms} ms" if self.latency_ms else ""
         return f"{self.engine}{scenarios}{agents}{late}{'' if self.until == 'contact' else ', until fault'}"
@@ -304,7 +304,7 @@ class DriveRow(Stored):
             raise ValueError("a failed drive has a reason and no scores, any other has scores")
         if (self.contact is not None) != (self.end == "contact"):
             raise ValueError("a drive has a contact where one ended it")
-        if any(each.at_fault for each in self.passed):
+        if any(collision.at_fault for collision in self.passed):
             raise ValueError("a contact that is the ego's fault ends a drive")
         if len(self.ticks.time_us) != len(self.ticks.ego):
             raise ValueError("every planning instant has a time and a state")

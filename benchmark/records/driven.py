@@ -25,8 +25,8 @@ def reported(provenance: Mapping[str, Any] | None, scene: str, name: str, otherw
     Args:
         otherwise: Value where nothing is said.
     """
-    made = (provenance or {}).get("scenes", {}).get(scene, {})
-    report = made.get("report") if isinstance(made, Mapping) else None
+    scene_entry = (provenance or {}).get("scenes", {}).get(scene, {})
+    report = scene_entry.get("report") if isinstance(scene_entry, Mapping) else None
     return report.get(name, otherwise) if isinstance(report, Mapping) else otherwise
 
 
@@ -56,10 +56,13 @@ class DrivenEgo:
     def as_json(self) -> dict[str, Any]:
         """Plain values for a report; millimetres."""
         places = [
-            [[round(float(value), 3) for value in place] if there else None for place, there in zip(*each, strict=True)]
-            for each in zip(self.wanted, self.known, strict=True)
+            [
+                [round(float(value), 3) for value in place] if is_known else None
+                for place, is_known in zip(*command, strict=True)
+            ]
+            for command in zip(self.wanted, self.known, strict=True)
         ]
-        return {"planner": self.planner, "commands": [int(each) for each in self.commands], "wanted": places}
+        return {"planner": self.planner, "commands": [int(command) for command in self.commands], "wanted": places}
 
     @classmethod
     def from_json(cls, value: object) -> Self:
@@ -69,23 +72,23 @@ class DrivenEgo:
         commands, wanted = value.get("commands"), value.get("wanted")
         if not isinstance(commands, list) or not isinstance(wanted, list) or len(commands) != len(wanted):
             raise InputError(f"a driven scene must have a command and a way for each key frame; {_AGAIN}")
-        known = {int(each) for each in Command}
-        if any(type(each) is not int or each not in known for each in commands):
+        known = {int(item) for item in Command}
+        if any(type(item) is not int or item not in known for item in commands):
             raise InputError(f"the commands of a driven scene must be 0, 1 or 2; {_AGAIN}")
-        return cls(value["planner"], tuple(map(Command, commands)), np.array([_way(each) for each in wanted]))
+        return cls(value["planner"], tuple(map(Command, commands)), np.array([_way(item) for item in wanted]))
 
 
 def _way(places: object) -> Floats:
     if not isinstance(places, Sequence) or len(places) != PLAN_STEPS:
         raise InputError(f"each way of a driven scene must have {PLAN_STEPS} places; {_AGAIN}")
-    found = np.full((PLAN_STEPS, 2), np.nan)
+    path = np.full((PLAN_STEPS, 2), np.nan)
     for row, place in enumerate(places):
         if place is None:
             continue
-        if not isinstance(place, list) or len(place) != 2 or not all(_is_place(each) for each in place):
+        if not isinstance(place, list) or len(place) != 2 or not all(_is_place(coordinate) for coordinate in place):
             raise InputError(f"a place of a driven scene must be two numbers or null; {_AGAIN}")
-        found[row] = place
-    return found
+        path[row] = place
+    return path
 
 
 def _is_place(value: object) -> bool:
@@ -98,5 +101,5 @@ def driven_ego(provenance: Mapping[str, Any] | None, scene: str) -> DrivenEgo | 
     Args:
         provenance: What a data set says of how it was made (``challenger.json``), if it does.
     """
-    said = reported(provenance, scene, DRIVEN)
-    return None if said is None else DrivenEgo.from_json(said)
+    stored = reported(provenance, scene, DRIVEN)
+    return None if stored is None else DrivenEgo.from_json(stored)

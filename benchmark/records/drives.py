@@ -44,12 +44,14 @@ def published_table(engine: str, rows: Sequence[DriveRow]) -> PublishedTable | N
     runs: dict[str, dict[str, dict[str, Metrics | None]]] = {}
     for row in rows:
         runs.setdefault(row.family, {}).setdefault(row.scene, {})[f"run_{row.run}"] = _metrics(row)
-    found = aggregated(runs, Switches.named(engine))
+    aggregate = aggregated(runs, Switches.named(engine))
     return PublishedTable(
-        nns=_known(found.overall, _SCORE),
-        collision=_known(found.overall, _COLLISION),
-        nns_by_family={family: _known(each, _SCORE) for family, each in found.per_type.items()},
-        collision_by_family={family: _known(each, _COLLISION) for family, each in found.per_type.items()},
+        nns=_known(aggregate.overall, _SCORE),
+        collision=_known(aggregate.overall, _COLLISION),
+        nns_by_family={family: _known(family_metrics, _SCORE) for family, family_metrics in aggregate.per_type.items()},
+        collision_by_family={
+            family: _known(family_metrics, _COLLISION) for family, family_metrics in aggregate.per_type.items()
+        },
     )
 
 
@@ -156,33 +158,35 @@ def _values(row: DriveRow) -> dict[str, float | None]:
         "seconds": _seconds(row),
     }
     if scores.neuroncap is not None:
-        found = scores.neuroncap
-        speed = found.impact_speed if contact is not None else None
+        outcome = scores.neuroncap
+        speed = outcome.impact_speed if contact is not None else None
         hit = float(contact is not None)
-        both = {NNS: found.score, COLLISION_RATE: hit}
+        both = {NNS: outcome.score, COLLISION_RATE: hit}
         families = {f"{name}_{row.family}": value for name, value in both.items()} if row.family else {}
         return {**both, "impact_speed": speed, **common, **families}
-    own: dict[str, float | None] = {
+    values: dict[str, float | None] = {
         "contact": float(first is not None),
         "at_fault": float(contact is not None and contact.at_fault),
-        "with_adversary": float(any(each is not None and each.adversary for each in (*row.passed, contact))),
+        "with_adversary": float(
+            any(collision is not None and collision.adversary for collision in (*row.passed, contact))
+        ),
         "impact_speed": None if first is None else first.impact_speed,
         "delta_v": None if first is None else first.delta_v_ego,
         **common,
     }
     if row.ladder is not None:
-        own |= {f"survives_{name}": float(found.survives) for name, found in row.ladder.items()}
+        values |= {f"survives_{name}": float(outcome.survives) for name, outcome in row.ladder.items()}
     if row.fair is not None:
         blamed = row.fair and contact is not None and contact.at_fault
         pursued = contact is not None and contact.adversary
-        own |= {ATTRIBUTABLE: float(blamed and pursued), BYSTANDER: float(blamed and not pursued)}
+        values |= {ATTRIBUTABLE: float(blamed and pursued), BYSTANDER: float(blamed and not pursued)}
     terms, hd = scores.nuplan, scores.hd
-    own["off_road"] = None if terms is None else 1.0 - terms.dac
+    values["off_road"] = None if terms is None else 1.0 - terms.dac
     for name in ("score", "nc", "dac", "mp", "ddc", "p", "ttc", "c"):
-        own[f"nuplan_{name}"] = None if terms is None else getattr(terms, name)
+        values[f"nuplan_{name}"] = None if terms is None else getattr(terms, name)
     for name in ("score", "plans", "completed"):
-        own[f"hd_{name}"] = None if hd is None else getattr(hd, name)
-    return own
+        values[f"hd_{name}"] = None if hd is None else getattr(hd, name)
+    return values
 
 
 def summarise(
@@ -198,13 +202,13 @@ def summarise(
     columns: dict[str, Rate] = {}
     if driven:
         values = [values_of(row) for row in driven]
-        names = list(dict.fromkeys(name for each in values for name in each))
-        table = np.array([[each.get(name) for name in names] for each in values], np.float64)
+        names = list(dict.fromkeys(name for row_values in values for name in row_values))
+        table = np.array([[row_values.get(name) for name in names] for row_values in values], np.float64)
         known = ~np.isnan(table)
         weights: Floats = np.where(known, _weights(driven)[:, None], 0.0)
         scenes = [scene_facts[row.scene].source if row.scene in scene_facts else row.scene for row in driven]
-        found = ratios_over_scenes(np.where(known, table, 0.0) * weights, weights, scenes, seed=seed)
-        columns = dict(zip(names, found, strict=True))
+        ratios = ratios_over_scenes(np.where(known, table, 0.0) * weights, weights, scenes, seed=seed)
+        columns = dict(zip(names, ratios, strict=True))
     reasons = Counter(row.failure.reason for row in rows if row.failure is not None)
     return DriveSummary(
         schema=SCHEMA,
@@ -225,8 +229,8 @@ def columns_of(record: DriveRecord) -> Mapping[str, Rate]:
     stored, facts = record.summary.columns, record.facts
     if BYSTANDER in stored or ATTRIBUTABLE not in stored:
         return stored
-    now = summarise(record.rows, facts.scene_facts, seed=facts.seed, engine=facts.measured.engine).columns
-    return {**stored, **{name: now[name] for name in (ATTRIBUTABLE, BYSTANDER)}}
+    columns = summarise(record.rows, facts.scene_facts, seed=facts.seed, engine=facts.measured.engine).columns
+    return {**stored, **{name: columns[name] for name in (ATTRIBUTABLE, BYSTANDER)}}
 
 
 def write_drives(directory: Path, facts: Mapping[str, Any], rows: Sequence[DriveRow], *, seed: int) -> DriveRecord:
@@ -288,13 +292,13 @@ def find_drives(*roots: Path) -> list[DriveRecord]:
     Raises:
         InputError: If a folder does not exist or a record in it is damaged.
     """
-    found = []
+    records = []
     for root in roots:
         if not root.is_dir():
             raise InputError(f"there is no folder {root}; run challenger-bench drive first, or name the right --out")
         places = (path.parent for path in sorted(root.rglob(DRIVE_FILE)))
-        found += read_each(places, load_drives, instead=" to do without this record")
-    return found
+        records += read_each(places, load_drives, instead=" to do without this record")
+    return records
 
 
 def _weights(rows: Sequence[DriveRow]) -> Floats:

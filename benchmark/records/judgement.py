@@ -231,26 +231,26 @@ class JudgementSummary(Stored):
     def of(cls, judgements: Sequence[SceneJudgement]) -> Self:
         """Sum a scene up from the judgements of its adversaries, at least one."""
         first = judgements[0]
-        met = [each.encounter for each in judgements if each.encounter is not None]
-        tracks = [each.faults for each in judgements if each.faults is not None]
-        contacts = [each.contact for each in met if each.contact is not None]
-        found = {name for each in tracks for name in each.found}
-        unknown = {name for each in tracks for name in each.unknown} - found
+        met = [item.encounter for item in judgements if item.encounter is not None]
+        tracks = [item.faults for item in judgements if item.faults is not None]
+        contacts = [item.contact for item in met if item.contact is not None]
+        defects = {name for item in tracks for name in item.found}
+        unknown = {name for item in tracks for name in item.unknown} - defects
         return cls(
             definition=first.definition,
             tracks=first.tracks,
             has_map=first.has_map,
             survives={name: first.drivers[name].survives for name in DRIVER_NAMES},
             unsolvable=unsolvable(judgements) if met else None,
-            margin_s=_least([each.margin_s for each in judgements]),
-            least_gap_m=_least([each.least_gap_m for each in met]),
-            least_ttc_s=_least([each.least_ttc_s for each in met]),
-            tet_s=max((each.tet_s for each in met), default=None),
-            tit_s2=max((each.tit_s2 for each in met), default=None),
-            pet_s=_least([each.pet_s for each in met]),
-            max_btn=max((each.max_btn for each in met if each.max_btn is not None), default=None),
+            margin_s=_least([item.margin_s for item in judgements]),
+            least_gap_m=_least([item.least_gap_m for item in met]),
+            least_ttc_s=_least([item.least_ttc_s for item in met]),
+            tet_s=max((item.tet_s for item in met), default=None),
+            tit_s2=max((item.tit_s2 for item in met), default=None),
+            pet_s=_least([item.pet_s for item in met]),
+            max_btn=max((item.max_btn for item in met if item.max_btn is not None), default=None),
             contact=min(contacts, key=lambda contact: contact.time_s, default=None),
-            faults=[name for name in FAULT_NAMES if name in found],
+            faults=[name for name in FAULT_NAMES if name in defects],
             unknown_faults=[name for name in FAULT_NAMES if name in unknown],
         )
 
@@ -261,11 +261,11 @@ def unsolvable(judgements: Sequence[SceneJudgement]) -> bool:
     The verdict on the adversary that the ego at constant speed hits; where it hits another, or none, whether all
     verdicts say so. With one adversary that is its verdict.
     """
-    hits = [each.drivers["constant"].contact for each in judgements]
+    hits = [assessment.drivers["constant"].contact for assessment in judgements]
     hit = [contact is not None and contact.party == "adversary" for contact in hits]
-    decisive = [each for each, decides in zip(judgements, hit, strict=True) if decides]
-    asked = decisive or judgements
-    return bool(asked) and all(each.unsolvable is True for each in asked)
+    decisive = [assessment for assessment, decides in zip(judgements, hit, strict=True) if decides]
+    relevant = decisive or judgements
+    return bool(relevant) and all(assessment.unsolvable is True for assessment in relevant)
 
 
 @dataclass(frozen=True, slots=True)

@@ -141,10 +141,22 @@ def aggregated(runs: Runs, switches: Switches) -> Aggregate:
         InputError: If a run lacks a metric that the first run has.
     """
     digits = _DIGITS if switches.rounding == "code" else None
-    found = (metrics for sequences in runs.values() for each in sequences.values() for metrics in each.values())
-    names = [name for name in next((metrics for metrics in found if metrics is not None), {}) if _NO_METRIC not in name]
+    metrics_of_runs = (
+        metrics
+        for sequences in runs.values()
+        for sequence_runs in sequences.values()
+        for metrics in sequence_runs.values()
+    )
+    names = [
+        name
+        for name in next((metrics for metrics in metrics_of_runs if metrics is not None), {})
+        if _NO_METRIC not in name
+    ]
     per_sequence = {
-        family: {name: _of_sequence(each, names, f"{family}-{name}", digits) for name, each in sequences.items()}
+        family: {
+            name: _of_sequence(sequence_runs, names, f"{family}-{name}", digits)
+            for name, sequence_runs in sequences.items()
+        }
         for family, sequences in runs.items()
     }
     per_type = {family: _over(sequences.values(), digits) for family, sequences in per_sequence.items()}
@@ -158,12 +170,12 @@ def why_invalid(runs: Runs) -> str | None:
     """
     wanted: int | None = None
     for family, sequences in runs.items():
-        for name, found in sequences.items():
+        for name, sequence_runs in sequences.items():
             folder = f"{family}-{name}"
-            wanted = len(found) if wanted is None else wanted
-            if len(found) != wanted:
-                return f"{folder} has {len(found)} runs and the first sequence {wanted}; run what is missing"
-            for run, metrics in found.items():
+            wanted = len(sequence_runs) if wanted is None else wanted
+            if len(sequence_runs) != wanted:
+                return f"{folder} has {len(sequence_runs)} runs and the first sequence {wanted}; run what is missing"
+            for run, metrics in sequence_runs.items():
                 if metrics is None:
                     return f"{folder}/{run} has no metrics; run it again"
     return None
@@ -172,12 +184,12 @@ def why_invalid(runs: Runs) -> str | None:
 def _of_sequence(
     runs: Mapping[str, Metrics | None], names: Sequence[str], folder: str, digits: int | None
 ) -> dict[str, float]:
-    found = [metrics for metrics in runs.values() if metrics is not None]
+    metrics_of_runs = [metrics for metrics in runs.values() if metrics is not None]
     means = {}
     for name in names:
-        if not all(name in metrics for metrics in found):
+        if not all(name in metrics for metrics in metrics_of_runs):
             raise InputError(f"a run of {folder} has no {name!r}, which the first run has; run it again")
-        values = [metrics[name] for metrics in found]
+        values = [metrics[name] for metrics in metrics_of_runs]
         means[name] = _mean((float(value) for value in values if value is not None), digits)
     return means
 
@@ -186,8 +198,10 @@ def _over(levels: Iterable[Mapping[str, float]], digits: int | None) -> dict[str
     """Mean of each metric over those that have it, NaN left out."""
     listed = list(levels)
     names = dict.fromkeys(name for level in listed for name in level)
-    kept = {name: [level[name] for level in listed if name in level and not np.isnan(level[name])] for name in names}
-    return {name: _mean(values, digits) for name, values in kept.items()}
+    values_by_name = {
+        name: [level[name] for level in listed if name in level and not np.isnan(level[name])] for name in names
+    }
+    return {name: _mean(values, digits) for name, values in values_by_name.items()}
 
 
 def _mean(values: Iterable[float], digits: int | None) -> float:

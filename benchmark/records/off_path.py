@@ -57,10 +57,10 @@ class Excursion:
             raise InputError(
                 f"an excursion off the path must have a kind and {', '.join(numbers)}; build the data again"
             )
-        found = cls(kind=str(value["kind"]), **{name: float(value[name]) for name in numbers})
-        if not 0 <= found.begin_s < found.worst_s < found.end_s < np.inf:
+        excursion = cls(kind=str(value["kind"]), **{name: float(value[name]) for name in numbers})
+        if not 0 <= excursion.begin_s < excursion.worst_s < excursion.end_s < np.inf:
             raise InputError("the times of an excursion off the path must follow one another; build the data again")
-        return found
+        return excursion
 
 
 def excursions_of(provenance: Mapping[str, Any] | None, scene: str) -> tuple[Excursion, ...]:
@@ -69,10 +69,10 @@ def excursions_of(provenance: Mapping[str, Any] | None, scene: str) -> tuple[Exc
     Args:
         provenance: What a data set says of how it was made (``challenger.json``), if it does.
     """
-    said = reported(provenance, scene, OFF_PATH, [])
-    if not isinstance(said, list):
+    entries = reported(provenance, scene, OFF_PATH, [])
+    if not isinstance(entries, list):
         raise InputError(f"{OFF_PATH} of scene {scene} must be a list of excursions; build the data again")
-    return tuple(Excursion.from_json(each) for each in said)
+    return tuple(Excursion.from_json(entry) for entry in entries)
 
 
 def worth_following(excursions: Sequence[Excursion], now_s: Floats, later_s: Floats) -> Bools:
@@ -87,6 +87,6 @@ def worth_following(excursions: Sequence[Excursion], now_s: Floats, later_s: Flo
     """
     now, later = np.broadcast_arrays(now_s, later_s)
     good = np.ones(now.shape, dtype=np.bool_)
-    for each in excursions:
-        good &= (later <= each.begin_s) | (now >= each.worst_s)
+    for excursion in excursions:
+        good &= (later <= excursion.begin_s) | (now >= excursion.worst_s)
     return good

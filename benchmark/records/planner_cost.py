@@ -60,8 +60,10 @@ class PlannerCost(Stored):
 
     def warm_s(self) -> list[float]:
         """Latencies of the samples that count, by scene and time."""
-        every = (latency for scene in sorted(self.scenes) for latency in self.scenes[scene].latency_s[COLD_SAMPLES:])
-        return [latency for latency in every if latency is not None]
+        warm_latencies = (
+            latency for scene in sorted(self.scenes) for latency in self.scenes[scene].latency_s[COLD_SAMPLES:]
+        )
+        return [latency for latency in warm_latencies if latency is not None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,9 +153,9 @@ def note_cost(path: Path, facts: PlannerFacts, scenes: Mapping[str, SceneCost | 
         # Costs are a convenience; a damaged file of them is written anew.
         known = None
     before = known.scenes if known is not None and known.planner == who else {}
-    now = {scene: cost for scene, cost in scenes.items() if cost is not None}
-    kept = {scene: cost for scene, cost in {**before, **now}.items() if scene in scenes}
-    noted = PlannerCost(schema=1, planner=who, scenes=dict(sorted(kept.items())))
+    new_costs = {scene: cost for scene, cost in scenes.items() if cost is not None}
+    merged = {scene: cost for scene, cost in {**before, **new_costs}.items() if scene in scenes}
+    noted = PlannerCost(schema=1, planner=who, scenes=dict(sorted(merged.items())))
     write_json(path, noted.model_dump(mode="json", by_alias=True))
 
 
@@ -169,8 +171,8 @@ def read_cost(path: Path) -> PlannerCost | None:
 
 def cost_of(path: Path, facts: PlannerFacts) -> PlannerCost | None:
     """`read_cost` of a run; ``None`` also where it is that of another version of the planner, or of no scene."""
-    found = read_cost(path)
-    return found if found is not None and found.scenes and found.planner == _who(facts) else None
+    cost = read_cost(path)
+    return cost if cost is not None and cost.scenes and cost.planner == _who(facts) else None
 
 
 def _who(facts: PlannerFacts) -> str:

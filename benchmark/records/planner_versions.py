@@ -14,16 +14,16 @@ from benchmark.records.run_schema import AS_PUBLISHED, PlannerFacts, PlansFrom
 def file_notes(records: Iterable[RunRecord]) -> list[str]:
     """One sentence for each run whose plans come from a file: how it is known which sample each belongs to."""
     return [
-        f"{record.planner} on {record.run.split}: plans from a file ({found.format}), samples {order_words(found)}."
+        f"{record.planner} on {record.run.split}: plans from a file ({plans_from.format}), samples {order_words(plans_from)}."
         for record in records
-        if (found := record.run.plans_from) is not None
+        if (plans_from := record.run.plans_from) is not None
     ]
 
 
-def order_words(found: PlansFrom) -> str:
+def order_words(plans_from: PlansFrom) -> str:
     """Words on how the samples of a file are known, to stand behind "samples"."""
-    known = "named by the file" if found.order == "tokens" else f"in an order that is {found.order}"
-    return f"{known} ({found.shown_by})"
+    known = "named by the file" if plans_from.order == "tokens" else f"in an order that is {plans_from.order}"
+    return f"{known} ({plans_from.shown_by})"
 
 
 PLANS_SHA256 = "plans_sha256"
@@ -42,8 +42,8 @@ def labelled(records: Sequence[RunRecord]) -> list[RunRecord]:
     ``vad-base (weights 3fa2b1c0)``. Versions that differ in their code alone are told apart by nothing: the same
     planner at two commits is not two planners. Plan files tell versions apart only where two of them are of one split.
     """
-    found = labels([(record.run.planner, record.run.data.name, record.run.split) for record in records])
-    return [replace(record, label=label) for record, label in zip(records, found, strict=True)]
+    version_labels = labels([(record.run.planner, record.run.data.name, record.run.split) for record in records])
+    return [replace(record, label=label) for record, label in zip(records, version_labels, strict=True)]
 
 
 def labels(ran: Sequence[Ran]) -> list[str | None]:
@@ -55,10 +55,10 @@ def labels(ran: Sequence[Ran]) -> list[str | None]:
     Returns:
         The name of each that tells its version from the others, or ``None`` where there are no others.
     """
-    alike: dict[str, list[Ran]] = {}
-    for each in ran:
-        alike.setdefault(each[0].name, []).append(each)
-    telling = {name: _telling(found) for name, found in alike.items()}
+    versions_by_name: dict[str, list[Ran]] = {}
+    for version in ran:
+        versions_by_name.setdefault(version[0].name, []).append(version)
+    telling = {name: _telling(versions) for name, versions in versions_by_name.items()}
     return [_label(planner, telling[planner.name]) for planner, _, _ in ran]
 
 
@@ -100,6 +100,6 @@ def _shown(name: str, value: Any) -> str:
 def _label(planner: PlannerFacts, telling: Sequence[str]) -> str | None:
     if not telling:
         return None
-    own = version_of(planner)
-    said = ", ".join(f"{name} {own.get(name, 'none')}" for name in telling)
-    return f"{planner.name} ({said})"
+    version = version_of(planner)
+    differences = ", ".join(f"{name} {version.get(name, 'none')}" for name in telling)
+    return f"{planner.name} ({differences})"

@@ -207,19 +207,19 @@ class QualityRecord:
     def caveats(self) -> tuple[Caveat, ...]:
         """Scenes without a mask, of any vehicle or of an adversary: they are in none of these numbers."""
         scenes, facts = self.facts.scenes, self.facts.scene_facts
-        made = [name for name in scenes if name in facts and facts[name].adversaries]
-        seen = {row.scene for row in self.subjects}, {row.scene for row in self.subjects if row.adversary}
+        adversarial = [name for name in scenes if name in facts and facts[name].adversaries]
+        scenes_with_mask = {row.scene for row in self.subjects}, {row.scene for row in self.subjects if row.adversary}
         missing = [
-            (sum(name not in masked for name in of), len(of), what)
-            for masked, of, what in zip(seen, (scenes, made), ("a vehicle", "an adversary"))
+            (sum(name not in masked for name in of), len(of), subject)
+            for masked, of, subject in zip(scenes_with_mask, (scenes, adversarial), ("a vehicle", "an adversary"))
         ]
         return tuple(
             Caveat(
                 kind="masks",
-                sentence=f"{count} of {counted(whole, 'scene')} have no mask of {what} from {self.masks}: they are in "
+                sentence=f"{count} of {counted(total, 'scene')} have no mask of {subject} from {self.masks}: they are in "
                 "none of its numbers",
             )
-            for count, whole, what in missing
+            for count, total, subject in missing
             if count
         )
 

@@ -17,14 +17,14 @@ def with_cost(record: RunRecord, roots: Sequence[Path], timings_of: Callable[[Pa
         roots: Folders of run directories.
         timings_of: Where notes on what was made in a folder lie (`benchmark.machine.workspace.Workspace.timings_of`).
     """
-    found = _noted(record.directory, record.run.planner, roots, timings_of)
-    return record if found is None else replace(record, cost=found)
+    cost = _noted(record.directory, record.run.planner, roots, timings_of)
+    return record if cost is None else replace(record, cost=cost)
 
 
 def with_drive_cost(record: DriveRecord, roots: Sequence[Path], timings_of: Callable[[Path], Path]) -> DriveRecord:
     """`with_cost` of a record of drives."""
-    found = _noted(record.directory, record.facts.planner, roots, timings_of)
-    return record if found is None else replace(record, cost=found)
+    cost = _noted(record.directory, record.facts.planner, roots, timings_of)
+    return record if cost is None else replace(record, cost=cost)
 
 
 def _noted(

@@ -95,16 +95,16 @@ def find_reproductions(roots: Iterable[Path]) -> list[Reproduction]:
 
 def with_reproductions(records: Sequence[RunRecord], found: Iterable[Reproduction]) -> list[RunRecord]:
     """Records that know whether their version of the planner reproduced its published numbers."""
-    whose: dict[str, str] = {}
+    reproduced: dict[str, str] = {}
     failed = set()
-    for each in found:
-        key = version_key(each.planner)
-        if each.reproduced:
-            whose[key] = f"{each.of} (on {each.data.name}, {each.split})"
+    for reproduction in found:
+        key = version_key(reproduction.planner)
+        if reproduction.reproduced:
+            reproduced[key] = f"{reproduction.of} (on {reproduction.data.name}, {reproduction.split})"
         else:
             failed.add(key)
     # A version that reproduced its numbers in one place and not in another did not.
-    known = {key: said for key, said in whose.items() if key not in failed}
+    known = {key: sentence for key, sentence in reproduced.items() if key not in failed}
     return [replace(record, reproduced=known.get(version_key(record.run.planner))) for record in records]
 
 

@@ -104,12 +104,12 @@ class SplitReview:
     @property
     def rejected(self) -> dict[str, str]:
         """Reasons by name of the scenes that were rejected."""
-        return {each.name: each.reason for each in self.judged if each.verdict == REJECTED}
+        return {verdict.name: verdict.reason for verdict in self.judged if verdict.verdict == REJECTED}
 
     @property
     def present(self) -> tuple[str, ...]:
         """Every scene that is there to be looked at, with any verdict or none."""
-        return tuple(sorted({*(each.name for each in self.judged if not each.left_out), *self.waiting}))
+        return tuple(sorted({*(verdict.name for verdict in self.judged if not verdict.left_out), *self.waiting}))
 
     @property
     def facts(self) -> ReviewFacts | None:
@@ -118,7 +118,9 @@ class SplitReview:
             return None
         rejected = len(self.rejected)
         return ReviewFacts(
-            content=content_key("review", sorted([each.name, each.token, each.verdict] for each in self.judged)),
+            content=content_key(
+                "review", sorted([verdict.name, verdict.token, verdict.verdict] for verdict in self.judged)
+            ),
             accepted=len(self.judged) - rejected,
             rejected=rejected,
             not_reviewed=len(self.waiting),
@@ -127,7 +129,7 @@ class SplitReview:
     @property
     def named(self) -> tuple[str, ...]:
         """Every scene that it is about."""
-        return (*(each.name for each in self.judged), *self.waiting)
+        return (*(verdict.name for verdict in self.judged), *self.waiting)
 
     def sentence(self) -> str:
         """The review in words, without the split's name."""
@@ -141,7 +143,7 @@ class SplitReview:
 
     def under(self, folder: str) -> "SplitReview":
         """The same of a root that lies beside others: its scenes are called after its folder, too."""
-        judged = tuple(replace(one, name=f"{folder}/{one.name}") for one in self.judged)
+        judged = tuple(replace(verdict, name=f"{folder}/{verdict.name}") for verdict in self.judged)
         outdated = tuple(f"{folder}/{name}" for name in self.outdated)
         return SplitReview(judged, tuple(f"{folder}/{name}" for name in self.waiting), outdated)
 
@@ -224,10 +226,10 @@ def standing(
     judged = dict(left_out or {})
     waiting, outdated = [], []
     for name, token in tokens.items():
-        said = verdicts.get(name)
-        if said is not None and said.token == token:
-            judged[name] = Judged(name, token, said.verdict, said.reason)
+        verdict = verdicts.get(name)
+        if verdict is not None and verdict.token == token:
+            judged[name] = Judged(name, token, verdict.verdict, verdict.reason)
         else:
             waiting.append(name)
-            outdated += [] if said is None else [name]
+            outdated += [] if verdict is None else [name]
     return SplitReview(tuple(judged[name] for name in sorted(judged)), tuple(waiting), tuple(outdated))

@@ -68,14 +68,14 @@ class Rows(Sequence[SampleRow]):
         """Checked rows in compressed form, which they may be in already."""
         if isinstance(rows, cls):
             return rows
-        made = cls()
-        made.add(rows)
-        return made
+        compressed = cls()
+        compressed.add(rows)
+        return compressed
 
     def add(self, rows: Sequence[SampleRow]) -> None:
         """Add rows, scene after scene, at the end, before columns are asked for."""
-        for scene, those in groupby(rows, key=lambda row: row.scene):
-            self._add(scene, list(map(line_of, those)))
+        for scene, scene_rows in groupby(rows, key=lambda row: row.scene):
+            self._add(scene, list(map(line_of, scene_rows)))
 
     def _add(self, scene: str, lines: Sequence[str]) -> None:
         self._blocks.append((scene, len(lines), zlib.compress("\n".join(lines).encode(), _QUICK)))
@@ -89,9 +89,9 @@ class Rows(Sequence[SampleRow]):
         """
         from benchmark.records.columns import RowColumns, batch_of
 
-        made, waiting = cls(), read_lines(path, RECORD)
+        compressed, waiting = cls(), read_lines(path, RECORD)
         chunks = iter(lambda: list(islice(waiting, _LINES_AT_ONCE)), [])
-        checked = ((row, line) for some in chunks for row, (_, line) in zip(parse(some), some, strict=True))
+        checked = ((row, line) for chunk in chunks for row, (_, line) in zip(parse(chunk), chunk, strict=True))
 
         def added() -> Iterator[SampleRow]:
             for scene, pairs in groupby(checked, key=lambda pair: pair[0].scene):
@@ -99,12 +99,12 @@ class Rows(Sequence[SampleRow]):
                 for row, line in pairs:
                     lines.append(line)
                     yield row
-                made._add(scene, lines)
+                compressed._add(scene, lines)
 
         batch = batch_of(added())
         # Of rows of their own: what refers to itself stays in memory until Python looks for it.
-        made.columns = RowColumns(cls(made._blocks), batch)
-        return made
+        compressed.columns = RowColumns(cls(compressed._blocks), batch)
+        return compressed
 
     @classmethod
     def of_batch(cls, batch: "pa.RecordBatch") -> "Rows":
@@ -116,9 +116,9 @@ class Rows(Sequence[SampleRow]):
         scenes, starts = columns.values("scene"), np.flatnonzero(np.diff(lines)).tolist()
         for first, last in pairwise([*starts, len(scenes)]):
             rows._blocks.append((scenes[first], last - first, memoryview(packed)[lines[first] : lines[last]]))
-        made = cls(rows._blocks)
-        made.columns = columns
-        return made
+        compressed = cls(rows._blocks)
+        compressed.columns = columns
+        return compressed
 
     def batch(self) -> "pa.RecordBatch":
         """All of them: their columns, and their lines, compressed, beside the first row of each scene."""
@@ -216,8 +216,8 @@ def kept_rows(rows: Path, sha256: str) -> Rows | None:
     if batch is None or not is_made_of_columns(batch):
         return None
     with open_file(rows, RECORD) as stream:
-        own = hashlib.file_digest(stream, "sha256").hexdigest()
-    return Rows.of_batch(batch) if own == sha256 else None
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    return Rows.of_batch(batch) if digest == sha256 else None
 
 
 def keep_rows(path: Path, sha256: str, rows: Rows) -> Rows:

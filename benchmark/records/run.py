@@ -88,11 +88,14 @@ class RunRecord:
         return f"<RunRecord: {self._what}>"
 
     def _repr_html_(self) -> str:
-        rates = {name: said.columns["collision"] for name, said in self.summary.protocols.items()}
-        horizons = list(dict.fromkeys(horizon for own in rates.values() for horizon in own))
+        rates = {name: protocol.columns["collision"] for name, protocol in self.summary.protocols.items()}
+        horizons = list(dict.fromkeys(horizon for rates_by_horizon in rates.values() for horizon in rates_by_horizon))
         rows = [
-            (name, *(percent(own[each].value) if each in own else "" for each in horizons))
-            for name, own in rates.items()
+            (
+                name,
+                *(percent(rates_by_horizon[column].value) if column in rates_by_horizon else "" for column in horizons),
+            )
+            for name, rates_by_horizon in rates.items()
         ]
         return html_table(f"{self._what}: collisions", ("protocol", *horizons), rows)
 
@@ -195,21 +198,21 @@ def summarise(
     planned, known = columns.planned_scenes, scene_facts or {}
     scenes = [known[scene].source if scene in known else scene for scene in planned]
     driven = [scene for scene, scored in zip(scenes, columns.flags("driven")[columns.planned].tolist()) if scored]
-    told = all(scene in known and known[scene].adversaries is not None for scene in set(planned))
+    adversaries_known = all(scene in known and known[scene].adversaries is not None for scene in set(planned))
     protocols = {}
     for name, version in versions.items():
         outcomes = columns.outcomes(name)
-        found = rates(PROTOCOLS[name], outcomes, scenes, seed=seed)
+        rates_of_columns = rates(PROTOCOLS[name], outcomes, scenes, seed=seed)
         decided = [failed for failed in scene_failures(columns, name).values() if failed is not None]
         protocols[name] = ProtocolSummary(
             version=version,
-            columns=found,
+            columns=rates_of_columns,
             counted=(counted := int(says_all(PROTOCOLS[name], outcomes).sum())),
             incomplete=len(outcomes) - counted,
             scenes_failed=sum(decided),
             scenes_decided=len(decided),
             mask_removed_steps=_removed_by_mask(outcomes),
-            mask_removed_for_adversary=_removed_by_mask(outcomes, "recorded_adversary") if told else None,
+            mask_removed_for_adversary=_removed_by_mask(outcomes, "recorded_adversary") if adversaries_known else None,
         )
     return Summary(
         schema=SCHEMA,
@@ -303,18 +306,18 @@ def load_record(directory: Path) -> RunRecord:
 
     head = stored_head(directory)
     if head["schema"] == SCHEMA:
-        kept = kept_rows(directory / ROWS_FILE, str(head["files"].get(ROWS_FILE)))
-        rows = Rows.read(directory / ROWS_FILE, partial(_rows, directory, head)) if kept is None else kept
+        cached = kept_rows(directory / ROWS_FILE, str(head["files"].get(ROWS_FILE)))
+        rows = Rows.read(directory / ROWS_FILE, partial(_rows, directory, head)) if cached is None else cached
         raw_run, raw_summary = head, read_json(directory / SUMMARY_FILE, RECORD)
-        require_own(directory, head, known=() if kept is None else (ROWS_FILE,))
+        require_own(directory, head, known=() if cached is None else (ROWS_FILE,))
     else:
         raw_run, raw_rows, raw_summary = read_files(directory)
-        kept = rows = Rows.of([read(SampleRow, ROWS_FILE, row) for row in raw_rows])
+        cached = rows = Rows.of([read(SampleRow, ROWS_FILE, row) for row in raw_rows])
     run = read(RunFacts, RUN_FILE, raw_run)
     if list(rows.columns.places_of_scenes) != run.scenes:
         raise InputError(f"{directory / RUN_FILE} names other scenes than {ROWS_FILE} has rows of")
     summary = read(Summary, SUMMARY_FILE, raw_summary)
-    if kept is None:
+    if cached is None:
         rows = keep_rows(directory / ROWS_FILE, run.files[ROWS_FILE], rows)
     return RunRecord(directory, run, rows, summary)
 
@@ -365,7 +368,7 @@ def find_records(*roots: Path) -> list[RunRecord]:
     Raises:
         InputError: If a folder does not exist or a record in it is damaged.
     """
-    found: dict[Path, RunRecord] = {}
+    records: dict[Path, RunRecord] = {}
     for root in roots:
         if not root.is_dir():
             raise InputError(
@@ -374,5 +377,5 @@ def find_records(*roots: Path) -> list[RunRecord]:
         places = [path.parent for path in sorted(root.rglob(RUN_FILE))]
         keep_together(dict(filter(None, map(_named_rows, places))), load_record)
         for record in read_each(places, load_record, instead=" to do without this record"):
-            found[record.directory.resolve()] = record
-    return list(found.values())
+            records[record.directory.resolve()] = record
+    return list(records.values())

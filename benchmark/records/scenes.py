@@ -286,8 +286,8 @@ def find_sheets(root: Path) -> Sheets:
     paths = sorted(root.glob(f"*/*/{SCENES_FOLDER}/*/{SHEET_FILE}"))
     scenes = sorted((read_sheet(path.parent) for path in paths), key=lambda found: found.sheet.scene)
     return Sheets(
-        {(found.data.name, found.split): found for found in splits},
-        {(each.sheet.data.name, each.sheet.split, each.sheet.scene): each for each in scenes},
+        {(page.data.name, page.split): page for page in splits},
+        {(stored.sheet.data.name, stored.sheet.split, stored.sheet.scene): stored for stored in scenes},
     )
 
 

@@ -78,13 +78,13 @@ def read_each(places: Iterable[Path], read: Callable[[Path], Record], *, instead
     Args:
         instead: What a user gets by taking a damaged one away.
     """
-    found = []
+    records = []
     for place in places:
         try:
-            found.append(read(place))
+            records.append(read(place))
         except InputError as damage:
             raise InputError(f"{damage}; or delete or move {place}{instead}") from damage
-    return found
+    return records
 
 
 def pending(directory: Path, name: str) -> Path:
@@ -225,8 +225,8 @@ def stored_head(directory: Path) -> dict[str, Any]:
 
 def _does_not_belong(directory: Path, name: str, names: FileNames, again: str) -> str:
     if pending(directory, names.head).is_file():
-        what = "challenger-bench rescore" if names is RUN_FILES else f"the same {again} command"
-        return f"{directory} was being replaced when its command was stopped; run {what} again"
+        command = "challenger-bench rescore" if names is RUN_FILES else f"the same {again} command"
+        return f"{directory} was being replaced when its command was stopped; run {command} again"
     return (
         f"{directory / name} does not belong to the {names.head} beside it (an interrupted or edited run); run the "
         f"same {again} command again"
@@ -285,15 +285,15 @@ def recorded(folders: Iterable[Path]) -> tuple[Recorded, ...]:
 
     A damaged record is left out: reading it says so.
     """
-    found = set()
+    identities = set()
     for folder in folders:
         for path in folder.rglob(RUN_FILE):
             stored: Any = read_kept_json(path)
             try:
-                found.add(Recorded(stored["data"]["name"], stored["split"], stored["planner"]["name"]))
+                identities.add(Recorded(stored["data"]["name"], stored["split"], stored["planner"]["name"]))
             except (KeyError, TypeError):
                 continue
-    return tuple(sorted(found))
+    return tuple(sorted(identities))
 
 
 def where_planned(folders: Iterable[Path], samples: Sequence[tuple[str, ...]]) -> Recorded | None:
@@ -305,7 +305,7 @@ def where_planned(folders: Iterable[Path], samples: Sequence[tuple[str, ...]]) -
     for folder in folders:
         for path in sorted(folder.rglob(ROWS_FILE)):
             with path.open(encoding="utf-8", errors="replace") as lines:
-                if any(all(part in line for part in each) for line in lines for each in samples):
+                if any(all(part in line for part in sample) for line in lines for sample in samples):
                     return next(iter(recorded([path.parent])), None)
     return None
 
@@ -313,8 +313,8 @@ def where_planned(folders: Iterable[Path], samples: Sequence[tuple[str, ...]]) -
 def said_of(found: Iterable[Recorded]) -> str:
     """Records in words: ``there are records of demo (adv: idm; val: idm)``, or that there are none."""
     places: dict[str, dict[str, list[str]]] = {}
-    for each in found:
-        places.setdefault(each.data, {}).setdefault(each.split, []).append(each.planner)
+    for record in found:
+        places.setdefault(record.data, {}).setdefault(record.split, []).append(record.planner)
     if not places:
         return "there are no run records"
     named = []

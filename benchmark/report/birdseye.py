@@ -125,17 +125,17 @@ def draw_contacts(image: Picture, view: GroundView, overlays: Sequence[PlanOverl
 
     The star is hollow if it is with another than the adversary, or with whom is not said.
     """
-    seen: list[tuple[float, float, PlanOverlay, Contact]] = []
+    marks: list[tuple[float, float, PlanOverlay, Contact]] = []
     for overlay in reversed(overlays):
         if overlay.contact is not None:
             at = _draw_contact(image, view, overlay.contact, overlay.style.colour, hollow=not overlay.verdict.alarms)
             if 0 <= at[0] < view.width_px and 0 <= at[1] < view.height_px:
-                seen.append((float(at[1]), float(at[0]), overlay, overlay.contact))
+                marks.append((float(at[1]), float(at[0]), overlay, overlay.contact))
     row = {False: -np.inf, True: -np.inf}
-    for y, x, overlay, contact in sorted(seen, key=lambda each: each[:2]):
+    for y, x, overlay, contact in sorted(marks, key=lambda mark: mark[:2]):
         left = contact.seconds - overlay.age_s
-        what = "another" if overlay.verdict.whom is Whom.OTHER else "contact"
-        when = f"{what} in {left:.1f} s" if left >= 0.05 else f"{what} now"
+        party = "another" if overlay.verdict.whom is Whom.OTHER else "contact"
+        when = f"{party} in {left:.1f} s" if left >= 0.05 else f"{party} now"
         colour = CONTACT if overlay.verdict.alarms else BYSTANDER
         # At the edge of the picture, so that they cover neither cars nor each other.
         on_left = x > view.width_px - 1.4 * _LABEL_PX
@@ -235,7 +235,7 @@ class SceneFromAbove:
         )
         image: Picture = np.empty((height_px, width_px, 3), np.uint8)
         draw_ground(image, view, self._ground)
-        plans = [each for each in overlays if isinstance(each, PlanOverlay)]
+        plans = [candidate for candidate in overlays if isinstance(candidate, PlanOverlay)]
         self._draw_trails(image, view, frame)
         for overlay in overlays:
             if isinstance(overlay, CandidatesOverlay):
@@ -252,13 +252,13 @@ class SceneFromAbove:
         return image, view
 
     def _draw_trails(self, image: Picture, view: GroundView, frame: int) -> None:
-        now = self.seconds[frame]
-        near = np.flatnonzero((self.seconds >= now - PAST_S - 1e-6) & (self.seconds <= now + FUTURE_S + 1e-6))
+        seconds = self.seconds[frame]
+        near = np.flatnonzero((self.seconds >= seconds - PAST_S - 1e-6) & (self.seconds <= seconds + FUTURE_S + 1e-6))
         for agent in self.sheet.agents:
             if agent.adversary:
-                boxes = [agent_box(agent, int(each)) for each in near]
+                boxes = [agent_box(agent, int(frame_index)) for frame_index in near]
                 self._trail(image, view, near, boxes, frame, ADVERSARY)
-        self._trail(image, view, near, [self._ego[each] for each in near], frame, EGO)
+        self._trail(image, view, near, [self._ego[frame_index] for frame_index in near], frame, EGO)
 
     def _trail(
         self,
@@ -270,9 +270,9 @@ class SceneFromAbove:
         colour: Rgb,
     ) -> None:
         """A way: thin and pale where it was, thick with a dot each half second where it goes."""
-        centre = {int(each): box[:2] for each, box in zip(frames, boxes) if box is not None}
-        behind = [centre[each] for each in sorted(centre) if each <= frame]
-        ahead = [centre[each] for each in sorted(centre) if each >= frame]
+        centre = {int(frame_index): box[:2] for frame_index, box in zip(frames, boxes) if box is not None}
+        behind = [centre[frame_index] for frame_index in sorted(centre) if frame_index <= frame]
+        ahead = [centre[frame_index] for frame_index in sorted(centre) if frame_index >= frame]
         stroke(image, view, np.array(behind).reshape(-1, 2), mixed(colour, self._colours.paper, 0.45), 1)
         stroke(image, view, np.array(ahead).reshape(-1, 2), mixed(colour, self._colours.paper, 0.25), 2)
         for dot in np.arange(1, round(2 * FUTURE_S) + 1) / 2:

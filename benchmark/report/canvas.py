@@ -126,8 +126,8 @@ class GroundView:
 
     def pixels(self, points: Floats) -> Floats:
         """Columns and rows, (..., 2) pixels, of (..., 2) metres, cut where they are far outside."""
-        found = np.asarray(points, np.float64) @ self.matrix[:, :2].T + self.matrix[:, 2]
-        return np.asarray(np.clip(found, -_FARTHEST_PX, _FARTHEST_PX))
+        unclipped = np.asarray(points, np.float64) @ self.matrix[:, :2].T + self.matrix[:, 2]
+        return np.asarray(np.clip(unclipped, -_FARTHEST_PX, _FARTHEST_PX))
 
     def fixed(self, points: Floats) -> NDArray[np.int32]:
         """The same with `SHIFT` binary digits of fraction, as OpenCV wants them."""
@@ -291,8 +291,10 @@ def dashes(line: Floats, pattern: Dash) -> list[Floats]:
     first, last = np.searchsorted(along, begins, "right"), np.searchsorted(along, ends, "left")
     count = len(begins)
     return [
-        np.concatenate([tips[each : each + 1], line[first[each] : last[each]], tips[count + each : count + each + 1]])
-        for each in range(count)
+        np.concatenate(
+            [tips[index : index + 1], line[first[index] : last[index]], tips[count + index : count + index + 1]]
+        )
+        for index in range(count)
     ]
 
 

@@ -44,7 +44,11 @@ class LegendEntry:
 def legend_of(sheet: Sheet, overlays: Sequence[Overlay]) -> list[LegendEntry]:
     """Entries of the legend beside those of planners, for things in the picture only."""
     adversaries = sum(agent.adversary for agent in sheet.agents)
-    plans = [each for each in overlays if isinstance(each, PlanOverlay) and each.details and each.plan is not None]
+    plans = [
+        overlay
+        for overlay in overlays
+        if isinstance(overlay, PlanOverlay) and overlay.details and overlay.plan is not None
+    ]
     entries = [LegendEntry("box", EGO, "ego")]
     if adversaries:
         entries.append(LegendEntry("box", ADVERSARY, "adversary" if adversaries == 1 else "adversaries"))
@@ -53,7 +57,7 @@ def legend_of(sheet: Sheet, overlays: Sequence[Overlay]) -> list[LegendEntry]:
     entries.append(LegendEntry("way", EGO, "recorded, 3 s"))
     if any(plan.plan is not None and plan.plan.forecasts is not None for plan in plans):
         entries.append(LegendEntry("forecast", FAINT_INK, "forecasts"))
-    if any(isinstance(each, CandidatesOverlay) for each in overlays):
+    if any(isinstance(overlay, CandidatesOverlay) for overlay in overlays):
         entries.append(LegendEntry("candidates", BEST, "candidates of the search"))
     return entries
 
@@ -99,8 +103,8 @@ def line_pixels(
     dash: tuple[float, ...] = (),
 ) -> None:
     """A line between two pixels, in a pattern."""
-    whole = np.array([first, second], np.float64)
-    parts = dashes(whole, dash) if dash else [whole]
+    line = np.array([first, second], np.float64)
+    parts = dashes(line, dash) if dash else [line]
     fixed = [np.round(part * (1 << SHIFT)).astype(np.int32) for part in parts]
     cv2.polylines(image, fixed, False, colour, width_px, cv2.LINE_AA, SHIFT)
 
@@ -128,7 +132,7 @@ def draw_captions(image: Picture, view: GroundView, sheet: Sheet, seconds: float
     draw_time(image, seconds)
     draw_scale_bar(image, view)
     entries = legend_of(sheet, overlays)
-    plans = [each for each in overlays if isinstance(each, PlanOverlay)]
+    plans = [overlay for overlay in overlays if isinstance(overlay, PlanOverlay)]
     words = [f"{drawable(plan.name)}: {plan.verdict.words}" for plan in plans]
     widths = [26 + text_width(entry.words, size_px=12) for entry in entries]
     widths += [38 + text_width(text, size_px=12, bold=True) for text in words]

@@ -71,28 +71,28 @@ class DrivenSheet:
     def considered_at(self, frame: int) -> ConsideredFrame | None:
         """The planning frame of the adversary that is in force at a frame of the sheet, where it was kept."""
         now_us = self.stored.sheet.timestamps_us[frame]
-        past = [each for each in self.considered if each.time_us <= now_us]
+        past = [trace_frame for trace_frame in self.considered if trace_frame.time_us <= now_us]
         return past[-1] if past else None
 
     def candidates_at(self, frame: int) -> CandidatesOverlay | None:
         """Candidates of the adversary at the planning frame in force; ``None`` where it did not search."""
-        now = self.considered_at(frame)
-        if now is None or not now.candidates:
+        trace_frame = self.considered_at(frame)
+        if trace_frame is None or not trace_frame.candidates:
             return None
-        paths = np.array(now.candidates, np.float64) - np.array(self.stored.sheet.origin_m)
-        return candidates_by_score(paths, now.scores, now.chosen)
+        paths = np.array(trace_frame.candidates, np.float64) - np.array(self.stored.sheet.origin_m)
+        return candidates_by_score(paths, trace_frame.scores, trace_frame.chosen)
 
     def plan_at(self, frame: int, name: str, style: PlannerStyle) -> PlanOverlay | None:
         """The last plan that was made, or ``None`` before the first, and the contact that comes, if it comes soon."""
-        made = max((each for each in self.plans if each <= frame), default=None)
-        if made is None:
+        planned_at = max((planned_frame for planned_frame in self.plans if planned_frame <= frame), default=None)
+        if planned_at is None:
             return None
-        now, then = float(self.seconds[frame]), float(self.seconds[made])
+        time_s, plan_time_s = float(self.seconds[frame]), float(self.seconds[planned_at])
         contact, soon = None, self.contact
-        if soon is not None and soon.seconds - now <= PLAN_SEEN_S:
-            contact = replace(soon, seconds=soon.seconds - then)
+        if soon is not None and soon.seconds - time_s <= PLAN_SEEN_S:
+            contact = replace(soon, seconds=soon.seconds - plan_time_s)
         verdict = Verdict(contact is not None, "", "", counted=False)
-        return PlanOverlay(name, style, self.plans[made], contact, verdict, age_s=now - then)
+        return PlanOverlay(name, style, self.plans[planned_at], contact, verdict, age_s=time_s - plan_time_s)
 
 
 def speeds_along(points: Floats, seconds: Floats) -> Floats:

@@ -39,15 +39,15 @@ class Layer:
     @classmethod
     def of(cls, areas: Iterable[Area], colour: Rgb) -> "Layer":
         """A layer of areas; those without points are left out."""
-        kept = tuple(area for area in areas if area and len(area[0]))
-        points = [np.concatenate(area) for area in kept]
-        centres = np.array([0.5 * (each.min(axis=0) + each.max(axis=0)) for each in points]).reshape(-1, 2)
-        reaches = [np.hypot(*(each - centre).T).max() for each, centre in zip(points, centres)]
-        return cls(kept, centres, np.array(reaches, np.float64), colour)
+        visible_areas = tuple(area for area in areas if area and len(area[0]))
+        points = [np.concatenate(area) for area in visible_areas]
+        centres = np.array([0.5 * (corners.min(axis=0) + corners.max(axis=0)) for corners in points]).reshape(-1, 2)
+        reaches = [np.hypot(*(corners - centre).T).max() for corners, centre in zip(points, centres)]
+        return cls(visible_areas, centres, np.array(reaches, np.float64), colour)
 
     def near(self, view: GroundView) -> list[Area]:
         """Areas that may be seen."""
-        return [self.areas[each] for each in view.near(self.centres, self.reaches_m)]
+        return [self.areas[index] for index in view.near(self.centres, self.reaches_m)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,9 +136,9 @@ def _stripes(ring: Floats) -> Area:
     count = max(int((width - _STRIPE_M) / _STRIPE_EVERY_M) + 1, 1)
     first = -0.5 * (count - 1) * _STRIPE_EVERY_M
     middle, across = origin + (x, y), 0.42 * height * short
-    found = []
+    stripes = []
     for number in range(count):
         near = middle + (first + number * _STRIPE_EVERY_M - 0.5 * _STRIPE_M) * long
         far = near + _STRIPE_M * long
-        found.append(np.array([near - across, near + across, far + across, far - across]))
-    return tuple(found)
+        stripes.append(np.array([near - across, near + across, far + across, far - across]))
+    return tuple(stripes)

@@ -199,19 +199,21 @@ def candidates_overlay(sheet: Sheet, trace: RefinementTrace, frame: int) -> Cand
         What to draw, or ``None`` before the search begins and when its last planning frame is no longer in force.
     """
     seconds = frame_seconds(sheet)
-    past = [each for each in trace.frames if each.frame <= frame]
+    past = [trace_frame for trace_frame in trace.frames if trace_frame.frame <= frame]
     if not past or seconds[frame] - seconds[past[-1].frame] > PLANNING_S + 1e-6:
         return None
-    now = past[-1]
-    whole = 0 <= now.chosen_round < len(now.rounds) and _is_whole(now.rounds[now.chosen_round], now.chosen)
-    if not whole:
+    current = past[-1]
+    is_complete = 0 <= current.chosen_round < len(current.rounds) and _is_whole(
+        current.rounds[current.chosen_round], current.chosen
+    )
+    if not is_complete:
         raise InputError(
-            f"the trace of {trace.scene} does not have what it names as chosen at frame {now.frame}, or lists of "
+            f"the trace of {trace.scene} does not have what it names as chosen at frame {current.frame}, or lists of "
             "different lengths; run challenger-bench sheets again"
         )
-    found = now.rounds[now.chosen_round]
-    paths = np.array(found.candidates, np.float64).reshape(len(found.candidates), -1, 2)
-    return candidates_by_score(paths, found.scores, now.chosen)
+    chosen_round = current.rounds[current.chosen_round]
+    paths = np.array(chosen_round.candidates, np.float64).reshape(len(chosen_round.candidates), -1, 2)
+    return candidates_by_score(paths, chosen_round.scores, current.chosen)
 
 
 def candidates_by_score(paths: Floats, scores: Sequence[float | None], chosen: int | None) -> CandidatesOverlay:
@@ -231,14 +233,16 @@ def candidates_by_score(paths: Floats, scores: Sequence[float | None], chosen: i
     return CandidatesOverlay(paths[order], shares[order], None if chosen is None else paths[chosen])
 
 
-def _is_whole(found: TraceRound, chosen: int) -> bool:
-    alike = len({len(path) for path in found.candidates}) == 1 and len(found.scores) == len(found.candidates)
-    return alike and 0 <= chosen < len(found.candidates)
+def _is_whole(trace_round: TraceRound, chosen: int) -> bool:
+    is_consistent = len({len(path) for path in trace_round.candidates}) == 1 and len(trace_round.scores) == len(
+        trace_round.candidates
+    )
+    return is_consistent and 0 <= chosen < len(trace_round.candidates)
 
 
 def _contact(sheet: Sheet, keyframe: int, plan: PlacedPlan, seconds: float, hit: str | None) -> Contact:
     ego = plan.footprints[plan_instant(seconds)]
-    agent = next((each for each in sheet.agents if each.id == hit), None)
+    agent = next((candidate for candidate in sheet.agents if candidate.id == hit), None)
     at = float(frame_seconds(sheet)[keyframe]) + seconds
     other = None if agent is None else agent_box_at(sheet, agent, at)
     return Contact(seconds, ego, other, ego[:2] if other is None else shared_point(ego, other))
@@ -247,8 +251,8 @@ def _contact(sheet: Sheet, keyframe: int, plan: PlacedPlan, seconds: float, hit:
 def shared_point(first: Floats, second: Floats) -> Floats:
     """Middle of the overlap of two boxes (5,), or of their centres where rounding pulls them apart."""
     origin = first[:2]
-    one, two = ((box_corners(box) - origin).astype(np.float32) for box in (first, second))
-    area, polygon = cv2.intersectConvexConvex(one, two)
+    first_corners, second_corners = ((box_corners(box) - origin).astype(np.float32) for box in (first, second))
+    area, polygon = cv2.intersectConvexConvex(first_corners, second_corners)
     if area <= 0.0 or polygon is None:
         return np.asarray((first[:2] + second[:2]) / 2)
     return np.asarray(polygon.reshape(-1, 2).mean(axis=0) + origin, np.float64)

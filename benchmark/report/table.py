@@ -174,8 +174,8 @@ class Table:
         below = [
             line for note in notes for line in wrapped(note, width, indent=indent, hanging="  ", whole_words=False)
         ]
-        whole = self.title if brief is None else brief.title
-        title = wrapped(whole, width, whole_words=False) if whole else []
+        full_title = self.title if brief is None else brief.title
+        title = wrapped(full_title, width, whole_words=False) if full_title else []
         return "\n".join([*title, *(f"{indent}{line}" if line else "" for line in lines), *below]) + "\n"
 
     def latex(self) -> str:
@@ -198,10 +198,13 @@ class Table:
         """The table as CSV, heads with their groups first, and a column on miniatures last."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
-        said = [[RANKS_NOTHING if miniature else ""] for miniature in self.miniatures] or [[]] * len(self.rows)
+        miniature_cells = [[RANKS_NOTHING if miniature else ""] for miniature in self.miniatures] or [[]] * len(
+            self.rows
+        )
         writer.writerow((*self.heads, *(("miniature",) if self.miniatures else ())))
         writer.writerows(
-            [*("" if cell == UNDEFINED else cell for cell in row), *of_row] for row, of_row in zip(self.rows, said)
+            [*("" if cell == UNDEFINED else cell for cell in row), *of_row]
+            for row, of_row in zip(self.rows, miniature_cells)
         )
         return stream.getvalue()
 
@@ -247,17 +250,17 @@ def table_of(
         rows: Text, or a number as its cell shows it.
         groups: Labels over columns; those over none are left out.
     """
-    shown = [[Shown(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
-    miniatures = tuple(any(cell.miniature for cell in row) for row in shown)
+    cells = [[Shown(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
+    miniatures = tuple(any(cell.miniature for cell in row) for row in cells)
     return Table(
         name,
         title,
         tuple(columns),
-        tuple(tuple(cell.text for cell in row) for row in shown),
+        tuple(tuple(cell.text for cell in row) for row in cells),
         tuple(notes),
         text_columns,
         tuple((label, span) for label, span in groups if span),
-        tuple(tuple(cell.cell for cell in row) for row in shown),
+        tuple(tuple(cell.cell for cell in row) for row in cells),
         tuple(sources),
         miniatures if any(miniatures) else (),
         brief,
@@ -292,13 +295,13 @@ def _markdown_row(cells: Sequence[str]) -> str:
 
 def _shown_once(rows: Sequence[Sequence[str]], form: LatexForm) -> list[list[str]]:
     """Rows in which the columns that are shown once are empty but in the middle of each block."""
-    first, shown = 0, []
+    first, result_rows = 0, []
     for last in (*form.rules_after, len(rows)):
         for place in range(first, last):
             middle = place == first + (last - first - 1) // 2
-            shown.append([cell if middle or at not in form.once else "" for at, cell in enumerate(rows[place])])
+            result_rows.append([cell if middle or at not in form.once else "" for at, cell in enumerate(rows[place])])
         first = last
-    return shown
+    return result_rows
 
 
 def _latex_row(cells: Sequence[str], *, bold: bool = False) -> str:

@@ -84,17 +84,17 @@ def aligned(
     heads, rows = [_bound(head) for head in heads], [[_bound(cell) for cell in row] for row in rows]
     least = least or (0,) * len(heads)
     bodies = [max(few, 0, *(len(row[column]) for row in rows)) for column, few in enumerate(least)]
-    whole = [max(body, len(head)) for body, head in zip(bodies, heads)]
-    if width is None or _total(whole) <= width:
-        return _lines(heads, rows, whole, text_columns)
+    full_widths = [max(body, len(head)) for body, head in zip(bodies, heads)]
+    if width is None or _total(full_widths) <= width:
+        return _lines(heads, rows, full_widths, text_columns)
     words = [max(body, _longest_word(head)) for body, head in zip(bodies, heads)]
     if _total(words) <= width:
-        return _lines(heads, rows, _shrunk(whole, words, width), text_columns)
+        return _lines(heads, rows, _shrunk(full_widths, words, width), text_columns)
     texts, numbers = words[:text_columns], words[text_columns:]
-    few_letters = [min(each, _LEAST_TEXT) for each in texts]
-    beside = _shrunk(texts, few_letters, width - _total(numbers) - len(_GAP))
-    fits = _total([*beside, *numbers]) <= width
-    texts = beside if fits else _shrunk(texts, few_letters, width // 2)
+    few_letters = [min(width_of_text, _LEAST_TEXT) for width_of_text in texts]
+    shrunk_texts = _shrunk(texts, few_letters, width - _total(numbers) - len(_GAP))
+    fits = _total([*shrunk_texts, *numbers]) <= width
+    texts = shrunk_texts if fits else _shrunk(texts, few_letters, width // 2)
     room = width - _total(texts) - len(_GAP)
     numbers = [max(body, min(number, room)) for body, number in zip(bodies[text_columns:], numbers)]
     lines: list[str] = []
@@ -122,11 +122,11 @@ def _longest_word(head: str) -> int:
 
 def _shrunk(widths: Sequence[int], least: Sequence[int], room: int) -> list[int]:
     """Columns that fit, those shrunk that have most to spare; as narrow as they may be where nothing fits."""
-    found = list(widths)
-    while _total(found) > room and found != list(least):
-        spare = [width - few for width, few in zip(found, least)]
-        found[spare.index(max(spare))] -= 1
-    return found
+    shrunk = list(widths)
+    while _total(shrunk) > room and shrunk != list(least):
+        spare = [width - few for width, few in zip(shrunk, least)]
+        shrunk[spare.index(max(spare))] -= 1
+    return shrunk
 
 
 def _blocks(widths: Sequence[int], room: int) -> list[list[int]]:

@@ -28,34 +28,34 @@ _DERIVED, _OFFERED, _WITHOUT = '"ego_motion":"derived"', '"forecasts":{', '"fore
 def data_caveats(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
     """Caveats about impossible values of a data set; of older records they are not known."""
     facts = inputs_of(scenes)
-    on_maps = [each for each in facts.values() if each.off_road is not None]
-    share = sum(each.off_road or 0 for each in on_maps) / max(sum(each.samples for each in on_maps), 1)
+    on_maps = [inputs for inputs in facts.values() if inputs.off_road is not None]
+    share = sum(inputs.off_road or 0 for inputs in on_maps) / max(sum(inputs.samples for inputs in on_maps), 1)
     if share > MISFIT_SHARE:
         yield Caveat(
             kind="map",
             sentence=f"the recorded ego is off the drivable area of the map in {100 * share:.0f} % of the samples: the "
             "map does not fit, and neither do lanes and driving scores",
         )
-    if jumps := sum(each.jumps for each in facts.values()):
+    if jumps := sum(inputs.jumps for inputs in facts.values()):
         yield Caveat(
             kind="boxes",
             sentence=f"{counted(jumps, 'annotation')} of objects that jump (over 60 m/s since the one before): "
             "contacts with them are of no real motion",
         )
-    moving, across = (sum(getattr(each, name) for each in facts.values()) for name in ("moving", "across"))
+    moving, across = (sum(getattr(inputs, name) for inputs in facts.values()) for name in ("moving", "across"))
     if lie_across(moving, across):
         yield Caveat(
             kind="boxes",
             sentence=f"the boxes of {across} of {counted(moving, 'moving object')} lie across their motion (width and "
             "length exchanged, or headings turned by 90 degrees): contacts are not where they would be",
         )
-    if turned := [name for name, each in facts.items() if each.turned_quaternions]:
+    if turned := [name for name, inputs in facts.items() if inputs.turned_quaternions]:
         yield Caveat(
             kind="pose",
             sentence=f"rotations in {_of(turned, facts)} make sense only if read as x, y, z, w, and nuScenes has w "
             "first: headings and all that follows from them are wrong",
         )
-    if without := [name for name, each in facts.items() if not each.lidar]:
+    if without := [name for name, inputs in facts.items() if not inputs.lidar]:
         yield Caveat(
             kind="lidar",
             sentence=f"{_of(without, facts)} {_have(without)} no LIDAR_TOP: the lidar, whose place plans and protocols "
@@ -70,7 +70,7 @@ def map_caveats(scenes: Mapping[str, SceneFacts], goes_without: Sequence[str]) -
         goes_without: What happens without lanes, in words; nothing is said if nothing does.
     """
     facts = inputs_of(scenes)
-    without = [name for name, each in facts.items() if not each.lanes]
+    without = [name for name, inputs in facts.items() if not inputs.lanes]
     if without and goes_without:
         yield Caveat(
             kind="map",
@@ -83,7 +83,7 @@ def planner_caveats(planner: PlannerFacts, scenes: Mapping[str, SceneFacts], row
     lanes = ["it drives straight on where it would follow a lane"] if "map" in planner.wants else []
     yield from map_caveats(scenes, [*lanes, "there are no driving scores (pdm)"])
     facts = inputs_of(scenes)
-    blind = [name for name, each in facts.items() if not each.cameras]
+    blind = [name for name, inputs in facts.items() if not inputs.cameras]
     if blind and "images" in planner.wants:
         yield Caveat(kind="images", sentence=f"{_of(blind, facts)} {_have(blind)} no camera, and it plans from images")
     derived: list[str] = []
@@ -123,16 +123,20 @@ def drive_input_caveats(
 
 def inputs_of(scenes: Mapping[str, SceneFacts]) -> dict[str, InputFacts]:
     """Inputs that the data set holds of scenes, of those for which it is known."""
-    return {name: each.truth.inputs for name, each in scenes.items() if each.truth is not None and each.truth.inputs}
+    return {
+        name: scene_facts.truth.inputs
+        for name, scene_facts in scenes.items()
+        if scene_facts.truth is not None and scene_facts.truth.inputs
+    }
 
 
-def _of(some: Sequence[str], scenes: Mapping[str, object]) -> str:
+def _of(names: Sequence[str], scenes: Mapping[str, object]) -> str:
     """Scenes in words; one is named, several are counted."""
-    return some[0] if len(some) == 1 else f"{len(some)} of {counted(len(scenes), 'scene')}"
+    return names[0] if len(names) == 1 else f"{len(names)} of {counted(len(scenes), 'scene')}"
 
 
-def _have(some: Sequence[str]) -> str:
-    return "has" if len(some) == 1 else "have"
+def _have(names: Sequence[str]) -> str:
+    return "has" if len(names) == 1 else "have"
 
 
 _NAMED: Final = 3
@@ -184,10 +188,10 @@ def _known(scenes: Mapping[str, SceneFacts]) -> dict[str, TruthFacts]:
     return {name: facts.truth for name, facts in scenes.items() if facts.truth is not None}
 
 
-def _labels(known: Mapping[str, TruthFacts], so: str) -> Iterator[Caveat]:
+def _labels(known: Mapping[str, TruthFacts], consequence: str) -> Iterator[Caveat]:
     none = [name for name, truth in known.items() if not truth.annotations]
     if none:
-        yield Caveat(kind="truth", sentence=f"{_scenes(none, len(known))} no annotations: {so}")
+        yield Caveat(kind="truth", sentence=f"{_scenes(none, len(known))} no annotations: {consequence}")
 
 
 def _boxes(known: Mapping[str, TruthFacts]) -> Iterator[Caveat]:
@@ -200,12 +204,12 @@ def _boxes(known: Mapping[str, TruthFacts]) -> Iterator[Caveat]:
         )
 
 
-def _categories(known: Mapping[str, TruthFacts], so: str) -> Iterator[Caveat]:
-    found = AnnotationCount.together([AnnotationCount(truth.annotations, truth.unknown) for truth in known.values()])
-    if found.unknown:
+def _categories(known: Mapping[str, TruthFacts], consequence: str) -> Iterator[Caveat]:
+    total = AnnotationCount.together([AnnotationCount(truth.annotations, truth.unknown) for truth in known.values()])
+    if total.unknown:
         few = "protocols that go by categories do not see them"
-        then = f"{so}; say what they mean with --categories" if found.foreign else few
-        yield Caveat(kind="categories", sentence=f"{found.sentence}: {then}")
+        advice = f"{consequence}; say what they mean with --categories" if total.foreign else few
+        yield Caveat(kind="categories", sentence=f"{total.sentence}: {advice}")
 
 
 def _poses(known: Mapping[str, TruthFacts], scenes: int) -> Iterator[Caveat]:
@@ -232,25 +236,25 @@ def time_caveats(scenes: Mapping[str, SceneFacts]) -> list[Caveat]:
     None where key frames are steps.
     """
     truths = [facts.truth for facts in scenes.values() if facts.truth is not None]
-    found = []
+    sentences = []
     rates_s = sorted({truth.interval_s for truth in truths if truth.interval_s is not None})
     if rates_s:
-        there = sum(truth.interval_s is not None for truth in truths)
-        apart = f"{rates_s[0]:.3g} s" if len(rates_s) == 1 else f"{rates_s[0]:.3g} to {rates_s[-1]:.3g} s"
-        found.append(
-            f"the key frames of {counted(there, 'scene')} are {apart} apart, not 0.5 s: exact and driving scores "
+        scene_count = sum(truth.interval_s is not None for truth in truths)
+        interval_text = f"{rates_s[0]:.3g} s" if len(rates_s) == 1 else f"{rates_s[0]:.3g} to {rates_s[-1]:.3g} s"
+        sentences.append(
+            f"the key frames of {counted(scene_count, 'scene')} are {interval_text} apart, not 0.5 s: exact and driving scores "
             "interpolate steps, and official protocols, whose steps are key frames, do not count these samples"
         )
     irregular = [truth for truth in truths if truth.interval_s is None and truth.irregular]
     if irregular:
         samples, cut = (sum(getattr(truth, name) for truth in irregular) for name in ("irregular", "cut_short"))
-        found.append(
+        sentences.append(
             f"{counted(samples, 'sample')} of {counted(len(irregular), 'scene')} have key frames ahead that are not "
             "half a second apart: exact and driving scores interpolate steps there"
             + (f" and say nothing beyond a gap over 0.75 s ({counted(cut, 'sample')})" if cut else "")
             + ", and official protocols take the k-th key frame for step k"
         )
-    return [Caveat(kind="time", sentence=sentence) for sentence in found]
+    return [Caveat(kind="time", sentence=sentence) for sentence in sentences]
 
 
 _Scenes = Mapping[str, SceneFacts]
@@ -280,8 +284,8 @@ def run_caveats(
     """
     columns = rows.columns
     compared = ComparedPlans.of(columns.in_lidar, columns.recorded)
-    found = (find(planner, scenes, rows) for find in _OF_RUNS)
-    return in_order(chain(_of_the_door(known), *found, _of_plans(compared, known)))
+    input_caveats = (find(planner, scenes, rows) for find in _OF_RUNS)
+    return in_order(chain(_of_the_door(known), *input_caveats, _of_plans(compared, known)))
 
 
 def drive_caveats(
@@ -297,8 +301,8 @@ def drive_caveats(
     Args:
         compared: Its plans of the instants at which the ego was still where it was recorded.
     """
-    found = (find(planner, scenes, measured) for find in _OF_DRIVES)
-    return in_order(chain(_of_the_door(known), *found, _of_plans(compared, known)))
+    input_caveats = (find(planner, scenes, measured) for find in _OF_DRIVES)
+    return in_order(chain(_of_the_door(known), *input_caveats, _of_plans(compared, known)))
 
 
 def _of_the_door(known: Sequence[Caveat]) -> list[Caveat]:

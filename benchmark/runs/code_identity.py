@@ -61,7 +61,7 @@ def _identity(made: type, made_by: str | None, parts: frozenset[type]) -> str | 
     if _source_of(made) is None:
         return None
     module, _, maker = (made_by or f"{made.__module__}:{made.__qualname__}").partition(":")
-    start = {each.__module__ for each in (*made.__mro__, *parts)} | {module}
+    start = {part.__module__ for part in (*made.__mro__, *parts)} | {module}
     return content_key(project_sha256(), made.__qualname__, maker, sorted(code_of_modules(start, made).items()))
 
 
@@ -70,21 +70,21 @@ def parts_of(planner: Any) -> frozenset[type]:
     values = list(getattr(planner, "__dict__", {}).values())
     torch = sys.modules.get("torch")
     networks = [value for value in values if torch is not None and isinstance(value, torch.nn.Module)]
-    return frozenset(map(type, values)) | {type(each) for network in networks for each in network.modules()}
+    return frozenset(map(type, values)) | {type(module) for network in networks for module in network.modules()}
 
 
 @cache
 def project_sha256() -> str:
     """Hash of the code of this project that plans depend on."""
     root = Path(__file__).parents[2]
-    apart = tuple(root / each for each in APART)
-    found = {
+    excluded = tuple(root / folder for folder in APART)
+    files = {
         path.relative_to(root).as_posix(): path
         for package in OURS
         for path in (root / package).rglob("*.py")
-        if not any(path.is_relative_to(each) for each in apart)
+        if not any(path.is_relative_to(folder) for folder in excluded)
     }
-    contents = {name: path.read_bytes() for name, path in sorted(found.items())}
+    contents = {name: path.read_bytes() for name, path in sorted(files.items())}
     # Parsing all of it takes a second, reading it little.
     kept: ResultStore[str] = ResultStore(cache_root() / "code", str)
     bytes_of = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
@@ -115,21 +115,21 @@ def code_of_modules(start: Iterable[str], made: type | None = None) -> dict[str,
     Args:
         made: A class whose top-level package counts wherever it is installed.
     """
-    own = "" if made is None else made.__module__.partition(".")[0]
-    found: dict[str, str] = {}
+    top_package = "" if made is None else made.__module__.partition(".")[0]
+    hashes: dict[str, str] = {}
     waiting = sorted(set(start))
     while waiting:
         module = waiting.pop()
         name = "__main__" if module == "__mp_main__" else module
-        if name in found:
+        if name in hashes:
             continue
-        file = _located(module) if own and module.partition(".")[0] == own else _own_file(module)
+        file = _located(module) if top_package and module.partition(".")[0] == top_package else _own_file(module)
         if file is None or _is_in_project_hash(file):
             continue
-        found[name], imports = _code(file)
+        hashes[name], imports = _code(file)
         package = module if file.name == "__init__.py" else module.rpartition(".")[0]
-        waiting += [each for imported in imports for each in _with_parents(_absolute(imported, package))]
-    return found
+        waiting += [parent for imported in imports for parent in _with_parents(_absolute(imported, package))]
+    return hashes
 
 
 def file_code_sha256(path: Path) -> str:
@@ -163,28 +163,28 @@ def _tree_sha256(content: bytes, tree: ast.Module | None) -> str:
     if tree is None:
         # Not Python of this version: all that can be said is whether it changed.
         return hashlib.sha256(content).hexdigest()
-    said: list[str] = []
-    _write(tree, said)
-    return hashlib.sha256(" ".join(said).encode("utf-8", "backslashreplace")).hexdigest()
+    words: list[str] = []
+    _write(tree, words)
+    return hashlib.sha256(" ".join(words).encode("utf-8", "backslashreplace")).hexdigest()
 
 
-def _write(node: ast.AST, said: list[str]) -> None:
+def _write(node: ast.AST, words: list[str]) -> None:
     """Write a syntax tree down; what is absent is left out, as newer versions of Python have more fields."""
-    said.append(type(node).__name__)
+    words.append(type(node).__name__)
     for name in node._fields:
         value = getattr(node, name, None)
         if name in _SAYS_NOTHING or value is None or value == []:
             continue
-        said.append(name)
-        for each in value if isinstance(value, list) else (value,):
-            if not isinstance(each, ast.AST):
-                said.append(repr(each))
+        words.append(name)
+        for child in value if isinstance(value, list) else (value,):
+            if not isinstance(child, ast.AST):
+                words.append(repr(child))
             # Docstrings, and what stands where there is nothing to say.
-            elif not isinstance(each, ast.Pass) and not (
-                isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant)
+            elif not isinstance(child, ast.Pass) and not (
+                isinstance(child, ast.Expr) and isinstance(child.value, ast.Constant)
             ):
-                _write(each, said)
-    said.append(")")
+                _write(child, words)
+    words.append(")")
 
 
 def _imports(tree: ast.AST) -> Iterator[str]:
@@ -201,9 +201,9 @@ def _run_nodes(node: ast.AST) -> Iterator[ast.AST]:
     """All nodes but those that only type checkers read."""
     for child in ast.iter_child_nodes(node):
         name = getattr(child.test, "attr", getattr(child.test, "id", "")) if isinstance(child, ast.If) else ""
-        for each in child.orelse if isinstance(child, ast.If) and name == "TYPE_CHECKING" else [child]:
-            yield each
-            yield from _run_nodes(each)
+        for branch in child.orelse if isinstance(child, ast.If) and name == "TYPE_CHECKING" else [child]:
+            yield branch
+            yield from _run_nodes(branch)
 
 
 def _absolute(name: str, package: str) -> str:

@@ -30,8 +30,8 @@ def estimate(data: "DataSet", split: str, planner: PlannerFactory, settings: Dri
     scenes = settings.chosen(data, split)
     units = settings.units(data, scenes)
     job = job_of(data, split, planner.facts, out, settings)
-    kept = kept_units(job, units)
-    left = len(units) - kept
+    cached_count = kept_units(job, units)
+    left = len(units) - cached_count
     seconds = 0.0
     if left:
         scene = data.scene(units[0].scene)
@@ -47,7 +47,7 @@ def estimate(data: "DataSet", split: str, planner: PlannerFactory, settings: Dri
         seconds = left * (first + a_tick * (len(scene.keyframes) - 1) + _SCORING_S)
     workers = settings.executor.workers if isinstance(settings.executor, LocalProcesses) else 1
     where = f"{counted(len(scenes), 'scene')} of {split}, {counted(settings.runs_made, 'run')} each"
-    done = f", {kept} of them kept already" if kept else ""
+    done = f", {cached_count} of them kept already" if cached_count else ""
     return (
         f"would drive {planner.facts.name} through {where} ({counted(len(units), 'drive')}{done}; engine "
         f"{settings.measured.world}, sensor {settings.sensor.name}): at most about {clock_time(seconds / workers)} on "

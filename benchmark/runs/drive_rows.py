@@ -38,10 +38,10 @@ def compared_drive(scene: Scene, row: DriveRow) -> ComparedPlans:
     if not count:
         return ComparedPlans.joined([])
     times, ego = np.array(row.ticks.time_us[:count], np.int64), np.array(row.ticks.ego[:count])
-    now, before = recorded_poses(scene, times), recorded_poses(scene, times - _JUST_NOW_US)
-    speed = np.hypot(*(now - before)[:, :2].T) / (_JUST_NOW_US * 1e-6)
-    near = np.hypot(*(ego[:, :2] - now[:, :2]).T) < NEAR_M
-    near &= (np.abs(wrap_angle(ego[:, 2] - now[:, 2])) < NEAR_RAD) & (np.abs(ego[:, 3] - speed) < NEAR_M_S)
+    poses, before = recorded_poses(scene, times), recorded_poses(scene, times - _JUST_NOW_US)
+    speed = np.hypot(*(poses - before)[:, :2].T) / (_JUST_NOW_US * 1e-6)
+    near = np.hypot(*(ego[:, :2] - poses[:, :2]).T) < NEAR_M
+    near &= (np.abs(wrap_angle(ego[:, 2] - poses[:, 2])) < NEAR_RAD) & (np.abs(ego[:, 3] - speed) < NEAR_M_S)
     near &= times + _STEPS_US[-1] <= int(scene.timestamps_us[-1])
     ahead = np.array([float(scene.lidar.translation[0]), 0.0])
     lidar = recorded_poses(scene, times[near, None] + _STEPS_US)
@@ -83,7 +83,7 @@ def row_of(stage: Stage, drive: Drive, scores: DriveScores | None) -> DriveRow:
                 for plan in drive.plans
             ],
             "contact": contact,
-            "passed": [] if scores is None else [_rounded(asdict(each)) for each in scores.passed],
+            "passed": [] if scores is None else [_rounded(asdict(collision)) for collision in scores.passed],
             "scores": None if scores is None else _score_row(drive, scores),
             "failure": None if failure is None else {"reason": failure.reason.value, "text": failure.text},
             "adversary": None if drive.adversary is None else adversary_row(stage, drive.adversary),
@@ -102,20 +102,20 @@ def with_labels(rows: Sequence[DriveRow], scenes: Mapping[str, TruthFacts]) -> l
 
 def adversary_row(stage: Stage, track: AdversaryTrack) -> dict[str, Any]:
     """A track as it is stored in the row of its drive."""
-    scores = [None if each.score is None else round(each.score, DECIMALS) + 0.0 for each in track.replanned]
+    scores = [None if planning.score is None else round(planning.score, DECIMALS) + 0.0 for planning in track.replanned]
     return {
         "agent": track.agent,
         "uuid": stage.scene.agents.ids[track.agent],
         "start": track.start,
         "poses": track.poses.tolist(),
-        "replanned": [each.frame for each in track.replanned],
+        "replanned": [planning.frame for planning in track.replanned],
         "scores": scores,
     }
 
 
 def considered_of(track: AdversaryTrack) -> tuple[ConsideredFrame, ...]:
     """Candidates of an adversary at each of its planning frames, if it was asked to keep them."""
-    return tuple(ConsideredFrame.model_validate(each.considered) for each in track.replanned)
+    return tuple(ConsideredFrame.model_validate(planning.considered) for planning in track.replanned)
 
 
 def track_of(row: DriveRow) -> AdversaryTrack | None:
@@ -145,12 +145,12 @@ def _score_row(drive: Drive, scores: DriveScores) -> dict[str, Any]:
 
 def _rounded(values: Mapping[str, Any]) -> dict[str, Any]:
     """The same with every number rounded; never -0.0."""
-    found: dict[str, Any] = {}
+    rounded: dict[str, Any] = {}
     for name, value in values.items():
         if isinstance(value, Mapping):
-            found[name] = _rounded(value)
+            rounded[name] = _rounded(value)
         elif isinstance(value, float):
-            found[name] = round(value, DECIMALS) + 0.0
+            rounded[name] = round(value, DECIMALS) + 0.0
         else:
-            found[name] = value
-    return found
+            rounded[name] = value
+    return rounded

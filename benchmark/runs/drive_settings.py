@@ -102,13 +102,13 @@ class Job:
         # Nobody else than an adversary is made elsewhere.
         adversary = getattr(self.maker, "adversary", None)
         code += [] if adversary is None else [code_sha256(type(adversary))]
-        what = self.measured.model_dump(mode="json")
-        return content_key("drive", FORMAT, self.fingerprint, unit.scene, unit.family, unit.run, who, what, code)
+        definition = self.measured.model_dump(mode="json")
+        return content_key("drive", FORMAT, self.fingerprint, unit.scene, unit.family, unit.run, who, definition, code)
 
     def kept(self, unit: Unit) -> KeptDrive | None:
         """Stored result of a unit, made by code as it is now."""
-        kept = None if self.fresh else self.store.get(self.key(unit), unit.name)
-        return kept if kept is not None and is_current(kept.loaded) else None
+        cached = None if self.fresh else self.store.get(self.key(unit), unit.name)
+        return cached if cached is not None and is_current(cached.loaded) else None
 
     @property
     def store(self) -> ResultStore[KeptDrive]:
@@ -211,11 +211,11 @@ class DriveSettings:
         """Units of some scenes, none perhaps; refuses a number of runs that no record holds."""
         if not 1 <= self.runs <= MOST_RUNS:
             raise InputError(f"--runs must be at least 1 and at most {MOST_RUNS}, got {self.runs}")
-        found = []
+        units = []
         for scene in scenes:
             families = self.maker.families(lambda: (data.scene(scene), can_of(data, scene)))  # noqa: B023 - called at once
-            found += [Unit(scene, run, family) for family in families for run in range(self.runs_made)]
-        return found
+            units += [Unit(scene, run, family) for family in families for run in range(self.runs_made)]
+        return units
 
     def units(self, data: "DataSet", scenes: tuple[str, ...]) -> list[Unit]:
         """All units, scene after scene.
@@ -223,16 +223,16 @@ class DriveSettings:
         Raises:
             InputError: If no scene has a scenario, or a number of runs is asked for that no record holds.
         """
-        found = self.units_of(data, scenes)
-        if not found and self.agents == ADVERSARY:
+        units = self.units_of(data, scenes)
+        if not units and self.agents == ADVERSARY:
             raise InputError(
                 f"no vehicle of {', '.join(scenes[:3])}{' ...' if len(scenes) > 3 else ''} can become an adversary; "
                 "take other scenes (docs/extensions/reactive_adversary.md)"
             )
-        if not found:
+        if not units:
             raise InputError(
                 f"none of {', '.join(scenes[:3])}{' ...' if len(scenes) > 3 else ''} has {self.scenarios} scenarios"
                 f"{_OFFICIAL if self.scenarios == 'official' else ''}; take other scenes or other scenarios "
                 "(docs/closed-loop.md)"
             )
-        return found
+        return units

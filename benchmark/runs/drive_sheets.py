@@ -64,15 +64,15 @@ def driven_sheet(
             "challenger-bench drive again"
         )
     scene, plans = data.scene(row.scene), WatchedPlans(row)
-    found = seen_again(maker, sensor or NoSensor(), scene, data, row, plans)
-    driven = _with_its_adversary(driven_scene(scene, Route.of(scene), found.motion), row)
+    episode = seen_again(maker, sensor or NoSensor(), scene, data, row, plans)
+    driven = _with_its_adversary(driven_scene(scene, Route.of(scene), episode.motion), row)
     sheet = sheet_to_draw(driven).model_copy(update={"data": record.facts.data, "split": record.facts.split})
-    first = len(driven.timestamps_us) - len(found.motion.times_us)
-    asked_at = [first + int(tick) for tick in found.motion.ticks]
+    first = len(driven.timestamps_us) - len(episode.motion.times_us)
+    asked_at = [first + int(tick) for tick in episode.motion.ticks]
     if sensor is not None:
         sheet = _with_pictures(folder, driven, sheet, asked_at, plans.seen)
     # As many plans as were drawn from: a failed drive has an instant without one.
-    made = {
+    placed_plans = {
         frame: placed_waypoints(
             np.array(plan.waypoints, np.float64),
             plan.frame,
@@ -87,13 +87,13 @@ def driven_sheet(
     return DrivenSheet(
         stored=StoredSheet(folder, sheet, None),
         row=row,
-        begins=asked_at[min(found.primed, len(asked_at)) - 1],
-        plans=made,
+        begins=asked_at[min(episode.primed, len(asked_at)) - 1],
+        plans=placed_plans,
         recorded=recorded,
         recorded_speed=speeds_along(recorded, seconds),
         recorded_seconds=seconds,
-        speed=np.concatenate([speed, found.motion.ego[:, SPEED]]),
-        contact=_contact(found, sheet),
+        speed=np.concatenate([speed, episode.motion.ego[:, SPEED]]),
+        contact=_contact(episode, sheet),
         considered=read_considered(record.directory, row) or (),
     )
 
@@ -106,20 +106,22 @@ def _with_its_adversary(driven: Scene, row: DriveRow) -> Scene:
 
 
 def _with_pictures(
-    folder: Path, driven: Scene, sheet: Sheet, frames: list[int], seen: list[dict[str, CameraView]]
+    folder: Path, driven: Scene, sheet: Sheet, frames: list[int], views_of_ticks: list[dict[str, CameraView]]
 ) -> Sheet:
     """Write what the planner saw at each instant; returns the sheet that names it."""
-    cells: tuple[SheetCamera, ...] = layout({name: view.camera for name, view in seen[0].items()}, CELL_WIDTH_PX)
+    cells: tuple[SheetCamera, ...] = layout(
+        {name: view.camera for name, view in views_of_ticks[0].items()}, CELL_WIDTH_PX
+    )
     edges, files = {}, {}
     # The last instant of a drive was not planned from.
-    for frame, views in zip(frames, seen, strict=False):
+    for frame, views in zip(frames, views_of_ticks, strict=False):
         path = picture_name(frame)
         write_bytes(folder / path, mosaic(cells, views), durable=False)
         files[path] = file_sha256(folder / path)
-        found = adversary_edges(driven, cells, views)
-        if found:
-            edges[str(frame)] = found
-    pictured = tuple(frames[: len(seen)])
+        edges_of_frame = adversary_edges(driven, cells, views)
+        if edges_of_frame:
+            edges[str(frame)] = edges_of_frame
+    pictured = tuple(frames[: len(views_of_ticks)])
     return sheet.model_copy(update={"cameras": cells, "pictures": pictured, "adversary_edges": edges, "files": files})
 
 
@@ -131,10 +133,10 @@ def _recorded(scene: Scene, sheet: Sheet) -> tuple[Floats, Floats]:
     return np.asarray(pose[:, :2] + ahead - np.array(sheet.origin_m)), np.asarray(seconds, np.float64)
 
 
-def _contact(found: Drive, sheet: Sheet) -> Contact | None:
-    if found.touch is None:
+def _contact(episode: Drive, sheet: Sheet) -> Contact | None:
+    if episode.touch is None:
         return None
     moved = np.array([*sheet.origin_m, 0.0, 0.0, 0.0])
-    ego, other = found.touch.ego - moved, found.touch.other - moved
-    seconds = (found.touch.time_us - sheet.timestamps_us[0]) * 1e-6
+    ego, other = episode.touch.ego - moved, episode.touch.other - moved
+    seconds = (episode.touch.time_us - sheet.timestamps_us[0]) * 1e-6
     return Contact(float(seconds), ego, other, shared_point(ego, other))

@@ -52,15 +52,15 @@ def ladder_rows(data: "DataSet", job: Job, unit: Unit) -> dict[str, LadderOutcom
     measured = job.measured.model_dump(mode="json", exclude={"sensor", "sensor_facts"})
     code = code_sha256(type(job.maker), made_by=_LOOP)
     key = content_key("ladder", job.fingerprint, unit.scene, unit.run, measured, list(job.ladder), code)
-    kept = None if job.fresh else store.get(key, unit.name)
-    if kept is None:
+    rows = None if job.fresh else store.get(key, unit.name)
+    if rows is None:
         if not isinstance(job.maker, DefaultRides):
             raise InputError(f"reference drivers drive in the default engine alone, not in {job.measured.engine}")
         scene = data.scene(unit.scene)
-        found = climbed(scene, job.maker.course(scene, unit.run), [Driver(name) for name in job.ladder])
-        kept = {driver.value: outcome for driver, outcome in found.items()}
-        store.put(key, kept, unit.name)
-    return kept
+        outcomes = climbed(scene, job.maker.course(scene, unit.run), [Driver(name) for name in job.ladder])
+        rows = {driver.value: outcome for driver, outcome in outcomes.items()}
+        store.put(key, rows, unit.name)
+    return rows
 
 
 _TRIED_AGAIN: Final = (Reason.TIMEOUT.value, Reason.DIED.value)
@@ -98,21 +98,21 @@ def work_here(data: "DataSet", planners: "Planners", tasks: Sequence[Task]) -> l
     Raises:
         InputError: If the data is broken or a drive cannot be written; the other units are kept then.
     """
-    found: dict[int, UnitResult] = {}
+    results_by_place: dict[int, UnitResult] = {}
     left: dict[int, str] = {}
     for place, task in enumerate(tasks):
         job, unit = task
-        kept = job.kept(unit)
-        if kept is None:
+        cached = job.kept(unit)
+        if cached is None:
             left[place] = job.key(unit)
             continue
-        row, compared = kept.row, ComparedPlans.from_lists(kept.plan, kept.recorded)
-        if kept.scoring != VERSION:
+        row, compared = cached.row, ComparedPlans.from_lists(cached.plan, cached.recorded)
+        if cached.scoring != VERSION:
             scene = data.scene(unit.scene)
             row = driven_again(job.maker, scene, data, row)
-            compared = _keep(task, scene, row, kept.loaded)
+            compared = _keep(task, scene, row, cached.loaded)
         _keep_considered(data, job, row)
-        found[place] = UnitResult(unit, row, None, None, compared)
+        results_by_place[place] = UnitResult(unit, row, None, None, compared)
     started = time.perf_counter()
     driven = _driven(data, planners, {place: tasks[place] for place in left}, [*left.values()]) if left else ()
     for place, scene, row, track, planner, meter in driven:
@@ -122,16 +122,16 @@ def work_here(data: "DataSet", planners: "Planners", tasks: Sequence[Task]) -> l
         lost = row.failure is not None and row.failure.reason in _TRIED_AGAIN
         compared = compared_drive(scene, row) if lost else _keep(tasks[place], scene, row, code_behind(planner))
         seconds = time.perf_counter() - started
-        found[place] = UnitResult(unit, row, seconds, cost_so_far(planner, meter, seconds), compared)
-    results = [found[place] for place in range(len(tasks))]
+        results_by_place[place] = UnitResult(unit, row, seconds, cost_so_far(planner, meter, seconds), compared)
+    results = [results_by_place[place] for place in range(len(tasks))]
     return [with_ladder(data, task, result) for task, result in zip(tasks, results, strict=True)]
 
 
 def _keep(task: Task, scene: Scene, row: DriveRow, loaded: dict[str, str]) -> ComparedPlans:
     """Keep a drive; returns its plans beside what was recorded."""
     compared = compared_drive(scene, row)
-    kept = KeptDrive(row, VERSION, compared.plan.tolist(), compared.recorded.tolist(), loaded)
-    task.job.store.put(task.job.key(task.unit), kept, task.unit.name)
+    episode = KeptDrive(row, VERSION, compared.plan.tolist(), compared.recorded.tolist(), loaded)
+    task.job.store.put(task.job.key(task.unit), episode, task.unit.name)
     return compared
 
 
@@ -147,8 +147,11 @@ def costs_of(job: Job, results: Sequence[UnitResult], workers: int) -> dict[str,
 
     ``None`` for drives that were kept from before. ``workers`` processes drove at the same time.
     """
-    beside = {"workers": workers}
-    return {job.store.path(each.unit.name).stem: each.cost and each.cost.model_copy(update=beside) for each in results}
+    common_fields = {"workers": workers}
+    return {
+        job.store.path(result.unit.name).stem: result.cost and result.cost.model_copy(update=common_fields)
+        for result in results
+    }
 
 
 def with_ladder(data: "DataSet", task: Task, result: UnitResult) -> UnitResult:
@@ -173,18 +176,18 @@ class Planners:
             if len(jobs) != 1:
                 raise ValueError("one planner drives one scene at a time")
             return [self._one]
-        taken: Counter[str] = Counter()
-        found = []
+        taken_counts: Counter[str] = Counter()
+        planners = []
         for job in jobs:
             assert job.factory is not None
             key = content_key(job.fingerprint, job.planner.model_dump(mode="json"))
-            here = self._built.setdefault(key, [])
-            if len(here) == taken[key]:
+            built_planners = self._built.setdefault(key, [])
+            if len(built_planners) == taken_counts[key]:
                 keep_pages_of(job.planner.weights_sha256)
-                here.append(job.factory())
-            found.append(here[taken[key]])
-            taken[key] += 1
-        return found
+                built_planners.append(job.factory())
+            planners.append(built_planners[taken_counts[key]])
+            taken_counts[key] += 1
+        return planners
 
 
 _opened: dict[str, "DataSet"] = {}
@@ -222,11 +225,11 @@ def _driven(
         if isinstance(planner, SupervisedPlanner):
             planner.seed_generators(seed)
     places = [*stages]
-    for number, found in _drives([*stages.values()], ready):
+    for number, episode in _drives([*stages.values()], ready):
         stage = stages[places[number]]
-        scores = None if found.failure is not None else score_drive(stage.scene, found)
+        scores = None if episode.failure is not None else score_drive(stage.scene, episode)
         assert stage.meter is not None
-        yield places[number], stage.scene, row_of(stage, found, scores), found.adversary, ready[number], stage.meter
+        yield places[number], stage.scene, row_of(stage, episode, scores), episode.adversary, ready[number], stage.meter
     if broken:
         raise broken[0]
 

@@ -82,8 +82,8 @@ class JobResults:
     def of_data(self) -> dict[str, Any]:
         """What the record says of its data."""
         scenes = JudgedScenes(self.data, self.split, self.scenes)
-        said = described(scenes, "scene_facts", "frozen_split", "review", "generated")
-        return {**said, "scene_facts": with_truth(said["scene_facts"], self.truths)}
+        description = described(scenes, "scene_facts", "frozen_split", "review", "generated")
+        return {**description, "scene_facts": with_truth(description["scene_facts"], self.truths)}
 
 
 def _config(of: JobResults) -> dict[str, Any]:
@@ -114,8 +114,8 @@ FIELDS: Final[Mapping[str, Callable[[JobResults], Any]]] = {
 
 def write_record(of: JobResults) -> DriveRecord:
     """Write the record of a job, note what its planner took, and remove what is kept of other scenes."""
-    said = of.of_data | {name: make(of) for name, make in FIELDS.items()}
-    record = write_drives(of.job.directory, said, of.rows, seed=of.settings.seed)
+    facts = of.of_data | {name: make(of) for name, make in FIELDS.items()}
+    record = write_drives(of.job.directory, facts, of.rows, seed=of.settings.seed)
     if of.job.costs is not None:
         gather_costs(of.job.costs, of.job.planner)
         note_cost(of.job.costs, of.job.planner, costs_of(of.job, of.results, of.settings.processes))
@@ -166,13 +166,13 @@ def drive_split(
     if not hasattr(planner, "plan"):
         (record,) = drive_planners(data, split, [planner], out, settings, reopen=reopen)
         return record
-    one = cast("Planner", planner)
-    keep_pages_of(getattr(one, "weights_sha256", None))
-    _require_drivable([one], settings)
+    single_planner = cast("Planner", planner)
+    keep_pages_of(getattr(single_planner, "weights_sha256", None))
+    _require_drivable([single_planner], settings)
     require_annotated(data, split, settings.chosen(data, split))
-    job = job_of(data, split, facts_of(one), out, settings)
-    alone = replace(settings, executor=LocalProcesses(1), together=1)
-    (record,) = _records(data, split, [job], alone, Planners(one), None)
+    job = job_of(data, split, facts_of(single_planner), out, settings)
+    single_settings = replace(settings, executor=LocalProcesses(1), together=1)
+    (record,) = _records(data, split, [job], single_settings, Planners(single_planner), None)
     return record
 
 
@@ -220,8 +220,8 @@ def drive_shard(
     """Drive the scenes of one shard as `drive_planners` does and keep the drives; no record is written."""
     jobs, settings, elsewhere = _ready(data, split, planners, out, settings, reopen)
     scenes = settings.chosen(data, split)
-    mine = shard.part(scenes)
-    units = settings.units_of(data, mine)
+    shard_scenes = shard.part(scenes)
+    units = settings.units_of(data, shard_scenes)
     tasks = [Task(job, unit) for unit in units for job in jobs]
     who = jobs[0].planner.name if len(jobs) == 1 else counted(len(jobs), "planner")
     label = f"{who} drive{'s' if len(jobs) == 1 else ''} {split}, shard {shard}"
@@ -231,7 +231,7 @@ def drive_shard(
         if job.costs is not None:
             part = shard_cost_path(job.costs, shard.number, shard.of)
             note_cost(part, job.planner, costs_of(job, results[place :: len(jobs)], settings.processes))
-    return [FinishedShard(job.directory, len(mine), len(scenes)) for job in jobs]
+    return [FinishedShard(job.directory, len(shard_scenes), len(scenes)) for job in jobs]
 
 
 def _ready(
@@ -248,7 +248,7 @@ def _ready(
     _require_drivable(built, settings)
     require_annotated(data, split, settings.chosen(data, split))
     jobs = [replace(job_of(data, split, factory.facts, out, settings), factory=factory) for factory in planners]
-    if isinstance(settings.sensor, RemoteSensor) or any(isinstance(each, RemotePlanner) for each in built):
+    if isinstance(settings.sensor, RemoteSensor) or any(isinstance(planner, RemotePlanner) for planner in built):
         # What is elsewhere holds one scene at a time.
         return jobs, replace(settings, together=1), None
     open_again = reopen or reopening(data)
@@ -266,8 +266,8 @@ def _records(
     """Drive all units of all jobs, scene by scene, and write their records."""
     scenes = settings.chosen(data, split)
     units = settings.units(data, scenes)
-    there = {unit.scene for unit in units}
-    scenes = tuple(scene for scene in scenes if scene in there)
+    scene_names = {unit.scene for unit in units}
+    scenes = tuple(scene for scene in scenes if scene in scene_names)
     tasks = [Task(job, unit) for unit in units for job in jobs]
     who = jobs[0].planner.name if len(jobs) == 1 else counted(len(jobs), "planner")
     label = f"{who} drive{'s' if len(jobs) == 1 else ''} {split}"
@@ -280,7 +280,7 @@ def _records(
             JobResults(data, split, scenes, job, units, results[place :: len(jobs)], settings, truths)
             for place, job in enumerate(jobs)
         ]
-        return [write_record(each) for each in of_jobs]
+        return [write_record(job_results) for job_results in of_jobs]
 
 
 def _require_drivable(planners: Sequence[Planner], settings: DriveSettings) -> None:
@@ -320,13 +320,13 @@ def drives_directory(
     out: Path, data_name: str, split: str, planner: PlannerFacts, measured: Measured, part: tuple[str, ...] = ()
 ) -> Path:
     """Directory of a record: ``<out>/<data>/<split>/<what was measured>/<planner>``."""
-    own = run_directory(out, data_name, split, planner, part)
+    base = run_directory(out, data_name, split, planner, part)
     parts = [measured.engine, *([measured.agents] if measured.engine == "default" else []), measured.sensor]
     parts += [measured.scenarios] if measured.scenarios != "recorded" else []
     parts += [f"{measured.latency_ms}ms"] if measured.latency_ms else []
     parts += ["until-fault"] if measured.until == "fault" else []
     parts += [content_key(facts)[:8] for facts in (measured.agents_facts, measured.sensor_facts) if facts]
-    return own.parent / file_name("-".join(parts)) / own.name
+    return base.parent / file_name("-".join(parts)) / base.name
 
 
 def kept_units(job: Job, units: list[Unit]) -> int:
@@ -343,8 +343,8 @@ def _results(
 ) -> Iterator[UnitResult]:
     """Results in the order of the tasks; those of one process are driven here."""
     executor = settings.executor
-    alone = elsewhere is None or (isinstance(executor, LocalProcesses) and executor.workers == 1)
-    work, where = (here, LocalProcesses(1)) if alone or elsewhere is None else (elsewhere, executor)
+    works_here = elsewhere is None or (isinstance(executor, LocalProcesses) and executor.workers == 1)
+    work, where = (here, LocalProcesses(1)) if works_here or elsewhere is None else (elsewhere, executor)
     drives = sum(map(len, groups))
     for results in run_units(work, groups, where, total=len(groups), label=label, noun="drive", of=drives):
         yield from results

@@ -118,10 +118,10 @@ class PlannedSamples:
 
     def by_planner(self, plans: Sequence[Plan]) -> list[dict[int, Plan]]:
         """P plans of each planner by number of the sample."""
-        found: list[dict[int, Plan]] = [{} for _ in range(self.planners)]
+        plans_of: list[dict[int, Plan]] = [{} for _ in range(self.planners)]
         for (which, at), plan in zip(self.places, plans, strict=True):
-            found[which][at] = plan
-        return found
+            plans_of[which][at] = plan
+        return plans_of
 
 
 def judge_plans(
@@ -142,15 +142,15 @@ def judge_plans(
         return judge_plans(first, scene, protocols, unjudged) + judge_plans(rest, scene, protocols, unjudged)
     samples = _planned_samples(rows_of, scene, protocols, unjudged)
     verdicts = {name: judge(samples) for name, judge in ROW_JUDGES.items()}
-    found: dict[tuple[int, int], dict[str, Any]] = {}
+    judged: dict[tuple[int, int], dict[str, Any]] = {}
     for number, (place, truth) in enumerate(zip(samples.places, samples.truths, strict=True)):
-        asked = ROW_JUDGES if truth.labelled else WITHOUT_LABELS
-        found[place] = {name: verdicts[name][number] for name in asked}
+        judges = ROW_JUDGES if truth.labelled else WITHOUT_LABELS
+        judged[place] = {name: verdicts[name][number] for name in judges}
     happened = [_recorded(truth, at) for truth, at in zip(scene.truth, scene.around, strict=True)]
     return [
         [
-            SampleRow(**row, **told, **found.get((which, at), {"outcomes": {}}))
-            for at, (row, told) in enumerate(zip(rows, happened, strict=True))
+            SampleRow(**row, **recorded, **judged.get((which, at), {"outcomes": {}}))
+            for at, (row, recorded) in enumerate(zip(rows, happened, strict=True))
         ]
         for which, rows in enumerate(rows_of)
     ]
@@ -171,8 +171,11 @@ def _planned_samples(
     places = [
         (which, at) for which, rows in enumerate(rows_of) for at, row in enumerate(rows) if row["plan"] is not None
     ]
-    truths, whole = [scene.truth[at] for _, at in places], [plan_of(rows_of[which][at]["plan"]) for which, at in places]
-    plans = [plan.judged for plan in whole]
+    truths, full_plans = (
+        [scene.truth[at] for _, at in places],
+        [plan_of(rows_of[which][at]["plan"]) for which, at in places],
+    )
+    plans = [plan.judged for plan in full_plans]
     in_lidar = _in_lidar(plans, truths)
     outcomes = {
         name: _where_known(
@@ -182,7 +185,7 @@ def _planned_samples(
         )
         for name in dict.fromkeys(protocols)
     }
-    return PlannedSamples(scene, len(rows_of), places, whole, plans, in_lidar, truths, outcomes, unjudged)
+    return PlannedSamples(scene, len(rows_of), places, full_plans, plans, in_lidar, truths, outcomes, unjudged)
 
 
 def _outcomes(samples: PlannedSamples) -> Sequence[Any]:
@@ -196,10 +199,12 @@ def _driving(samples: PlannedSamples) -> Sequence[Any]:
     scene, count = samples.scene, len(samples.scene.truth)
     if scene.mapped is None or PDM in samples.unjudged:
         return [None] * len(samples.places)
-    plans = [[own.get(index) for index in range(count)] for own in samples.by_planner(samples.plans)]
+    plans = [
+        [plans_by_sample.get(index) for index in range(count)] for plans_by_sample in samples.by_planner(samples.plans)
+    ]
     verdicts = judge_driving(scene.mapped, plans, scene.recorded)
-    found = (verdicts[which][at] for which, at in samples.places)
-    return [None if verdict is None else asdict(verdict) for verdict in found]
+    scores = (verdicts[which][at] for which, at in samples.places)
+    return [None if verdict is None else asdict(verdict) for verdict in scores]
 
 
 def _diagnosis(samples: PlannedSamples) -> Sequence[Any]:
@@ -229,8 +234,10 @@ def _longer(samples: PlannedSamples) -> Sequence[Any]:
     """Verdicts of ``exact`` on plans that go on beyond 3 s, up to 6 s: `longer_verdicts` of each planner."""
     if EXACT not in samples.outcomes:
         return [None] * len(samples.places)
-    found = [longer_verdicts(own, samples.scene.longer) for own in samples.by_planner(samples.whole)]
-    return [found[which].get(at) for which, at in samples.places]
+    longer = [
+        longer_verdicts(plans_by_sample, samples.scene.longer) for plans_by_sample in samples.by_planner(samples.whole)
+    ]
+    return [longer[which].get(at) for which, at in samples.places]
 
 
 ROW_JUDGES: Final[Mapping[str, Callable[[PlannedSamples], Sequence[Any]]]] = {
@@ -263,12 +270,14 @@ def _where_known(outcomes: Outcomes, truths: Sequence[SampleTruth], *, told: boo
 
 def _in_lidar(plans: Sequence[Plan], truths: Sequence[SampleTruth]) -> Floats:
     """(P, 6, 2) waypoints of the lidar origin of P plans, those of a frame at once."""
-    found = np.zeros((len(plans), PLAN_STEPS, 2))
+    waypoints = np.zeros((len(plans), PLAN_STEPS, 2))
     for frame in dict.fromkeys(plan.frame for plan in plans):
-        those = [place for place, plan in enumerate(plans) if plan.frame is frame]
-        ahead_m = np.array([truths[place].lidar_ahead_m for place in those])
-        found[those] = waypoints_in_lidar(np.array([plans[place].waypoints for place in those]), frame, ahead_m)
-    return found
+        frame_places = [place for place, plan in enumerate(plans) if plan.frame is frame]
+        ahead_m = np.array([truths[place].lidar_ahead_m for place in frame_places])
+        waypoints[frame_places] = waypoints_in_lidar(
+            np.array([plans[place].waypoints for place in frame_places]), frame, ahead_m
+        )
+    return waypoints
 
 
 def longer_verdicts(
@@ -284,7 +293,7 @@ def longer_verdicts(
         its displacement, null past the scene.
     """
     steps_of = {index: min(len(plan.waypoints), LONGEST_JUDGED) for index, plan in plans.items()}
-    found: dict[int, dict[str, Any]] = {}
+    verdicts: dict[int, dict[str, Any]] = {}
     for steps in sorted(set(steps_of.values()) - {PLAN_STEPS}):
         truths = longer(steps)
         chosen = [index for index in plans if steps_of[index] == steps]
@@ -296,9 +305,12 @@ def longer_verdicts(
         ]
         collision, l2 = judged_longer([truths[index] for index in chosen], np.array(waypoints))
         for index, hits, metres in zip(chosen, collision.tolist(), l2.tolist()):
-            said = hits if truths[index].labelled else None
-            found[index] = {"collision": said, "l2": [None if np.isnan(one) else one for one in metres]}
-    return found
+            known_hits = hits if truths[index].labelled else None
+            verdicts[index] = {
+                "collision": known_hits,
+                "l2": [None if np.isnan(metre_value) else metre_value for metre_value in metres],
+            }
+    return verdicts
 
 
 def plan_of(row: Mapping[str, Any]) -> Plan:

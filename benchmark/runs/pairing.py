@@ -18,8 +18,8 @@ def with_partner(record: RunRecord, out: Path, elsewhere: str | None = None) -> 
     """
     if not has_adversaries(record):
         return record
-    found = unchanged_record(record, unchanged_candidates(out, [record], elsewhere), elsewhere)
-    if found is None:
+    unchanged = unchanged_record(record, unchanged_candidates(out, [record], elsewhere), elsewhere)
+    if unchanged is None:
         return record
-    partner = UnchangedFacts(data=found.run.data, split=found.run.split, samples=found.run.files[ROWS_FILE])
+    partner = UnchangedFacts(data=unchanged.run.data, split=unchanged.run.split, samples=unchanged.run.files[ROWS_FILE])
     return with_facts(record, unchanged=partner)

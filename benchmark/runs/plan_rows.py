@@ -155,8 +155,8 @@ def plan_store(directory: Path) -> ResultStore[KeptPlans]:
 
 def kept_rows(directory: Path, name: str, key: str) -> list[dict[str, Any]] | None:
     """Rows of a scene that are kept under their content key and made by code as it is now, or ``None``."""
-    kept = plan_store(directory).get(key, name)
-    return kept.rows if kept is not None and is_current(kept.loaded) else None
+    cached = plan_store(directory).get(key, name)
+    return cached.rows if cached is not None and is_current(cached.loaded) else None
 
 
 def code_behind(planner: Planner) -> dict[str, str]:
@@ -180,9 +180,9 @@ def plan_scene(
     Raises:
         InputError: If an image is broken, the rows cannot be written, or a planner elsewhere cannot be asked.
     """
-    kept = None if fresh else kept_rows(directory, name, key)
-    if kept is not None:
-        return PlannedScene(kept, None)
+    cached_rows = None if fresh else kept_rows(directory, name, key)
+    if cached_rows is not None:
+        return PlannedScene(cached_rows, None)
     seed_everything(content_seed(key), planner)
     scene, observations = source.scene(name), list(source.observations(name))
     meter, started = Meter(), time.perf_counter()
@@ -237,9 +237,9 @@ def _rows(
     except FAILURES as failure:
         error = said_of(failure)
         return [_row(observation, None, error) for observation in observations], isinstance(failure, PlannerLostError)
-    asked = _Asked(planner, meter)
-    planned = progress(map(asked.row, observations), total=len(observations), label=scene.name, count=Count("sample"))
-    return list(planned), asked.lost is not None
+    asker = _Asked(planner, meter)
+    planned = progress(map(asker.row, observations), total=len(observations), label=scene.name, count=Count("sample"))
+    return list(planned), asker.lost is not None
 
 
 @dataclass(slots=True)
@@ -258,9 +258,9 @@ class _Asked:
         views = {name: replace(view, load=loud(view.load)) for name, view in observation.views.items()}
         ego = observation.ego if reads_message_after(planner) else replace(observation.ego, can_motion_after=None)
         try:
-            seen = replace(observation, views=views, ego=ego)
+            observed = replace(observation, views=views, ego=ego)
             with self.meter.call():
-                plan = planner.plan(seen)
+                plan = planner.plan(observed)
             if not isinstance(plan, Plan):
                 raise TypeError(
                     f"{planner.name} returned {type(plan).__name__}, a planner returns benchmark.planning.Plan"
@@ -304,8 +304,8 @@ def plan_json(plan: Plan) -> dict[str, Any]:
 def _mode_steps(plan: Plan) -> int:
     """How many steps modes may have: those of the plan, or of a plan of 3 s."""
     assert plan.modes is not None
-    given, own = np.shape(plan.modes), len(plan.waypoints)
-    return own if len(given) == 3 and given[1] == own else PLAN_STEPS
+    mode_steps, plan_steps = np.shape(plan.modes), len(plan.waypoints)
+    return plan_steps if len(mode_steps) == 3 and mode_steps[1] == plan_steps else PLAN_STEPS
 
 
 def _forecasts_json(forecasts: Forecasts) -> dict[str, Any]:

@@ -64,9 +64,9 @@ def _said(planner: Planner, attribute: str, default: Any) -> Any:
         ) from error
 
 
-def _settings(said: Any, whose: str) -> dict[str, Any]:
+def _settings(value: Any, whose: str) -> dict[str, Any]:
     try:
-        settings = dict(said)
+        settings = dict(value)
         if not all(isinstance(key, str) for key in settings):
             raise TypeError("their names must be text")
         text = canonical_json(settings)
@@ -90,24 +90,24 @@ def _require_shallow(value: Any, depth: int) -> None:
     if not depth:
         raise ValueError(f"they lie more than {_DEEPEST_SETTINGS} deep")
     if isinstance(value, dict | list | tuple):
-        for each in value.values() if isinstance(value, dict) else value:
-            _require_shallow(each, depth - 1)
+        for member in value.values() if isinstance(value, dict) else value:
+            _require_shallow(member, depth - 1)
 
 
-def _seed(said: Any, whose: str) -> int:
+def _seed(value: Any, whose: str) -> int:
     try:
-        seed = index(said)
+        seed = index(value)
     except TypeError:
         seed = -1
     if not 0 <= seed < _SEEDS:
-        raise InputError(f"the seed of {whose} must be a whole number from 0 below 2^63, it is {one_line(repr(said))}")
+        raise InputError(f"the seed of {whose} must be a whole number from 0 below 2^63, it is {one_line(repr(value))}")
     return seed
 
 
-def _weights(said: Any, whose: str) -> str | None:
-    if said is None or (isinstance(said, str) and len(said) == _LENGTH and set(said) <= _DIGITS):
-        return said
+def _weights(value: Any, whose: str) -> str | None:
+    if value is None or (isinstance(value, str) and len(value) == _LENGTH and set(value) <= _DIGITS):
+        return value
     raise InputError(
         f"the weights_sha256 of {whose} must be the SHA-256 of its weights file, {_LENGTH} hexadecimal digits; it is "
-        f"{one_line(repr(said))}"
+        f"{one_line(repr(value))}"
     )

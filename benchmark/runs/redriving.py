@@ -40,12 +40,12 @@ def driven_again(maker: RideMaker, scene: Scene, data: "DataSet", row: DriveRow)
     if row.status == "failed":
         return row
     stage = _stage(maker, NoSensor(), scene, data, row)
-    found = redriven(stage, row, StoredPlans(row))
-    made = row_of(stage, found, None if found.failure is not None else score_drive(scene, found))
-    made = made.model_copy(update={"ladder": row.ladder})
-    if (made.ticks, made.contact, made.passed) != (row.ticks, row.contact, row.passed):
+    episode = redriven(stage, row, StoredPlans(row))
+    rescored_row = row_of(stage, episode, None if episode.failure is not None else score_drive(scene, episode))
+    rescored_row = rescored_row.model_copy(update={"ladder": row.ladder})
+    if (rescored_row.ticks, rescored_row.contact, rescored_row.passed) != (row.ticks, row.contact, row.passed):
         raise InputError(_elsewhere(row))
-    return made
+    return rescored_row
 
 
 def _stage(maker: RideMaker, sensor: Sensor, scene: Scene, data: "DataSet", row: DriveRow) -> Stage:
@@ -91,12 +91,12 @@ def considered_again(maker: RideMaker, scene: Scene, data: "DataSet", row: Drive
 
 def redriven(stage: Stage, row: DriveRow, plans: "StoredPlans") -> Drive:
     """Drive stored plans on a stage; arguments and errors as of `seen_again`."""
-    found = drive(stage, plans)
-    ticks = found.motion.ticks
-    states = np.round(found.motion.ego[ticks], DECIMALS).tolist()
-    if (found.motion.times_us[ticks].tolist(), states) != (row.ticks.time_us, row.ticks.ego):
+    episode = drive(stage, plans)
+    ticks = episode.motion.ticks
+    states = np.round(episode.motion.ego[ticks], DECIMALS).tolist()
+    if (episode.motion.times_us[ticks].tolist(), states) != (row.ticks.time_us, row.ticks.ego):
         raise InputError(_elsewhere(row))
-    return found
+    return episode
 
 
 def _elsewhere(row: DriveRow) -> str:

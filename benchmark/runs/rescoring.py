@@ -125,22 +125,22 @@ def rescore_all(
     def open_for(record: RunRecord) -> "DataSet | None":
         return None if record.run.data.name != data_name else opened_as(record.run, opened, open_split)
 
-    found: dict[Path, Rescored] = {}
+    results: dict[Path, Rescored] = {}
     waiting: list[_Opened] = []
     with ExitStack() as held:
         for directory in record_directories(root):
             try:
                 opened_record = _open(directory, open_for, protocols, held)
             except InputError as error:
-                found[directory] = Rescored(directory, str(error), failed=True)
+                results[directory] = Rescored(directory, str(error), failed=True)
                 continue
             if isinstance(opened_record, str):
-                found[directory] = Rescored(directory, opened_record)
+                results[directory] = Rescored(directory, opened_record)
             else:
                 waiting.append(opened_record)
         for result in _rescored(waiting):
-            found[result.directory] = result
-    yield from (found[directory] for directory in sorted(found))
+            results[result.directory] = result
+    yield from (results[directory] for directory in sorted(results))
 
 
 Opened = dict[tuple[str, CategoryNames], "DataSet"]
@@ -163,8 +163,8 @@ def opened_as(facts: RecordFacts, opened: Opened, open_split: Callable[[str], "D
 
 def replaced_categories(facts: RecordFacts) -> CategoryNames:
     """Names of categories that were replaced when a record was made, and what by."""
-    said = facts.config.get("categories")
-    return tuple(sorted((str(name), str(to)) for name, to in said.items())) if isinstance(said, dict) else ()
+    stored = facts.config.get("categories")
+    return tuple(sorted((str(name), str(to)) for name, to in stored.items())) if isinstance(stored, dict) else ()
 
 
 @dataclass(slots=True)
@@ -213,23 +213,27 @@ def _open(
 
 def _rescored(waiting: Sequence[_Opened]) -> Iterator[Rescored]:
     """Judge records anew, scene by scene, so that each scene is read once for all of them."""
-    alive = {each.old.directory: each for each in waiting}
-    wanted = dict.fromkeys((id(each.data), scene) for each in waiting for scene in each.old.run.scenes)
-    data_of = {id(each.data): each.data for each in waiting}
+    alive = {opened.old.directory: opened for opened in waiting}
+    wanted = dict.fromkeys((id(opened.data), scene) for opened in waiting for scene in opened.old.run.scenes)
+    data_of = {id(opened.data): opened.data for opened in waiting}
     for data_id, scene in wanted:
         reading = SceneReading(data_of[data_id], scene)
-        here = [one for one in alive.values() if id(one.data) == data_id and scene in one.old.run.scenes]
-        for each, found in _judged_together(here, reading):
-            if isinstance(found, InputError):
-                del alive[each.old.directory]
-                yield Rescored(each.old.directory, str(found), failed=True)
+        records_of_scene = [
+            candidate
+            for candidate in alive.values()
+            if id(candidate.data) == data_id and scene in candidate.old.run.scenes
+        ]
+        for opened, rows in _judged_together(records_of_scene, reading):
+            if isinstance(rows, InputError):
+                del alive[opened.old.directory]
+                yield Rescored(opened.old.directory, str(rows), failed=True)
             else:
-                each.add(found, reading)
-    for each in alive.values():
+                opened.add(rows, reading)
+    for opened in alive.values():
         try:
-            yield Rescored(each.old.directory, _replaced(each)[1])
+            yield Rescored(opened.old.directory, _replaced(opened)[1])
         except InputError as error:
-            yield Rescored(each.old.directory, str(error), failed=True)
+            yield Rescored(opened.old.directory, str(error), failed=True)
 
 
 def _judged_together(
@@ -238,28 +242,28 @@ def _judged_together(
     """Rows of a scene of each record, or why it has none: all records in one, those that cannot be apart."""
     plans_of: list[list[dict[str, Any]]] = []
     readable: list[_Opened] = []
-    for each in records:
+    for opened in records:
         try:
-            plans_of.append(stored_plans(each.old, reading))
-            readable.append(each)
+            plans_of.append(stored_plans(opened.old, reading))
+            readable.append(opened)
         except InputError as error:
-            yield each, error
+            yield opened, error
     if not readable:
         return
     # All of them are judged by those that the command names.
     protocols = tuple(readable[0].versions)
-    if len({each.silent for each in readable}) > 1:
-        for each in readable:
-            yield from _judged_together([each], reading)
+    if len({opened.silent for opened in readable}) > 1:
+        for opened in readable:
+            yield from _judged_together([opened], reading)
         return
     try:
         yield from zip(readable, judge_plans(plans_of, reading, protocols, readable[0].silent), strict=True)
     except InputError:
-        for each, plans in zip(readable, plans_of, strict=True):
+        for opened, plans in zip(readable, plans_of, strict=True):
             try:
-                yield each, judge_plans([plans], reading, protocols, each.silent)[0]
+                yield opened, judge_plans([plans], reading, protocols, opened.silent)[0]
             except InputError as error:
-                yield each, error
+                yield opened, error
 
 
 def record_directories(root: Path) -> list[Path]:
@@ -288,10 +292,10 @@ def scene_facts_now(facts: RecordFacts, data: "DataSet") -> dict[str, SceneFacts
     """Facts of the data set, and a record's facts of scenes that are not judged here: the tracks are the same."""
     known = facts.scene_facts
     return {
-        name: now.model_copy(update={"judgement": known[name].judgement})
-        if now.judgement is None and name in known
-        else now
-        for name, now in data.scene_facts(facts.scenes).items()
+        name: current.model_copy(update={"judgement": known[name].judgement})
+        if current.judgement is None and name in known
+        else current
+        for name, current in data.scene_facts(facts.scenes).items()
     }
 
 

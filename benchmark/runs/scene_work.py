@@ -133,16 +133,16 @@ def work_here(runs: Sequence[Run], data: "DataSet", planners: Sequence[Planner],
 
 def judged_scenes(runs: Sequence[Run], reading: SceneReading, planned: Sequence[PlannedScene]) -> list[SceneResult]:
     """Judge the plans of a scene, those of runs with the same protocols together."""
-    found: dict[int, SceneResult] = {}
+    results: dict[int, SceneResult] = {}
     for protocols in dict.fromkeys(run.protocols for run in runs):
-        those = [place for place, run in enumerate(runs) if run.protocols == protocols]
-        unjudged = runs[those[0]].unjudged
-        rows_of = judge_plans([planned[place].rows for place in those], reading, protocols, unjudged)
-        found |= {
+        places_together = [place for place, run in enumerate(runs) if run.protocols == protocols]
+        unjudged = runs[places_together[0]].unjudged
+        rows_of = judge_plans([planned[place].rows for place in places_together], reading, protocols, unjudged)
+        results |= {
             place: SceneResult(reading.name, rows, planned[place].cost, reading.truth_facts)
-            for place, rows in zip(those, rows_of)
+            for place, rows in zip(places_together, rows_of)
         }
-    return [found[place] for place in range(len(runs))]
+    return [results[place] for place in range(len(runs))]
 
 
 def judged_scene(run: Run, reading: SceneReading, planned: PlannedScene) -> SceneResult:
@@ -188,8 +188,8 @@ def published_order(data: "DataSet", scenes: Sequence[str]) -> tuple[str, ...]:
         scene = data.scene(name)
         spans[name] = int(scene.timestamps_us[0]), int(scene.timestamps_us[-1]), scene.token
     by_time = sorted(scenes, key=lambda name: (spans[name], name))
-    apart = all(spans[one][1] <= spans[following][0] for one, following in pairwise(by_time))
-    return tuple(by_time) if apart else tuple(sorted(scenes, key=lambda name: (spans[name][2], name)))
+    are_apart = all(spans[earlier][1] <= spans[following][0] for earlier, following in pairwise(by_time))
+    return tuple(by_time) if are_apart else tuple(sorted(scenes, key=lambda name: (spans[name][2], name)))
 
 
 def work_through(run: Run, data: "DataSet", planner: ContinuousPlanner, scenes: Sequence[str]) -> Iterator[SceneResult]:
@@ -203,13 +203,13 @@ def work_through(run: Run, data: "DataSet", planner: ContinuousPlanner, scenes: 
         name: content_key(scene_key(run.fingerprint, run.split, name, run.planner), "after", list(order[:place]))
         for place, name in enumerate(order)
     }
-    kept = {name: None if run.fresh else kept_rows(run.directory, name, keys[name]) for name in order}
-    whole = all(rows is not None for rows in kept.values())
-    if not whole:
+    cached_rows = {name: None if run.fresh else kept_rows(run.directory, name, keys[name]) for name in order}
+    all_cached = all(rows is not None for rows in cached_rows.values())
+    if not all_cached:
         planner.begin_run()
     for name in order:
-        rows = kept[name]
-        if whole and rows is not None:
+        rows = cached_rows[name]
+        if all_cached and rows is not None:
             planned = PlannedScene(rows, None)
         else:
             planned = plan_scene(planner, data, name, run.directory, keys[name], fresh=True)

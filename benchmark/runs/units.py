@@ -34,8 +34,8 @@ def write_failures(directory: Path, rows: Sequence[SampleRow]) -> None:
     """Write every traceback below the scene and the sample that it is of; remove the file where there is none."""
     path = directory / FAILURES_FILE
     # Of a compressed record the scenes without a failure are not unpacked.
-    some = rows.of_failed_scenes() if isinstance(rows, Rows) else rows
-    failed = [row for row in some if row.error is not None]
+    candidate_rows = rows.of_failed_scenes() if isinstance(rows, Rows) else rows
+    failed = [row for row in candidate_rows if row.error is not None]
     if not failed:
         with writing_to(path):
             path.unlink(missing_ok=True)
@@ -157,7 +157,7 @@ def _units_in(result: Any) -> int:
 
 
 def _were_kept(result: Any) -> bool:
-    return all(getattr(each, "kept", False) for each in _results_in(result))
+    return all(getattr(unit_result, "kept", False) for unit_result in _results_in(result))
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,8 +175,8 @@ class Shard:
     @classmethod
     def named(cls, text: str) -> Self:
         """The shard that a user asks for, for example ``3/40``."""
-        found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
-        number, of = map(int, found.groups()) if found else (0, 0)
+        match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
+        number, of = map(int, match.groups()) if match else (0, 0)
         if not 1 <= number <= of:
             raise InputError(f"--shard takes a number and how many shards there are, for example 3/40; got {text!r}")
         return cls(number, of)

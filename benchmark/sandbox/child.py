@@ -69,9 +69,9 @@ def _bound(memory_bytes: int) -> None:
     if memory_bytes:
         # What is only reserved does not count there: networks and GPUs reserve far more than they use.
         limits.append((resource.RLIMIT_DATA if sys.platform == "linux" else resource.RLIMIT_AS, memory_bytes))
-    for what, most in limits:
+    for limit, most in limits:
         with contextlib.suppress(OSError, ValueError):
-            resource.setrlimit(what, (most, most))
+            resource.setrlimit(limit, (most, most))
 
 
 @dataclass(slots=True)
@@ -106,12 +106,12 @@ class Answering:
                 atexit._run_exitfuncs()
                 os._exit(0)
             self.number = number
-            told = self._answer(kind, parts)
+            answered = self._answer(kind, parts)
             self._end_in_a_copy()
             with self._asking:
                 self.number = 0
                 try:
-                    self.stream.sendall(_bytes(number, [self.viewer.let_go(), told]))
+                    self.stream.sendall(_bytes(number, [self.viewer.let_go(), answered]))
                 except OSError:
                     os._exit(1)
 
@@ -189,14 +189,14 @@ class Answering:
             if number != self.number:
                 raise RuntimeError("the sample is over: its pictures can be loaded while plan is under way")
             self._looked[name] = None
-            shown = self._ready.pop(name, None)
-            if shown is None:
+            reply = self._ready.pop(name, None)
+            if reply is None:
                 self.stream.sendall(answer(number, [self.viewer.let_go(), ["picture", name]]))
                 _, kind, parts = next_question(self.stream)
                 if kind == "broken":
                     raise PictureError(*parts)
-                shown = parts
-        place, shape, writable = shown
+                reply = parts
+        place, shape, writable = reply
         return self.viewer.look(place, shape, writable=writable)
 
     @property
@@ -235,7 +235,9 @@ def _plain_plan(plan: Plan) -> dict[str, Any]:
         "mode_scores": _plain(plan.mode_scores),
         "forecasts": None
         if forecasts is None
-        else {each.name: _plain(getattr(forecasts, each.name)) for each in fields(Forecasts)},
+        else {
+            forecast_field.name: _plain(getattr(forecasts, forecast_field.name)) for forecast_field in fields(Forecasts)
+        },
     }
 
 
@@ -246,12 +248,12 @@ def _plain(value: Any) -> Any:
     return np.asarray(value)
 
 
-def _bytes(number: int, told: list[Any]) -> bytes:
+def _bytes(number: int, answered: list[Any]) -> bytes:
     try:
-        return answer(number, told)
+        return answer(number, answered)
     except (Unanswerable, TypeError, ValueError, RecursionError, MemoryError) as error:
         why = f"{type(error).__name__}: what was answered cannot be handed on: {one_line(error)}"
-        return answer(number, [told[0], ["raised", why, why]])
+        return answer(number, [answered[0], ["raised", why, why]])
 
 
 def _said(error: BaseException) -> tuple[str, str]:

@@ -52,10 +52,10 @@ def next_question(stream: socket.socket) -> tuple[int, str, tuple[Any, ...]]:
     # Nobody sends a second question before the first is answered, so that what comes together belongs together.
     begun = b""
     while len(begun) < _HEAD.size:
-        some = stream.recv(_AT_ONCE)
-        if not some:
+        received = stream.recv(_AT_ONCE)
+        if not received:
             raise ClosedError
-        begun += some
+        begun += received
     number, length = _HEAD.unpack_from(begun)
     body = memoryview(begun)[_HEAD.size :]
     if len(body) < length:
@@ -65,14 +65,14 @@ def next_question(stream: socket.socket) -> tuple[int, str, tuple[Any, ...]]:
 
 
 def _exactly(stream: socket.socket, count: int, begun: memoryview) -> bytearray:
-    found, place = bytearray(count), len(begun)
-    found[:place] = begun
+    received, place = bytearray(count), len(begun)
+    received[:place] = begun
     while place < count:
-        size = stream.recv_into(memoryview(found)[place:])
+        size = stream.recv_into(memoryview(received)[place:])
         if not size:
             raise ClosedError
         place += size
-    return found
+    return received
 
 
 class Asker:
@@ -135,8 +135,8 @@ class Asker:
             MalformedError: If it is none, or one to another question.
         """
         begun = self._begun(deadline)
-        found, length = _HEAD.unpack_from(begun)
-        if found != number:
+        answered_number, length = _HEAD.unpack_from(begun)
+        if answered_number != number:
             raise MalformedError("it answered what it was not asked")
         if length > PLANNER_ANSWER.content_bytes:
             raise MalformedError(f"its answer has {length} bytes")
@@ -149,10 +149,10 @@ class Asker:
 
     def _begun(self, deadline: float) -> bytearray:
         """The first bytes of an answer, a whole head at least."""
-        found, self._ahead = self._ahead, bytearray()
-        while len(found) < _HEAD.size:
-            found += self._some(_AT_ONCE, deadline)
-        return found
+        received, self._ahead = self._ahead, bytearray()
+        while len(received) < _HEAD.size:
+            received += self._some(_AT_ONCE, deadline)
+        return received
 
     def _whole(self, begun: bytearray, length: int, deadline: float) -> bytearray:
         """An answer of which some bytes are there; what comes behind it is kept."""
@@ -160,24 +160,24 @@ class Asker:
         if len(begun) >= end:
             self._ahead = begun[end:]
             return begun[_HEAD.size : end]
-        found, place = bytearray(length), len(begun) - _HEAD.size
-        found[:place] = memoryview(begun)[_HEAD.size :]
+        received, place = bytearray(length), len(begun) - _HEAD.size
+        received[:place] = memoryview(begun)[_HEAD.size :]
         while place < length:
-            some = self._some(min(_PIECE, length - place), deadline)
-            found[place : place + len(some)] = some
-            place += len(some)
-        return found
+            piece = self._some(min(_PIECE, length - place), deadline)
+            received[place : place + len(piece)] = piece
+            place += len(piece)
+        return received
 
     def _some(self, most: int, deadline: float) -> bytes:
         """What there is, once there is something."""
         while True:
             try:
-                found = self._stream.recv(most)
+                received = self._stream.recv(most)
             except BlockingIOError:
                 self.wait(select.POLLIN, deadline - time.monotonic(), required=True)
                 continue
             except OSError as error:
                 raise ClosedError from error
-            if not found:
+            if not received:
                 raise ClosedError
-            return found
+            return received

@@ -34,8 +34,8 @@ def live_under_guard(channel: int, lifeline: int, pictures: int, memory_bytes: i
         pictures: Descriptor of the shared memory.
         memory_bytes: Of data that the planner's process may hold; 0 for as much as there is.
     """
-    for each in (channel, lifeline, pictures):
-        os.set_inheritable(each, False)
+    for descriptor in (channel, lifeline, pictures):
+        os.set_inheritable(descriptor, False)
     _fork_under_guard(socket.socket(fileno=lifeline))
     # The guardian is small because it has nothing of this.
     from benchmark.sandbox.child import main
@@ -60,8 +60,8 @@ def _fork_under_guard(lifeline: socket.socket) -> None:
     if planner == 0:
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-        for each in (woken, wake):
-            os.close(each)
+        for descriptor in (woken, wake):
+            os.close(descriptor)
         lifeline.close()
         _control(_DIE_WITH_PARENT, signal.SIGKILL)
         if os.getppid() != guardian:
@@ -93,50 +93,52 @@ def _close_all_but(*kept: int) -> None:
     """Hold nothing of what the planner holds: who asks must see its end."""
     highest = os.sysconf("SC_OPEN_MAX")
     first = 0
-    for each in sorted(kept):
-        os.closerange(first, each)
-        first = each + 1
+    for descriptor in sorted(kept):
+        os.closerange(first, descriptor)
+        first = descriptor + 1
     os.closerange(first, min(highest, 1 << 16))
 
 
 def _reaped(planner: int) -> tuple[int | None, bool]:
     """Bury the dead: how the planner ended, if it did, and whether anybody is left."""
-    found = None
+    planner_status = None
     try:
         while (ended := os.waitpid(-1, os.WNOHANG))[0]:
-            found = ended[1] if ended[0] == planner else found
+            planner_status = ended[1] if ended[0] == planner else planner_status
     except ChildProcessError:
-        return found, False
-    return found, True
+        return planner_status, False
+    return planner_status, True
 
 
 def _end_all(planner: int, status: int | None) -> int:
     """Kill whatever descends from this process until nothing is left; how the planner ended."""
-    until, some = time.monotonic() + REAPING_S, True
-    while some and time.monotonic() < until:
-        for each in {*_descendants(os.getpid()), *([planner] if status is None else [])}:
+    until, has_children = time.monotonic() + REAPING_S, True
+    while has_children and time.monotonic() < until:
+        for process in {*_descendants(os.getpid()), *([planner] if status is None else [])}:
             with contextlib.suppress(OSError):
-                os.kill(each, signal.SIGKILL)
-        found, some = _reaped(planner)
-        status = status if found is None else found
-        time.sleep(_PAUSE_S if some else 0.0)
+                os.kill(process, signal.SIGKILL)
+        planner_status, has_children = _reaped(planner)
+        status = status if planner_status is None else planner_status
+        time.sleep(_PAUSE_S if has_children else 0.0)
     return signal.SIGKILL if status is None else status
 
 
 def _descendants(of: int) -> set[int]:
     """Processes that descend from one, as far as ``/proc`` says."""
     parents: dict[int, int] = {}
-    for each in Path("/proc").glob("[0-9]*/stat"):
+    for stat_file in Path("/proc").glob("[0-9]*/stat"):
         # It may have ended since, and its name may hold anything, brackets too.
         with contextlib.suppress(OSError, ValueError, IndexError):
-            parents[int(each.parent.name)] = int(each.read_text(errors="replace").rpartition(")")[2].split()[1])
-    found, fresh = set[int](), {of}
+            parents[int(stat_file.parent.name)] = int(
+                stat_file.read_text(errors="replace").rpartition(")")[2].split()[1]
+            )
+    descendants, fresh = set[int](), {of}
     while fresh:
-        fresh = {process for process, parent in parents.items() if parent in fresh} - found
-        found |= fresh
-    return found
+        fresh = {process for process, parent in parents.items() if parent in fresh} - descendants
+        descendants |= fresh
+    return descendants
 
 
-def _control(what: int, value: int) -> None:
+def _control(option: int, value: int) -> None:
     with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(what, value)
+        ctypes.CDLL(None).prctl(option, value)

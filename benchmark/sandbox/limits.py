@@ -36,7 +36,7 @@ def one_thread() -> None:
 def on_import_of_torch(seed: int) -> None:
     """Seed PyTorch when it is imported, if it is not there yet; the last seed counts."""
     if _TORCH not in sys.modules:
-        sys.meta_path[:] = [each for each in sys.meta_path if not isinstance(each, _Finder)]
+        sys.meta_path[:] = [finder for finder in sys.meta_path if not isinstance(finder, _Finder)]
         sys.meta_path.insert(0, _Finder(seed))
 
 

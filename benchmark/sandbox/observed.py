@@ -40,7 +40,7 @@ class Packing:
             camera = view.camera
             arrays += [camera.translation, camera.rotation, camera.intrinsic, view.global_T_ego]
             views.append((name, camera.name, camera.width, camera.height, str(view.path), view.timestamp_us))
-        layout: Layout = tuple(None if each is None else (each.dtype, each.shape) for each in arrays)
+        layout: Layout = tuple(None if array is None else (array.dtype, array.shape) for array in arrays)
         known, self._said = layout == self._said, layout
         values = (seen.scene, seen.sample_token, seen.index, seen.timestamp_us, int(seen.command))
         motion = (ego.yaw_rate, ego.steering_angle, ego.source)
@@ -68,7 +68,7 @@ class Unpacking:
         if layout is not None:
             self._places = _places(layout)
         arrays: Iterator[Any] = iter(
-            [None if each is None else np.ndarray(each[0], each[1], data, each[2]) for each in self._places]
+            [None if place is None else np.ndarray(place[0], place[1], data, place[2]) for place in self._places]
         )
         scene, sample_token, index, timestamp_us, command = values
         yaw_rate, steering_angle, source = motion
@@ -76,11 +76,11 @@ class Unpacking:
             next(arrays) for _ in range(7)
         )
         past_poses, past_valid, lidar_translation, lidar_rotation = (next(arrays) for _ in range(4))
-        seen = {}
+        camera_views = {}
         for name, called, width, height, path, time_us in views:
             translation, camera_rotation, intrinsic, view_pose = (next(arrays) for _ in range(4))
             camera = Camera(called, translation, camera_rotation, intrinsic, width, height)
-            seen[name] = CameraView(camera, self._path(path), time_us, view_pose, partial(load, name))
+            camera_views[name] = CameraView(camera, self._path(path), time_us, view_pose, partial(load, name))
         ego = EgoState(
             pose,
             position,
@@ -98,7 +98,7 @@ class Unpacking:
             sample_token,
             index,
             timestamp_us,
-            seen,
+            camera_views,
             LidarMount(lidar_translation, lidar_rotation),
             ego,
             past_poses,
@@ -120,9 +120,9 @@ class Unpacking:
 def _bytes(arrays: Sequence[NDArray[Any] | None]) -> bytearray:
     """The bytes of arrays one after the other, each beginning where every number may."""
     pieces = []
-    for each in arrays:
-        if each is not None:
-            piece = each.tobytes()
+    for array in arrays:
+        if array is not None:
+            piece = array.tobytes()
             pieces.append(piece)
             if len(piece) % _ALIGNED_BYTES:
                 pieces.append(bytes(-len(piece) % _ALIGNED_BYTES))
@@ -131,14 +131,14 @@ def _bytes(arrays: Sequence[NDArray[Any] | None]) -> bytearray:
 
 def _places(layout: Layout) -> list[tuple[tuple[int, ...], np.dtype[Any], int] | None]:
     """Shape, type and first byte of each array."""
-    found: list[tuple[tuple[int, ...], np.dtype[Any], int] | None] = []
+    places: list[tuple[tuple[int, ...], np.dtype[Any], int] | None] = []
     place = 0
-    for each in layout:
-        if each is None:
-            found.append(None)
+    for entry in layout:
+        if entry is None:
+            places.append(None)
             continue
-        kind, shape = each
-        found.append((shape, kind, place))
+        kind, shape = entry
+        places.append((shape, kind, place))
         size = kind.itemsize * math.prod(shape)
         place += size + -size % _ALIGNED_BYTES
-    return found
+    return places

@@ -84,8 +84,8 @@ class Shelf:
 
     def close(self) -> None:
         """Give the memory back."""
-        for each in (*self._blocks.values(), self._pulse):
-            each.close()
+        for block in (*self._blocks.values(), self._pulse):
+            block.close()
         os.close(self.file)
 
     def _new(self, size: int) -> int:
@@ -150,6 +150,6 @@ class Viewer:
 
     def let_go(self) -> list[int]:
         """Blocks that nothing in this process holds any more, each said once."""
-        said = self._let_go[:]
-        del self._let_go[: len(said)]
-        return said
+        released = self._let_go[:]
+        del self._let_go[: len(released)]
+        return released

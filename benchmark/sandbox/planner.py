@@ -168,21 +168,21 @@ class Supervised:
 
         looked, self._looked = self._looked, ()
         packed = self._packing.packed(observation)
-        told = self._asked("plan", packed, doing="no plan", picture=picture, ahead=looked)
-        if told[0] == "no plan":
-            name = str(told[1])
+        answer = self._asked("plan", packed, doing="no plan", picture=picture, ahead=looked)
+        if answer[0] == "no plan":
+            name = str(answer[1])
             # Nothing of the object itself is here, and nothing but the name of its type is ever said of it.
             return type(name if name.isidentifier() else "object", (), {})()  # type: ignore[no-any-return]
         # Who looked at a picture looks at the next one of that camera, probably.
-        self._looked = tuple(name for name in told[2] if name in views)
-        return _plan(told[1])
+        self._looked = tuple(name for name in answer[2] if name in views)
+        return _plan(answer[1])
 
     def loaded_code(self) -> dict[str, str]:
         """Code that its process has loaded; raises as `reset` does."""
         if self._process is None:
             return {}
-        told = self._asked("loaded", doing="asking what it has loaded did not return")[1]
-        return {str(file): str(sha256) for file, sha256 in told.items()}
+        hashes = self._asked("loaded", doing="asking what it has loaded did not return")[1]
+        return {str(file): str(sha256) for file, sha256 in hashes.items()}
 
     def close(self) -> None:
         """End its process; the next scene starts another."""
@@ -200,8 +200,8 @@ class Supervised:
     ) -> list[Any]:
         try:
             process, limit_s = self._started(), self._supervision.sample_s
-            told = process.ask(kind, *parts, doing=doing, limit_s=limit_s, picture=picture, ahead=ahead)
-            return _understood(told, ("plan", "no plan") if kind == "plan" else ("done", "loaded"))
+            answer = process.ask(kind, *parts, doing=doing, limit_s=limit_s, picture=picture, ahead=ahead)
+            return _understood(answer, ("plan", "no plan") if kind == "plan" else ("done", "loaded"))
         except (PlannerLostError, MalformedError) as error:
             self.close()
             raise error if isinstance(error, PlannerLostError) else _misunderstood(error) from None
@@ -217,8 +217,8 @@ class Supervised:
             return self._process
         self._process, self._packing, self._looked = PlannerProcess(self._supervision), Packing(), ()
         try:
-            found = _built(self._process, self._maker, self._supervision)
-            if found.memory_crosses_scenes:
+            identity = _built(self._process, self._maker, self._supervision)
+            if identity.memory_crosses_scenes:
                 doing, limit_s = "begin_run did not return", self._supervision.sample_s
                 _understood(self._process.ask("begin_run", doing=doing, limit_s=limit_s), ("done",))
         except PlannerLostError:
@@ -226,7 +226,7 @@ class Supervised:
         except (InputError, PlannerFailedError) as error:
             # It could be built before, so that this is no wrong use.
             raise PlannerLostError(f"it cannot be built again: {error}") from error
-        if found != self._identity:
+        if identity != self._identity:
             raise PlannerLostError("it says that it is another planner whenever it is built")
         return self._process
 
@@ -259,29 +259,29 @@ def _class_of(reveal: bool, follow: bool, begin_run: bool) -> type[Supervised]:
 
 
 def _built(process: PlannerProcess, maker: Maker, supervision: Supervision) -> Identity:
-    told = process.ask(
+    answer = process.ask(
         "build",
         maker.reference,
         dict(maker.given),
         doing="importing and building it did not end",
         limit_s=supervision.longest_loading_s,
     )
-    if told[0] == "refused":
-        raise InputError(str(told[1]))
+    if answer[0] == "refused":
+        raise InputError(str(answer[1]))
     try:
-        _understood(told, ("built",))
-        traits = {name: bool(value) for name, value in told[2].items()}
-        return Identity(PlannerFacts.model_validate_json(told[1]), **traits)
+        _understood(answer, ("built",))
+        traits = {name: bool(value) for name, value in answer[2].items()}
+        return Identity(PlannerFacts.model_validate_json(answer[1]), **traits)
     except (MalformedError, ValidationError, TypeError, AttributeError, IndexError) as error:
         raise _misunderstood(error) from error
 
 
-def _understood(told: list[Any], expected: tuple[str, ...]) -> list[Any]:
+def _understood(answer: list[Any], expected: tuple[str, ...]) -> list[Any]:
     """An answer that is one to what was asked, or what it raises."""
-    kind, *rest = told
+    kind, *rest = answer
     if kind in expected:
-        return told
-    words = [str(each) for each in rest]
+        return answer
+    words = [str(word) for word in rest]
     if kind == "raised" and len(words) == 2:
         raise PlannerFailedError(*words)
     if kind == "late" and words:
@@ -295,21 +295,21 @@ def _misunderstood(error: Exception) -> PlannerLostError:
     return PlannerLostError(f"the planner's process broke the connection: {error}")
 
 
-def _plan(told: Any) -> Plan:
+def _plan(answer: Any) -> Plan:
     """The plan that was answered; numbers of it are checked where those of every planner are."""
     try:
-        forecasts, waypoints = told["forecasts"], told["waypoints"]
+        forecasts, waypoints = answer["forecasts"], answer["waypoints"]
         sound = np.isfinite(waypoints)
-        whole = bool(sound.all())
+        is_sound = bool(sound.all())
         plan = Plan(
-            waypoints=waypoints if whole else np.where(sound, waypoints, waypoints.dtype.type(0)),
-            frame=PlanFrame(told["frame"]),
-            modes=told["modes"],
-            mode_scores=told["mode_scores"],
+            waypoints=waypoints if is_sound else np.where(sound, waypoints, waypoints.dtype.type(0)),
+            frame=PlanFrame(answer["frame"]),
+            modes=answer["modes"],
+            mode_scores=answer["mode_scores"],
             forecasts=None if forecasts is None else Forecasts(**forecasts),
         )
         # It was one when it was made there; its numbers may have been changed since, and whoever asks looks at them.
-        if not whole:
+        if not is_sound:
             np.copyto(plan.waypoints, waypoints)
         return plan
     except (InputError, KeyError, TypeError, ValueError, AttributeError) as error:

@@ -112,11 +112,11 @@ class PlannerProcess:
             self._asker.send(question(self._number, kind, *parts), deadline)
             while True:
                 self._listen(deadline)
-                told = self._received(deadline)
-                if told[0] != "picture" or picture is None:
+                answer = self._received(deadline)
+                if answer[0] != "picture" or picture is None:
                     break
                 begun = time.monotonic()
-                reply = self._shown(told, picture, broken)
+                reply = self._shown(answer, picture, broken)
                 deadline += time.monotonic() - begun
                 self._asker.send(reply, deadline)
         except ClosedError:
@@ -135,9 +135,9 @@ class PlannerProcess:
             # An answer that comes later must not be taken for that of the next question.
             self.end(at_once=True)
             raise
-        if told[0] == "picture missing" and broken:
+        if answer[0] == "picture missing" and broken:
             raise broken[-1]
-        return told
+        return answer
 
     @property
     def pid(self) -> int | None:
@@ -169,33 +169,35 @@ class PlannerProcess:
 
     def _received(self, deadline: float) -> list[Any]:
         # What has begun in time may end a little later.
-        said = self._asker.receive(self._number, max(deadline, time.monotonic() + GRACE_S))
+        message = self._asker.receive(self._number, max(deadline, time.monotonic() + GRACE_S))
         try:
-            let_go, told = said
+            let_go, answer = message
             self._shelf.take_back(let_go)
-            if not isinstance(told, list) or not isinstance(told[0], str):
+            if not isinstance(answer, list) or not isinstance(answer[0], str):
                 raise MalformedError("its answer is none")
         except (TypeError, ValueError, KeyError, IndexError) as error:
             raise MalformedError("its answer is none") from error
-        return told
+        return answer
 
     def _ready(
         self, picture: Callable[[str], NDArray[np.uint8]], names: Sequence[str]
     ) -> dict[str, tuple[int, tuple[int, ...], bool]]:
         """Pictures that are sent with a question; whoever looks at one that is broken is told then."""
-        found = {}
+        ready = {}
         for name in names:
             with contextlib.suppress(InputError, KeyError, TooManyPicturesError):
-                found[name] = self._put(picture(name))
-        return found
+                ready[name] = self._put(picture(name))
+        return ready
 
-    def _put(self, seen: NDArray[np.uint8]) -> tuple[int, tuple[int, ...], bool]:
-        return self._shelf.put(seen), seen.shape, bool(seen.flags.writeable)
+    def _put(self, picture: NDArray[np.uint8]) -> tuple[int, tuple[int, ...], bool]:
+        return self._shelf.put(picture), picture.shape, bool(picture.flags.writeable)
 
-    def _shown(self, told: list[Any], picture: Callable[[str], NDArray[np.uint8]], broken: list[InputError]) -> bytes:
+    def _shown(
+        self, request: list[Any], picture: Callable[[str], NDArray[np.uint8]], broken: list[InputError]
+    ) -> bytes:
         """The reply to a planner that looks."""
         try:
-            _, name = told
+            _, name = request
             return question(self._number, "shown", *self._put(picture(name)))
         except InputError as error:
             broken.append(error)

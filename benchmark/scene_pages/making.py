@@ -100,12 +100,12 @@ def _in_order(layer: dict[str, Polygon]) -> list[Polygon]:
 def _polygons(shape: shapely.Geometry, window: Polygon, origin: Point) -> list[SheetPolygon]:
     sound = shape if shape.is_valid else shapely.make_valid(shape)
     simple = shapely.simplify(as_multipolygon(shapely.intersection(sound, window)), _SIMPLIFIED_M)
-    found = []
+    polygons = []
     for part in as_multipolygon(simple).geoms:
         if part.area >= _LEAST_AREA_M2:
             holes = [hole for hole in part.interiors if Polygon(hole).area >= _LEAST_AREA_M2]
-            found.append(tuple(_rounded(ring.coords, origin) for ring in (part.exterior, *holes)))
-    return found
+            polygons.append(tuple(_rounded(ring.coords, origin) for ring in (part.exterior, *holes)))
+    return polygons
 
 
 def _lines(line: Floats, window: Polygon, origin: Point) -> list[Ring]:
@@ -177,9 +177,9 @@ def sheets_in(folder: Path) -> ResultStore[str]:
 
 def sheet_of(data: "DataSet", split: str, name: str, facts: DataFacts) -> Sheet:
     """A scene's sheet without pictures."""
-    made = data.provenance()
-    report = made["scenes"].get(name, {}).get("report") if made else None
-    renderer = made.get("renderer") if made else None
+    provenance = data.provenance()
+    report = provenance["scenes"].get(name, {}).get("report") if provenance else None
+    renderer = provenance.get("renderer") if provenance else None
     drawn_by = renderer.get("name") if isinstance(renderer, dict) else None
     scene = f"{data.root}: scene {name}"
     sheet = validated(
@@ -193,7 +193,7 @@ def sheet_of(data: "DataSet", split: str, name: str, facts: DataFacts) -> Sheet:
             "split": split,
             "scene": name,
             "source": data.scene_facts([name])[name].source,
-            "labels": tuple(found for found in stored_labels(report) if isinstance(found, dict)),
+            "labels": tuple(label for label in stored_labels(report) if isinstance(label, dict)),
             "sample_tokens": tuple(truth.sample_token for truth in data.truth(name)),
             "drawn_by": drawn_by if isinstance(drawn_by, str) else None,
         }
@@ -237,19 +237,19 @@ def written_sheet(job: Job, data: "DataSet", name: str) -> WrittenSheet:
     key = _key(job, name, keyframes, sweeps)
     folder = job.folder(name)
     sheet = _kept(job, name, key)
-    made = sheet is None
+    is_new = sheet is None
     if sheet is None:
         sheet = _make(job, data, name, keyframes, sweeps)
         sheets_in(folder).put(key, file_sha256(folder / SHEET_FILE), KEY)
     sizes = [(folder / path).stat().st_size for path in sheet.files]
-    return WrittenSheet(name, made, len(sheet.pictures), (folder / SHEET_FILE).stat().st_size, sum(sizes))
+    return WrittenSheet(name, is_new, len(sheet.pictures), (folder / SHEET_FILE).stat().st_size, sum(sizes))
 
 
 def planned_sheet(job: Job, data: "DataSet", name: str) -> WrittenSheet:
     """Outcome that `written_sheet` would have, without sizes."""
     keyframes, sweeps = _videos(job, data, name)
-    made = _kept(job, name, _key(job, name, keyframes, sweeps)) is None
-    return WrittenSheet(name, made, len(pictured_frames(data.scene(name), keyframes, sweeps)), 0, 0)
+    is_new = _kept(job, name, _key(job, name, keyframes, sweeps)) is None
+    return WrittenSheet(name, is_new, len(pictured_frames(data.scene(name), keyframes, sweeps)), 0, 0)
 
 
 def _videos(job: Job, data: "DataSet", name: str) -> tuple[Videos, Videos]:
@@ -321,8 +321,8 @@ def _write_pictures(job: Job, folder: Path, scene: Scene, keyframes: Videos, swe
         # The sheet, written last, knows each picture's hash.
         write_bytes(folder / path, mosaic(cells, pictured.views), durable=False)
         files[path] = file_sha256(folder / path)
-        seen = adversary_edges(scene, cells, pictured.views)
-        if seen:
-            edges[str(pictured.frame)] = seen
+        edges_of_frame = adversary_edges(scene, cells, pictured.views)
+        if edges_of_frame:
+            edges[str(pictured.frame)] = edges_of_frame
     pictures = tuple(pictured.frame for pictured in frames)
     return {"cameras": cells, "pictures": pictures, "adversary_edges": edges, "files": files}

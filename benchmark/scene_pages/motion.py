@@ -49,14 +49,14 @@ def agents_of(scene: Scene, origin: Point) -> tuple[SheetAgent, ...]:
     """
     agents = scene.agents
     away_m = np.linalg.norm(agents.position[..., :2] - scene.ego.position[None, :, :2], axis=-1)
-    shown = agents.valid & (away_m <= NEAR_M)
+    visible = agents.valid & (away_m <= NEAR_M)
     adversaries = [name in scene.adversaries for name in agents.ids]
-    shown[adversaries] = agents.valid[adversaries]
+    visible[adversaries] = agents.valid[adversaries]
     order = sorted(range(len(agents)), key=lambda agent: adversaries[agent])
     return tuple(
-        _agent(scene, agent, shown[agent], origin, adversary=adversaries[agent])
+        _agent(scene, agent, visible[agent], origin, adversary=adversaries[agent])
         for agent in order
-        if shown[agent].any()
+        if visible[agent].any()
     )
 
 

@@ -66,14 +66,14 @@ def pictured_frames(scene: Scene, keyframes: Videos, sweeps: Videos) -> tuple[Pi
         at which each camera has an image within `FARTHEST_IN_TIME_S`, less what it is late at samples.
     """
     times_us, samples_us = scene.timestamps_us, scene.timestamps_us[scene.keyframes]
-    found: dict[int, dict[str, CameraView]] = {}
+    views_of_frame: dict[int, dict[str, CameraView]] = {}
     late_us: dict[str, list[int]] = {name: [] for name in keyframes}
     for name, views in keyframes.items():
         for view in views:
             sample = int(np.abs(samples_us - view.timestamp_us).argmin())
             late_us[name].append(view.timestamp_us - int(samples_us[sample]))
-            found.setdefault(int(scene.keyframes[sample]), {})[name] = view
-    of_samples = set(found)
+            views_of_frame.setdefault(int(scene.keyframes[sample]), {})[name] = view
+    of_samples = set(views_of_frame)
     for name, views in sweeps.items():
         if not views:
             continue
@@ -84,9 +84,11 @@ def pictured_frames(scene: Scene, keyframes: Videos, sweeps: Videos) -> tuple[Pi
             away_us = np.abs(taken_us - time_us)
             nearest = int(away_us.argmin())
             if frame not in of_samples and away_us[nearest] <= 1e6 * FARTHEST_IN_TIME_S:
-                found.setdefault(frame, {})[name] = views[nearest]
-    whole = {frame for frame, views in found.items() if frame in of_samples or set(views) == set(keyframes)}
-    return tuple(PicturedFrame(frame, found[frame]) for frame in sorted(whole))
+                views_of_frame.setdefault(frame, {})[name] = views[nearest]
+    complete_frames = {
+        frame for frame, views in views_of_frame.items() if frame in of_samples or set(views) == set(keyframes)
+    }
+    return tuple(PicturedFrame(frame, views_of_frame[frame]) for frame in sorted(complete_frames))
 
 
 def layout(cameras: Mapping[str, Camera], cell_width_px: int) -> tuple[SheetCamera, ...]:
@@ -152,7 +154,7 @@ def adversary_edges(
         For each camera that sees an adversary: segments in pixels of the picture, cut at the near plane and at the
         cell's borders.
     """
-    found = {}
+    edges_of_camera = {}
     adversaries = [scene.agents.ids.index(name) for name in scene.adversaries]
     for cell in cells if adversaries else ():
         if cell.name not in views:
@@ -166,8 +168,8 @@ def adversary_edges(
                 corners = corners_of_box(position[agent], float(yaw[agent]), scene.agents.size[agent])
                 segments += _edges(to_camera(corners, view.global_T_ego, camera), camera, cell)
         if segments:
-            found[cell.name] = tuple(segments)
-    return found
+            edges_of_camera[cell.name] = tuple(segments)
+    return edges_of_camera
 
 
 def _edges(corners: Floats, camera: Camera, cell: SheetCamera) -> list[Segment]:

@@ -91,9 +91,9 @@ def write_split_sheet(
 
 def _attempts(data: "DataSet", split: str) -> tuple[AttemptFacts, ...]:
     """Attempts of the search; none where the root was not generated for this split."""
-    made = data.provenance()
+    provenance = data.provenance()
     path = data.root / ATTEMPTS_FILE
-    if made is None or made.get("split") != split or not path.is_file():
+    if provenance is None or provenance.get("split") != split or not path.is_file():
         return ()
     return tuple(AttemptFacts.of(attempt) for attempt in read_attempts(path))
 
@@ -148,19 +148,25 @@ class WrittenSheets:
         """The same in numbers."""
         return {
             "directory": str(self.directory),
-            "scenes": [each.scene for each in self.scenes],
-            "made": sum(each.made for each in self.scenes),
-            "pictures": sum(each.pictures for each in self.scenes),
-            "sheet_bytes": sum(each.sheet_bytes for each in self.scenes),
-            "picture_bytes": sum(each.picture_bytes for each in self.scenes),
+            "scenes": [page.scene for page in self.scenes],
+            "made": sum(page.made for page in self.scenes),
+            "pictures": sum(page.pictures for page in self.scenes),
+            "sheet_bytes": sum(page.sheet_bytes for page in self.scenes),
+            "picture_bytes": sum(page.picture_bytes for page in self.scenes),
             **({} if self.traced is None else {"traced": self.traced}),
         }
 
     def sentence(self) -> str:
         """The same in words."""
         total = self.as_json()
-        made, there = total["made"], len(self.scenes) - total["made"]
-        when = f"{made} made, the others were there" if made and there else "made now" if made else "there already"
+        new_count, cached_count = total["made"], len(self.scenes) - total["made"]
+        when = (
+            f"{new_count} made, the others were there"
+            if new_count and cached_count
+            else "made now"
+            if new_count
+            else "there already"
+        )
         return (
             f"{counted(len(self.scenes), 'sheet')} in {self.directory} ({when}): "
             f"{total['sheet_bytes'] / 1e6:.1f} MB, with {counted(total['pictures'], 'picture')} of "
@@ -222,12 +228,12 @@ def write_sheets(
 
 def _show_rounds(folder: Path, data_root: Path, scene: str) -> bool:
     """Put the rounds that the search kept beside a scene's sheet; whether there are any that belong to it."""
-    kept = kept_rounds_path(data_root, scene)
-    if not rounds_fit(kept, Sheet.model_validate(read_kept_json(folder / SHEET_FILE))):
+    cached_rounds = kept_rounds_path(data_root, scene)
+    if not rounds_fit(cached_rounds, Sheet.model_validate(read_kept_json(folder / SHEET_FILE))):
         return False
-    content, shown = kept.read_bytes(), folder / ROUNDS_FILE
-    if not shown.is_file() or shown.read_bytes() != content:
-        write_bytes(shown, content)
+    content, page_rounds = cached_rounds.read_bytes(), folder / ROUNDS_FILE
+    if not page_rounds.is_file() or page_rounds.read_bytes() != content:
+        write_bytes(page_rounds, content)
     return True
 
 
@@ -238,8 +244,8 @@ def plan_of(data: "DataSet", split: str, root: Path, settings: SheetSettings) ->
     planned = [planned_sheet(job, data, name) for name in chosen]
     return (
         f"would write {counted(len(chosen), 'sheet')} with "
-        f"{counted(sum(each.pictures for each in planned), 'picture')} to "
-        f"{split_folder(root, data.name, split)}; {sum(not each.made for each in planned)} are there already"
+        f"{counted(sum(page.pictures for page in planned), 'picture')} to "
+        f"{split_folder(root, data.name, split)}; {sum(not page.made for page in planned)} are there already"
     )
 
 

@@ -71,11 +71,11 @@ class _Writer:
         self._count(1)
         pairs: list[Any] = []
         # Not its own methods: what a stranger stores beside an ordered dictionary hides them.
-        for key, held in dict.items(value):
+        for key, member in dict.items(value):
             if type(key) is str and len(key) > self.limits.name_characters:
                 raise Unanswerable(f"it holds a name of more than {self.limits.name_characters} characters")
             pairs.append(self.encoded(key, depth + 1))
-            pairs.append(self.encoded(held, depth + 1))
+            pairs.append(self.encoded(member, depth + 1))
         return pairs
 
     def _buffer(self, value: Any, data: Any, count: int) -> int:
@@ -162,17 +162,17 @@ def read_answer(data: bytearray) -> Any:
     parts: list[NDArray[np.uint8]] = []
 
     def value_of(tagged: dict[str, Any]) -> Any:
-        ((tag, held),) = tagged.items()
-        return _READERS[tag](held, parts)
+        ((tag, content),) = tagged.items()
+        return _READERS[tag](content, parts)
 
     text = bytes(memoryview(data)[8 : 8 + length])
     sizes = json.loads(text[text.rindex(b"[") : -1])
     place = -(-(length + 8) // _ALIGNED_BYTES) * _ALIGNED_BYTES
-    whole = np.frombuffer(data, np.uint8)
+    data_bytes = np.frombuffer(data, np.uint8)
     for size in sizes:
-        if not 0 <= size <= len(whole) - place:
+        if not 0 <= size <= len(data_bytes) - place:
             raise ValueError("a short buffer")
-        parts.append(whole[place : place + size])
+        parts.append(data_bytes[place : place + size])
         place += -(-size // _ALIGNED_BYTES) * _ALIGNED_BYTES
     return json.loads(text, object_hook=value_of)[0]
 
@@ -182,20 +182,20 @@ def _dictionary(kind: Any, pairs: list[Any]) -> Any:
     return kind(zip(following, following, strict=True))
 
 
-def _array_of(held: list[Any], parts: list[NDArray[np.uint8]]) -> NDArray[Any]:
-    place, dtype, shape, order = held
-    found = _number_type(dtype)
-    if found.itemsize == 0 or math.prod(shape) == 0:
-        return np.zeros(shape, found, order=order)
-    held_numbers: NDArray[Any] = parts[place].view(found).reshape(shape, order=order)
+def _array_of(content: list[Any], parts: list[NDArray[np.uint8]]) -> NDArray[Any]:
+    place, dtype, shape, order = content
+    number_type = _number_type(dtype)
+    if number_type.itemsize == 0 or math.prod(shape) == 0:
+        return np.zeros(shape, number_type, order=order)
+    held_numbers: NDArray[Any] = parts[place].view(number_type).reshape(shape, order=order)
     return held_numbers
 
 
 def _number_type(name: str) -> np.dtype[Any]:
-    found = np.dtype(name)
-    if found.kind not in _NUMBERS:
-        raise ValueError(f"an array of {found}")
-    return found
+    number_type = np.dtype(name)
+    if number_type.kind not in _NUMBERS:
+        raise ValueError(f"an array of {number_type}")
+    return number_type
 
 
 def _scalar(kind: np.dtype[Any], data: bytes) -> Any:

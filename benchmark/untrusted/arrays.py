@@ -75,7 +75,7 @@ def _can_be_true(entry: Any, held_bytes: int) -> bool:
 
 
 def _are_counts(value: Any) -> bool:
-    return isinstance(value, list) and all(type(each) is int and 0 <= each <= _FARTHEST for each in value)
+    return isinstance(value, list) and all(type(number) is int and 0 <= number <= _FARTHEST for number in value)
 
 
 _END: Final = b"PK\5\6"

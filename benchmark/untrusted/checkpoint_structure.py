@@ -165,20 +165,20 @@ class _StructureUnpickler(AllowListUnpickler):
 
     def persistent_load(self, saved: Any) -> Any:
         """What a checkpoint calls a storage: ``("storage", type, key, place, count)``, older ones with a view."""
-        kind, *said = saved
+        kind, *arguments = saved
         if kind in ("module", b"module"):
-            return said[0]
-        made, key, _, count, *view = said
-        if kind not in ("storage", b"storage") or not isinstance(made, _Type) or type(count) is not int:
+            return arguments[0]
+        stand_in, key, _, count, *view = arguments
+        if kind not in ("storage", b"storage") or not isinstance(stand_in, _Type) or type(count) is not int:
             raise ValueError("an unknown kind of storage")
         key = key.decode() if isinstance(key, bytes) else str(key)
-        self.counts.setdefault(key, (made.name, count))
+        self.counts.setdefault(key, (stand_in.name, count))
         if not view or view[0] is None:
-            return _Storage(made.name, key, count)
+            return _Storage(stand_in.name, key, count)
         _, start, length = view[0]
         if not 0 <= start <= start + length <= count:
             raise ValueError("a view outside its storage")
-        return _Storage(made.name, key, length, start)
+        return _Storage(stand_in.name, key, length, start)
 
 
 def checkpoint_structure(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
@@ -271,16 +271,16 @@ def _of_stream(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
 
 
 def _table(loaded: Any, places: dict[str, tuple[int, int]], limits: Limits) -> dict[str, Any]:
-    held = dict.get(loaded, "state_dict", loaded) if isinstance(loaded, dict) else None
-    if not isinstance(held, dict) or not len(held):
+    entries = dict.get(loaded, "state_dict", loaded) if isinstance(loaded, dict) else None
+    if not isinstance(entries, dict) or not len(entries):
         return {"wrong": "kind", "kind": one_line(type(loaded).__name__.strip("_"))}
     meta = dict.get(loaded, "meta")
     configuration = dict.get(meta, "config") if isinstance(meta, dict) else None
     numbers = {key: number for number, key in enumerate(places)}
     rows = []
-    if len(held) > limits.values:
+    if len(entries) > limits.values:
         raise Unanswerable(f"it holds more than {limits.values} tensors")
-    for name, tensor in dict.items(held):
+    for name, tensor in dict.items(entries):
         if type(name) is not str or not isinstance(tensor, _Tensor):
             return {"wrong": "entry", "entry": repr(one_line(name, 80))}
         if len(name) > limits.name_characters:

@@ -71,26 +71,26 @@ def read_stored(path: Path, limits: Limits = CHECKPOINT, *, checksums: bool = Tr
             dense tensors of numbers, or says of them what cannot be true.
     """
     _require_bytes(path, limits)
-    found = _structure(path, taken_apart(path, "checkpoint", limits))
+    structure = _structure(path, taken_apart(path, "checkpoint", limits))
     with open_file(path, limits) as stream:
-        for first, length, checksum, name in found["records"] if checksums else ():
+        for first, length, checksum, name in structure["records"] if checksums else ():
             if _checksum(stream, first, length) != checksum:
                 raise InputError(f"{path} is damaged ({name} fails its checksum); fetch it again")
-        whole = np.memmap(stream, np.uint8, "c")
-    storages = tuple(whole[first : first + length].view(np.ndarray) for first, length in found["storages"])
+        mapped = np.memmap(stream, np.uint8, "c")
+    storages = tuple(mapped[first : first + length].view(np.ndarray) for first, length in structure["storages"])
     tensors: dict[str, StoredTensor] = {}
-    for name, number_type, storage, offset, shape, strides in found["tensors"]:
+    for name, number_type, storage, offset, shape, strides in structure["tensors"]:
         if not number_type:
             raise InputError(f"{path}: {name} is not a dense tensor of real numbers; save the weights as such")
         tensors[name] = StoredTensor(number_type, storage, offset, tuple(shape), tuple(strides))
         _require_inside(path, name, tensors[name], storages)
-    claimed = sum(math.prod(each.shape) * ITEM_BYTES[each.number_type] for each in tensors.values())
-    if claimed > EXPANSION * len(whole) + MIB:
+    claimed = sum(math.prod(tensor.shape) * ITEM_BYTES[tensor.number_type] for tensor in tensors.values())
+    if claimed > EXPANSION * len(mapped) + MIB:
         raise InputError(
-            f"{path} claims tensors of {claimed} bytes and has {len(whole)}; it is made to harm, get it from a source "
+            f"{path} claims tensors of {claimed} bytes and has {len(mapped)}; it is made to harm, get it from a source "
             "that you trust"
         )
-    return StoredCheckpoint(tensors, storages, found["big_endian"], found["configuration"])
+    return StoredCheckpoint(tensors, storages, structure["big_endian"], structure["configuration"])
 
 
 def _require_bytes(path: Path, limits: Limits) -> None:
@@ -126,42 +126,44 @@ def _structure(path: Path, answer: Answer) -> dict[str, Any]:
             f"{path} cannot be read as a PyTorch checkpoint ({answer.parts[0]}); it is damaged or something else, "
             "fetch it again"
         )
-    found: dict[str, Any] = answer.parts[0]
-    if found.get("wrong") == "size":
+    structure: dict[str, Any] = answer.parts[0]
+    if structure.get("wrong") == "size":
         raise InputError(
             f"{path} claims to hold more bytes than it has, which no file written by PyTorch does; get it from a "
             "source that you trust"
         )
-    if found.get("wrong") == "kind":
-        raise InputError(f"{path} holds a {found['kind']} without tensors by name; weights are a state dict")
-    if found.get("wrong") == "entry":
+    if structure.get("wrong") == "kind":
+        raise InputError(f"{path} holds a {structure['kind']} without tensors by name; weights are a state dict")
+    if structure.get("wrong") == "entry":
         raise InputError(
-            f"{path} holds {found['entry']}, which is no tensor with a name; weights are a state dict, or an mmcv "
+            f"{path} holds {structure['entry']}, which is no tensor with a name; weights are a state dict, or an mmcv "
             "checkpoint with one under state_dict"
         )
-    return found
+    return structure
 
 
 def _checksum(stream: BufferedReader, first: int, length: int) -> int:
     """CRC-32 of some bytes, read and not mapped: most of a checkpoint is never touched again."""
     stream.seek(first)
-    held, found = memoryview(bytearray(min(length, _CHECKED_AT_ONCE))), 0
+    buffer, checksum = memoryview(bytearray(min(length, _CHECKED_AT_ONCE))), 0
     while length:
-        count = stream.readinto(held[: min(length, len(held))])
+        count = stream.readinto(buffer[: min(length, len(buffer))])
         if not count:
             return -1
-        found, length = zlib.crc32(held[:count], found), length - count
-    return found
+        checksum, length = zlib.crc32(buffer[:count], checksum), length - count
+    return checksum
 
 
 def _require_inside(path: Path, name: str, tensor: StoredTensor, storages: tuple[NDArray[np.uint8], ...]) -> None:
     """A tensor that leaves its storage would read memory that is not its own."""
     shape, strides, item = tensor.shape, tensor.strides, ITEM_BYTES[tensor.number_type]
-    sound = len(shape) == len(strides) <= _MOST_AXES and all(each >= 0 for each in (tensor.offset, *shape, *strides))
-    held = len(storages[tensor.storage]) // item if 0 <= tensor.storage < len(storages) else 0
+    sound = len(shape) == len(strides) <= _MOST_AXES and all(
+        number >= 0 for number in (tensor.offset, *shape, *strides)
+    )
+    number_count = len(storages[tensor.storage]) // item if 0 <= tensor.storage < len(storages) else 0
     empty = 0 in shape
     last = tensor.offset + sum((length - 1) * step for length, step in zip(shape, strides, strict=sound))
-    if not sound or (not empty and last >= held) or (empty and max(shape) > len(storages) + held + MIB):
+    if not sound or (not empty and last >= number_count) or (empty and max(shape) > len(storages) + number_count + MIB):
         raise InputError(
             f"{path}: {one_name(name)} lies outside the numbers that the file holds; it is damaged, fetch it again"
         )

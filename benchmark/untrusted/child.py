@@ -79,17 +79,17 @@ def bound(limits: Limits, parent: int) -> None:
         ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)
-    for what, most in (
+    for resource_kind, most in (
         (resource.RLIMIT_AS, limits.memory_bytes),
         (resource.RLIMIT_CPU, limits.cpu_s),
         (resource.RLIMIT_FSIZE, limits.content_bytes + GIB),
         (resource.RLIMIT_CORE, 0),
     ):
-        hard = resource.getrlimit(what)[1]
+        hard = resource.getrlimit(resource_kind)[1]
         least = most if hard == resource.RLIM_INFINITY else min(most, hard)
         # Some systems do not bound memory; the clock and the processor time stay.
         with contextlib.suppress(OSError, ValueError):
-            resource.setrlimit(what, (least, least))
+            resource.setrlimit(resource_kind, (least, least))
 
 
 def answer(kind: str, limits: Limits, stream: BinaryIO) -> tuple[Any, ...]:
@@ -134,14 +134,14 @@ def main() -> None:
         cpu_s=cpu_s,
     )
     bound(given, int(parent))
-    found = answer(kind, given, os.fdopen(0, "rb"))
+    parts = answer(kind, given, os.fdopen(0, "rb"))
     out = os.fdopen(1, "wb")
     try:
-        write_answer(out, found, given)
+        write_answer(out, parts, given)
         out.flush()
     # What cannot be written may be anything, for example a whole number of a million digits.
     except Exception as why:
-        del found
+        del parts
         out.seek(0)
         out.truncate()
         write_answer(out, ("memory",) if isinstance(why, MemoryError) else ("unanswerable", one_line(why)), given)

@@ -61,14 +61,14 @@ def taken_apart(path: Path, kind: str, limits: Limits) -> Answer:
             data = bytearray(size)
             answer.seek(0)
             answer.readinto(data)
-            found, *parts = read_answer(data)
+            status, *parts = read_answer(data)
         except Exception as error:
             raise InputError(f"{path} broke the process that reads it (exit status {code}); {_UNTRUSTED}") from error
-    if found == "memory":
+    if status == "memory":
         raise InputError(f"{path} takes more than {in_words(limits.memory_bytes)} of memory to read; {_UNTRUSTED}")
-    if found == "unanswerable":
+    if status == "unanswerable":
         raise InputError(f"{path} is refused: {parts[0]}; {_UNTRUSTED}")
-    return Answer(found, tuple(parts))
+    return Answer(status, tuple(parts))
 
 
 def _run(path: Path, kind: str, limits: Limits, source: int, target: int) -> int:

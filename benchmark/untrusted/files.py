@@ -226,5 +226,5 @@ def one_line(text: object, longest: int = 160) -> str:
         The text.
     """
     first = (str(text).splitlines() or [""])[0]
-    shown = "".join(letter if letter.isprintable() else "?" for letter in first[: longest + 1])
-    return shown if len(shown) <= longest else f"{shown[:longest]}..."
+    printable = "".join(letter if letter.isprintable() else "?" for letter in first[: longest + 1])
+    return printable if len(printable) <= longest else f"{printable[:longest]}..."

@@ -47,10 +47,10 @@ class ComparedPlans:
     def from_lists(cls, plan: list[Any], recorded: list[Any]) -> Self:
         """What was written as lists; raises `ValueError` for what is none."""
         shape = (-1, PLAN_STEPS, 2)
-        made = cls(np.array(plan, np.float64).reshape(shape), np.array(recorded, np.float64).reshape(shape))
-        if made.plan.shape != made.recorded.shape:
+        compared = cls(np.array(plan, np.float64).reshape(shape), np.array(recorded, np.float64).reshape(shape))
+        if compared.plan.shape != compared.recorded.shape:
             raise ValueError("there is a plan for each recording")
-        return made
+        return compared
 
     @classmethod
     def joined(cls, parts: "Iterable[ComparedPlans]") -> Self:
@@ -132,9 +132,11 @@ def plausibility_of(compared: ComparedPlans) -> Plausibility:
     """
     # Plans may be as large as numbers get: squares of those are infinite, and no reading of such plans fits.
     with np.errstate(over="ignore", invalid="ignore"):
-        found = {name: test(_Steps.of(compared)) for name, test in TESTS.items()}
-    misreadings = (each for each in found.values() if isinstance(each, Misreading))
-    measured = {name: each.sentence if isinstance(each, Misreading) else each for name, each in found.items()}
+        findings = {name: test(_Steps.of(compared)) for name, test in TESTS.items()}
+    misreadings = (finding for finding in findings.values() if isinstance(finding, Misreading))
+    measured = {
+        name: finding.sentence if isinstance(finding, Misreading) else finding for name, finding in findings.items()
+    }
     return Plausibility(measured, next(misreadings, None))
 
 
@@ -159,8 +161,8 @@ class _Steps:
     @classmethod
     def of(cls, compared: ComparedPlans) -> "_Steps":
         """Of plans."""
-        size, gone = (np.linalg.norm(points, axis=2) for points in (compared.plan, compared.recorded))
-        return cls(compared.plan, compared.recorded, size, gone, gone[:, -1] > MOVED_M)
+        size, recorded_distance = (np.linalg.norm(points, axis=2) for points in (compared.plan, compared.recorded))
+        return cls(compared.plan, compared.recorded, size, recorded_distance, recorded_distance[:, -1] > MOVED_M)
 
     def misfit(self, plan: Floats, chosen: Bools) -> float:
         """Median over chosen samples of the mean distance from the recording, as a share of the way in 3 s."""
@@ -211,12 +213,15 @@ def _unit(steps: _Steps) -> Measured:
 
 def _offsets(steps: _Steps) -> Measured:
     """Whether waypoints are steps from one to the next."""
-    size, gone, begun = steps.size, steps.gone, steps.size[:, 0] > BEGUN_M
-    drove = begun & (gone[:, 0] > _DROVE_M)
+    size, recorded_distance, begun = steps.size, steps.gone, steps.size[:, 0] > BEGUN_M
+    drove = begun & (recorded_distance[:, 0] > _DROVE_M)
     if few := _too_few(begun, FEWEST) or _too_few(drove, 1):
         return few
     last, second = (
-        float(np.median(size[begun, step] / size[begun, 0]) / np.median(gone[drove, step] / gone[drove, 0]))
+        float(
+            np.median(size[begun, step] / size[begun, 0])
+            / np.median(recorded_distance[drove, step] / recorded_distance[drove, 0])
+        )
         for step in (-1, 1)
     )
     read, summed = (steps.misfit(plan, drove) for plan in (steps.plan, np.cumsum(steps.plan, axis=1)))
@@ -234,17 +239,17 @@ def _delay(steps: _Steps) -> Measured:
     chosen = steps.moved & (steps.gone[:, 0] > BEGUN_M)
     if few := _too_few(chosen, FEWEST):
         return few
-    here = float(np.median(steps.size[chosen, 0] / steps.gone[chosen, 0]))
+    first_step_ratio = float(np.median(steps.size[chosen, 0] / steps.gone[chosen, 0]))
     second = np.linalg.norm(steps.plan[chosen, 1] - steps.recorded[chosen, 0], axis=1)
     late = float(np.median(second / steps.gone[chosen, 0]))
-    if here < _HERE and late < _ONE_STEP_ON:
+    if first_step_ratio < _HERE and late < _ONE_STEP_ON:
         read = float(np.median(np.linalg.norm(steps.plan - steps.recorded, axis=2)[chosen, 0] / steps.gone[chosen, 0]))
         return Misreading(
             "time",
             "its plans are one step late, the first waypoint is the present place: waypoints 0.5 s later would fit "
             f"(as read {read:.2f}, one step on {late:.2f}; error of the first step)",
         )
-    return f"the first waypoint is {here:.2f} of the first recorded step ({int(chosen.sum())} samples)"
+    return f"the first waypoint is {first_step_ratio:.2f} of the first recorded step ({int(chosen.sum())} samples)"
 
 
 def _rate(steps: _Steps) -> Measured:
@@ -287,12 +292,12 @@ def _axes(steps: _Steps) -> Measured:
         ("x and y look turned about", -first, None),
     )
     as_read = error(first)
-    best, name, frame = min(((error(turned), name, frame) for name, turned, frame in turns), key=lambda each: each[0])
+    best, name, frame = min(((error(turned), name, frame) for name, turned, frame in turns), key=lambda turn: turn[0])
     if best < _TURNED * as_read:
         axes = {"ego": ": axes x forward, y left would fit", "lidar": ": axes x right, y forward would fit"}
-        said = "" if frame is None else axes[frame]
+        axes_text = "" if frame is None else axes[frame]
         return Misreading(
-            "frame", f"{name}: as read {as_read:.2f}, turned {best:.2f} (error of the first step){said}", frame
+            "frame", f"{name}: as read {as_read:.2f}, turned {best:.2f} (error of the first step){axes_text}", frame
         )
     return f"as read {as_read:.2f}, best turned {best:.2f} ({int(chosen.sum())} samples)"
 

@@ -69,10 +69,10 @@ def read_result_pickle(path: Path) -> Any:
         raise RefusedFile("size", str(error)) from error
     if answer.kind != "value":
         raise RefusedFile("unknown", f"{path} is not a readable pickle ({': '.join(answer.parts)}); make it again")
-    found = answer.parts[0]
-    if isinstance(found, dict) and "value" in found:
-        return found["value"]
-    category, why = (found.get("wrong"), str(found.get("why"))) if isinstance(found, dict) else (None, "")
+    content = answer.parts[0]
+    if isinstance(content, dict) and "value" in content:
+        return content["value"]
+    category, why = (content.get("wrong"), str(content.get("why"))) if isinstance(content, dict) else (None, "")
     if category not in CATEGORIES:
         raise RefusedFile("unknown", f"{path} is not a readable pickle; make it again")
     if category == "class":
@@ -130,12 +130,12 @@ class _NotFiniteError(ValueError):
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    members = dict(pairs)
+    if len(members) < len(pairs):
         names: set[str] = set()
         twice = next(name for name, _ in pairs if name in names or names.add(name))  # type: ignore[func-returns-value]
         raise _NamedTwiceError(f"{one_line(twice, 80)!r} stands twice in one object")
-    return found
+    return members
 
 
 def _not_finite(text: str) -> NoReturn:

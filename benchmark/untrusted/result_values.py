@@ -276,8 +276,8 @@ class _Kept:
         if known is None:
             if depth > _FARTHEST_DOWN:
                 raise _TooDeep(f"its containers lie more than {self._limits.depth} deep")
-            found = self._container(value, depth)
-            self._known[id(value)] = known = (*found, value)
+            copied = self._container(value, depth)
+            self._known[id(value)] = known = (*copied, value)
         copy, count, height = known[:3]
         if count > self._limits.values:
             raise Unanswerable(f"it holds more than {self._limits.values} values")
@@ -297,15 +297,15 @@ class _Kept:
     def _dictionary(self, value: dict[Any, Any], depth: int, whole: bool) -> tuple[Any, int, int]:
         copy: dict[Any, Any] = {}
         parts = []
-        for key, held in value.items():
+        for key, member in value.items():
             if type(key) not in _PLAIN or (isinstance(key, str) and len(key) > self._limits.name_characters):
                 raise Unanswerable("it holds a key that is no short text")
             if not whole and (key not in _KEPT or key in _LONG):
                 parts.append((None, 1, 0))
-            elif key in _ALWAYS_PARTLY and type(held) is dict:
-                parts.append(self._dictionary(held, depth + 1, whole=False))
+            elif key in _ALWAYS_PARTLY and type(member) is dict:
+                parts.append(self._dictionary(member, depth + 1, whole=False))
             else:
-                parts.append(self.of(held, depth + 1))
+                parts.append(self.of(member, depth + 1))
             copy[key] = parts[-1][0]
         return copy, 1 + 2 * len(copy) + sum(part[1] for part in parts), 1 + _highest(parts)
 

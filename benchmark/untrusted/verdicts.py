@@ -33,24 +33,24 @@ def read_verdicts(path: Path, limits: Limits = VERDICTS) -> dict[str, dict[str, 
     kind = path.suffix.lower()
     if kind not in (".csv", ".json"):
         raise InputError(f"{path} is no file of verdicts; name a .csv or .json file")
-    found = _from_csv(path, limits) if kind == ".csv" else _from_json(path, limits)
-    for members in found.values():
-        said = members.get("verdict")
-        if isinstance(said, str):
-            members["verdict"] = _SAID.get(said.strip().lower(), said.strip().lower())
-    return found
+    verdicts = _from_csv(path, limits) if kind == ".csv" else _from_json(path, limits)
+    for members in verdicts.values():
+        verdict = members.get("verdict")
+        if isinstance(verdict, str):
+            members["verdict"] = _SAID.get(verdict.strip().lower(), verdict.strip().lower())
+    return verdicts
 
 
 def _from_json(path: Path, limits: Limits) -> dict[str, dict[str, Any]]:
     value = read_json(path, limits)
     if isinstance(value, dict) and "format" in value:
         value = value.get("verdicts")
-    if not isinstance(value, dict) or not all(isinstance(each, dict) for each in value.values()):
+    if not isinstance(value, dict) or not all(isinstance(members, dict) for members in value.values()):
         raise InputError(
             f'{path} must be an object of verdicts by name of the scene, such as {{"scene-0061-1a2b3c4d": '
             '{"verdict": "rejected", "reason": "drives through a kerb"}}; mend it'
         )
-    return {name: dict(each) for name, each in value.items()}
+    return {name: dict(members) for name, members in value.items()}
 
 
 def _from_csv(path: Path, limits: Limits) -> dict[str, dict[str, Any]]:
@@ -63,7 +63,7 @@ def _from_csv(path: Path, limits: Limits) -> dict[str, dict[str, Any]]:
         raise InputError(f"{path} is no CSV file ({one_line(error)}); make it again") from error
     if len(rows) > limits.values:
         raise InputError(f"{path} has more than {limits.values} lines; it is no file of verdicts")
-    found: dict[str, dict[str, Any]] = {}
+    verdicts: dict[str, dict[str, Any]] = {}
     for number, row in enumerate(rows, start=2):
         if not set(_NEEDED) <= row.keys() or not {str(name) for name in row} <= set(COLUMNS):
             raise InputError(
@@ -72,7 +72,7 @@ def _from_csv(path: Path, limits: Limits) -> dict[str, dict[str, Any]]:
             )
         members = {name: text.strip() for name, text in row.items() if text is not None and text.strip()}
         name = members.pop("scene", "")
-        if not name or name in found:
+        if not name or name in verdicts:
             raise InputError(f"{path} line {number} {'names a scene twice' if name else 'names no scene'}; correct it")
-        found[name] = members
-    return found
+        verdicts[name] = members
+    return verdicts

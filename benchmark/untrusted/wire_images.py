@@ -129,10 +129,10 @@ def _array(data: bytes, limits: Limits) -> NDArray[np.uint8]:
     if dtype != np.uint8 or columns_first:
         raise ValueError(f"is an array of {dtype}, not of uint8 row by row")
     _require_size(shape, limits)
-    found = np.frombuffer(data, np.uint8, offset=stream.tell())
-    if found.size != shape[0] * shape[1] * _COLOURS:
-        raise ValueError(f"is an array of {shape[0]} x {shape[1]} x {_COLOURS} with {found.size} bytes")
-    return found.reshape(shape)
+    pixels = np.frombuffer(data, np.uint8, offset=stream.tell())
+    if pixels.size != shape[0] * shape[1] * _COLOURS:
+        raise ValueError(f"is an array of {shape[0]} x {shape[1]} x {_COLOURS} with {pixels.size} bytes")
+    return pixels.reshape(shape)
 
 
 def _tensor(data: bytes, limits: Limits) -> NDArray[np.uint8]:
@@ -141,15 +141,15 @@ def _tensor(data: bytes, limits: Limits) -> NDArray[np.uint8]:
     _require_sound_archive(data, limits)
     # Damage that none of this sees is whatever the library makes of it.
     try:
-        found: Any = torch.load(io.BytesIO(data), weights_only=True, map_location="cpu")
+        tensor: Any = torch.load(io.BytesIO(data), weights_only=True, map_location="cpu")
     except Exception as error:
         raise ValueError("is a saved tensor that cannot be read") from error
-    if not isinstance(found, torch.Tensor) or found.dtype != torch.uint8 or found.layout is not torch.strided:
+    if not isinstance(tensor, torch.Tensor) or tensor.dtype != torch.uint8 or tensor.layout is not torch.strided:
         raise ValueError("is saved by PyTorch, and no dense tensor of bytes")
-    _require_size(tuple(found.shape), limits)
-    if found.device.type != "cpu" or found.untyped_storage().nbytes() < found.numel():
+    _require_size(tuple(tensor.shape), limits)
+    if tensor.device.type != "cpu" or tensor.untyped_storage().nbytes() < tensor.numel():
         raise ValueError("is a saved tensor that claims more numbers than it has")
-    return np.asarray(found.contiguous().numpy(), np.uint8)
+    return np.asarray(tensor.contiguous().numpy(), np.uint8)
 
 
 def _require_sound_archive(data: bytes, limits: Limits) -> None:
@@ -159,32 +159,32 @@ def _require_sound_archive(data: bytes, limits: Limits) -> None:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()
-            if len(members) > _MOST_MEMBERS or any(each.compress_type != zipfile.ZIP_STORED for each in members):
+            if len(members) > _MOST_MEMBERS or any(member.compress_type != zipfile.ZIP_STORED for member in members):
                 raise ValueError("packed or many members")
-            if sum(each.file_size for each in members) > limits.file_bytes:
+            if sum(member.file_size for member in members) > limits.file_bytes:
                 raise ValueError("large members")
-            pickles = [each for each in members if each.filename.endswith("data.pkl")]
+            pickles = [member for member in members if member.filename.endswith("data.pkl")]
             if len(pickles) != 1 or pickles[0].file_size > _PICKLE_BYTES:
                 raise ValueError("no short pickle")
-            asked = _names(archive.read(pickles[0]))
+            requested = _names(archive.read(pickles[0]))
             if damaged := archive.testzip():
                 raise ValueError(f"{damaged} fails its checksum")
     # What the archive or the pickle says of itself is a stranger's, and the library raises whatever it meets.
     except Exception as error:
         raise ValueError("is an archive, but no saved tensor of a picture") from error
-    if not asked <= _NAMES:
-        raise ValueError(f"is a saved tensor that asks for {min(asked - _NAMES)}, which no picture needs")
+    if not requested <= _NAMES:
+        raise ValueError(f"is a saved tensor that asks for {min(requested - _NAMES)}, which no picture needs")
 
 
 def _names(pickled: bytes) -> set[str]:
     """What a pickle names, without running it; names that are put together while it runs are no names of tensors."""
-    found = set()
+    names = set()
     for operation, argument, _ in pickletools.genops(pickled):
         if operation.name == "GLOBAL":
-            found.add(str(argument))
+            names.add(str(argument))
         elif operation.name in ("STACK_GLOBAL", "INST", "EXT1", "EXT2", "EXT4"):
-            found.add(operation.name)
-    return found
+            names.add(operation.name)
+    return names
 
 
 def _require_size(shape: tuple[int, ...], limits: Limits) -> None:

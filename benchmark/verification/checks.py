@@ -81,29 +81,29 @@ def _finite(number: float) -> float | None:
 
 def report(checks: Sequence[Check]) -> str:
     """Table of a row a quantity, with notes, how far rounding moves each where it is known, and a closing sentence."""
-    told = any(check.moved is not None for check in checks)
+    shows_rounding = any(check.moved is not None for check in checks)
     rows = [
         (
             check.verdict,
             check.quantity,
             f"{check.error:.3g}",
             f"{check.tolerance:.3g}",
-            *((f"{check.moved or 0.0:.3g}",) if told else ()),
+            *((f"{check.moved or 0.0:.3g}",) if shows_rounding else ()),
             f"{check.count:,}",
         )
         for check in checks
     ]
     failed, rounded = sum(not check.ok for check in checks), sum(check.rounding for check in checks)
-    said = f", {rounded} {ROUNDING}" if rounded else ""
+    rounding_note = f", {rounded} {ROUNDING}" if rounded else ""
     table = table_of(
         "checks",
         "",
-        ("", "quantity", "largest error", "allowed", *(("own rounding",) if told else ()), "values"),
+        ("", "quantity", "largest error", "allowed", *(("own rounding",) if shows_rounding else ()), "values"),
         rows,
         notes=[f"{check.quantity}: {check.note}." for check in checks if check.note],
         text_columns=2,
     )
-    return f"{table.plain()}{len(checks) - failed} of {counted(len(checks), 'quantity')} agree{said}"
+    return f"{table.plain()}{len(checks) - failed} of {counted(len(checks), 'quantity')} agree{rounding_note}"
 
 
 def _apart(sizes: list[NDArray[Any]], others: list[NDArray[Any]]) -> float:
@@ -228,12 +228,12 @@ class Comparison:
 
     def checks(self) -> list[Check]:
         """One for each quantity; where a failed one is largest is the first thing in its note."""
-        found = []
+        results = []
         for quantity, tally in self._tallies.items():
             check = Check(quantity, tally.error, tally.tolerance, tally.count)
             place = [f"worst in {tally.worst_in}"] if tally.worst_in and not check.ok else []
-            found.append(replace(check, note="; ".join([*place, *tally.notes])))
-        return found
+            results.append(replace(check, note="; ".join([*place, *tally.notes])))
+        return results
 
     def _kept(self, quantity: str, sizes: NDArray[Any], tolerance: float | None) -> _Tally:
         """Tally of a quantity of which some more is compared now."""

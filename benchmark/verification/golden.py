@@ -162,8 +162,8 @@ def one_sentence(path: Path, kind: str) -> Iterator[None]:
     try:
         yield
     except _DAMAGED as error:
-        what = f"{type(error).__name__}: {one_line(' '.join(str(error).split()))}"
-        raise InputError(f"{path} is no golden set of {kind}, or damaged ({what}): get it again") from error
+        reason = f"{type(error).__name__}: {one_line(' '.join(str(error).split()))}"
+        raise InputError(f"{path} is no golden set of {kind}, or damaged ({reason}): get it again") from error
 
 
 def golden_directory(golden: Path, kind: str, *names: str) -> Path:

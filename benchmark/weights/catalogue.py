@@ -101,12 +101,14 @@ class PublishedWeights:
 
 def checkpoint_of(name: str) -> PublishedWeights:
     """The published checkpoint of a planner, by file (``VAD_tiny.pth``) or by model (``vad-tiny``)."""
-    found = next((entry for entry in CHECKPOINTS if name in (entry.name, entry.files[0].name)), None)
-    if found is None:
+    checkpoint = next((entry for entry in CHECKPOINTS if name in (entry.name, entry.files[0].name)), None)
+    if checkpoint is None:
         known = ", ".join(f"{entry.name} ({entry.files[0].name})" for entry in CHECKPOINTS)
-        close = did_you_mean(name, [each for entry in CHECKPOINTS for each in (entry.name, entry.files[0].name)])
+        close = did_you_mean(
+            name, [known_name for entry in CHECKPOINTS for known_name in (entry.name, entry.files[0].name)]
+        )
         raise InputError(f"there is no official weights file {name!r}; {close}known are {known}")
-    return found
+    return checkpoint
 
 
 def _google_drive(model: str, name: str, identifier: str) -> PublishedWeights:

@@ -111,13 +111,13 @@ def _download(weights: PublishedWeights, file: PublishedFile, path: Path) -> Non
 
 def _receive(url: str, part: Path) -> None:
     tag_file = part.with_suffix(".tag")
-    kept = part.stat().st_size if part.is_file() and tag_file.is_file() else 0
+    received_bytes = part.stat().st_size if part.is_file() and tag_file.is_file() else 0
     request = urllib.request.Request(url)
-    if kept:
-        request.add_header("Range", f"bytes={kept}-")
+    if received_bytes:
+        request.add_header("Range", f"bytes={received_bytes}-")
         request.add_header("If-Range", tag_file.read_text())
     with urllib.request.urlopen(request, timeout=_TIMEOUT_S) as answer:
-        goes_on = kept > 0 and answer.status == _PARTIAL_CONTENT
+        goes_on = received_bytes > 0 and answer.status == _PARTIAL_CONTENT
         tag, announced = answer.headers.get("ETag", ""), answer.headers.get("Content-Length")
         received = 0
         with writing_to(part):
@@ -137,8 +137,8 @@ def _receive(url: str, part: Path) -> None:
 
 
 def _cannot_fetch(url: str, error: Exception, instead: str) -> InputError:
-    said = error.reason if isinstance(error, urllib.error.URLError) else error
-    reason = (str(said).splitlines() or [type(error).__name__])[0]
+    cause = error.reason if isinstance(error, urllib.error.URLError) else error
+    reason = (str(cause).splitlines() or [type(error).__name__])[0]
     return InputError(f"cannot fetch {url} ({reason}); {instead}")
 
 

@@ -60,12 +60,12 @@ def read_checkpoint(path: Path) -> Checkpoint:
     wrapped = all(name.startswith("module.") for name in stored.tensors)
     shared: dict[tuple[int, str], Tensor] = {}
     tensors = {}
-    for name, each in stored.tensors.items():
-        key = each.storage, each.number_type
+    for name, location in stored.tensors.items():
+        key = location.storage, location.number_type
         if key not in shared:
-            held = stored.storages[each.storage] if each.storage >= 0 else np.zeros(0, np.uint8)
-            shared[key] = _numbers(held, each.number_type, swapped=stored.big_endian)
-        tensors[name.removeprefix("module.") if wrapped else name] = _view(shared[key], each)
+            data = stored.storages[location.storage] if location.storage >= 0 else np.zeros(0, np.uint8)
+            shared[key] = _numbers(data, location.number_type, swapped=stored.big_endian)
+        tensors[name.removeprefix("module.") if wrapped else name] = _view(shared[key], location)
     return Checkpoint(tensors, stored.configuration)
 
 
@@ -208,22 +208,22 @@ def content_hash(weights: PublishedWeights, folder: Path) -> str:
         64 hexadecimal digits: of names, sizes, small files whole, and of large ones sixteen blocks of 256 KiB spread
         evenly from the first byte to the last.
     """
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for file in sorted(weights.files, key=lambda file: file.name):
         path = folder / file.name
         try:
             size = path.stat().st_size
-            found.update(canonical_json([file.name, size]).encode())
+            digest.update(canonical_json([file.name, size]).encode())
             with path.open("rb") as stream:
                 if size <= _READ_WHOLE_BYTES:
-                    found.update(stream.read())
+                    digest.update(stream.read())
                     continue
                 for block in range(_BLOCKS):
                     stream.seek((size - _BLOCK_BYTES) * block // (_BLOCKS - 1))
-                    found.update(stream.read(_BLOCK_BYTES))
+                    digest.update(stream.read(_BLOCK_BYTES))
         except OSError as error:
             raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-    return found.hexdigest()
+    return digest.hexdigest()
 
 
 def _put_in_place(folder: Path, target: Path) -> None:

@@ -30,16 +30,16 @@ class Library:
         Args:
             settings: Arguments of ``from_pretrained``; a network is loaded in single precision if they say nothing.
         """
-        made = getattr(self.imported(), kind)
+        loader = getattr(self.imported(), kind)
         # What `torch.device` concerns is listed once, at its first use. Transformers replaces one of these functions
         # (linspace) while it loads: a list made then would lack it for the rest of the process.
         with torch.device("cpu"):
             torch.empty(0)
         try:
-            if not issubclass(made, torch.nn.Module):
-                return made.from_pretrained(folder, local_files_only=True, **settings)
+            if not issubclass(loader, torch.nn.Module):
+                return loader.from_pretrained(folder, local_files_only=True, **settings)
             _require_sound_weights(folder)
-            found, report = made.from_pretrained(
+            network, report = loader.from_pretrained(
                 folder,
                 local_files_only=True,
                 output_loading_info=True,
@@ -59,7 +59,7 @@ class Library:
                 f"{missing[0]}); get them again "
                 "(challenger-bench weights list)"
             )
-        return found.eval()
+        return network.eval()
 
     def version(self) -> str:
         """Its version; raises `InputError` where it is not installed."""

@@ -33,10 +33,10 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], facts: Any, *, entr
         entry: Its name, which tells kinds of files apart.
     """
     # Each on its own: safetensors refuses tensors that share memory, as slices of one storage do.
-    held = {
+    contiguous = {
         name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format) for name, tensor in tensors.items()
     }
-    write_bytes(path, safetensors.torch.save(held, {entry: canonical_json(facts)}))
+    write_bytes(path, safetensors.torch.save(contiguous, {entry: canonical_json(facts)}))
 
 
 def read_tensors(

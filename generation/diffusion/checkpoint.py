@@ -62,19 +62,19 @@ def load_denoiser(path: Path) -> TrajectoryDenoiser:
     return denoiser.eval()
 
 
-def _config(path: Path, said: Any) -> DenoiserConfig:
+def _config(path: Path, stored: Any) -> DenoiserConfig:
     """Configuration of the network of a file, if there can be such a network."""
     kinds = {field.name: type(field.default) for field in fields(DenoiserConfig)}
     wrong = f"{path} says of its network what no trajectory denoiser is"
-    if not isinstance(said, dict) or not set(said) <= set(kinds):
+    if not isinstance(stored, dict) or not set(stored) <= set(kinds):
         raise InputError(f"{wrong}; fetch or make the file again")
-    for name, value in said.items():
+    for name, value in stored.items():
         known = type(value) is kinds[name] or (kinds[name] is float and type(value) is int)
         if not known or not 0 <= abs(value) <= _LARGEST_SIZE:
             raise InputError(f"{wrong} ({name} {str(value)[:40]!r}); fetch or make the file again")
-    if not 0 <= said.get("dropout", 0) < 1 or said.get("layers", 0) > _MOST_LAYERS:
+    if not 0 <= stored.get("dropout", 0) < 1 or stored.get("layers", 0) > _MOST_LAYERS:
         raise InputError(f"{wrong} (dropout or layers); fetch or make the file again")
-    return DenoiserConfig(**said)
+    return DenoiserConfig(**stored)
 
 
 def _require_same_shapes(path: Path, config: DenoiserConfig, tensors: Mapping[str, Tensor]) -> None:
@@ -90,7 +90,9 @@ def _require_same_shapes(path: Path, config: DenoiserConfig, tensors: Mapping[st
         ([n for n in expected if n in tensors and tensors[n].shape != expected[n].shape], "of another shape"),
         ([name for name, tensor in tensors.items() if tensor.is_complex()], "no real numbers"),
     )
-    differences = "; ".join(f"{len(names)} {what} (first: {one_line(names[0])})" for names, what in kinds if names)
+    differences = "; ".join(
+        f"{len(names)} {problem} (first: {one_line(names[0])})" for names, problem in kinds if names
+    )
     if differences:
         raise InputError(
             f"the weights in {path} do not fit the trajectory denoiser: of its tensors, {differences}; get the "

@@ -119,8 +119,8 @@ class ResidualNetwork(nn.Module):
         """`forward` where the `shifts` of the noise level are known."""
         known = noisy.flatten(1)
         if self.conditioned:
-            said = noisy.new_zeros(1, PRESENT_FEATURES) if present is None else present
-            known = torch.cat([known, said.expand(len(noisy), -1)], dim=1)
+            condition = noisy.new_zeros(1, PRESENT_FEATURES) if present is None else present
+            known = torch.cat([known, condition.expand(len(noisy), -1)], dim=1)
         features = self.encoder(known)
         for block, shift in zip(self.blocks, shifts, strict=True):
             features = block(features, shift)
@@ -316,14 +316,14 @@ class GaussianPreconditioner(nn.Module):
             return _Gaussian(self.mean, self.axes, self.variances)
         speed, known = known_speed(present)
         kinds = torch.bucketize(speed, self.edges, right=True)
-        told = (self.told_mean[kinds], self.told_axes[kinds], self.told_variances[kinds])
+        of_speed = (self.told_mean[kinds], self.told_axes[kinds], self.told_variances[kinds])
         if len(present) == 1 and bool(known):
-            return _Gaussian(*(part[0] for part in told))
-        everybody = (self.mean, self.axes, self.variances)
+            return _Gaussian(*(part[0] for part in of_speed))
+        of_all = (self.mean, self.axes, self.variances)
         return _Gaussian(
             *(
-                torch.where(known.view(-1, *[1] * whole.ndim), part, whole)
-                for part, whole in zip(told, everybody, strict=True)
+                torch.where(known.view(-1, *[1] * overall.ndim), part, overall)
+                for part, overall in zip(of_speed, of_all, strict=True)
             )
         )
 

@@ -103,8 +103,8 @@ class TrajectoryPrior:
             block: Trajectories of one network call, filled up where there are fewer; ``None`` asks for each search
                 alone, which suits a processor.
         """
-        asked = {"conditioned": settings.conditioned, "dropout": settings.dropout}
-        self._network = NetworkCalls(denoiser, device or torch.device("cpu"), block, **asked)
+        options = {"conditioned": settings.conditioned, "dropout": settings.dropout}
+        self._network = NetworkCalls(denoiser, device or torch.device("cpu"), block, **options)
         self._bank, self.settings, self.fingerprint = bank, settings, fingerprint
 
     @classmethod
@@ -212,8 +212,8 @@ class TrajectoryPrior:
                 drawn[index] = drawn[index].and_more(waypoints_from_actions(part, previous[index]), previous[index])
             wanted = {index: missing for index in wanted if (missing := drawn[index].missing(requests[index].count))}
         if not self.settings.drivable:
-            return [found.waypoints for found in drawn]
-        return [found.best(request.count) for found, request in zip(drawn, requests, strict=True)]
+            return [draws.waypoints for draws in drawn]
+        return [draws.best(request.count) for draws, request in zip(drawn, requests, strict=True)]
 
     def _from_noise(
         self, noise: Sequence[Tensor], rngs: Sequence[np.random.Generator], previous: Sequence[Floats]
@@ -253,9 +253,9 @@ class TrajectoryPrior:
         excess = motion(after, previous).excess
         bad = np.flatnonzero(excess > 0)
         worse = bad[excess[bad] > motion(before[bad], previous).excess]
-        kept = after.copy()
-        kept[worse] = before[worse]
-        return kept
+        merged = after.copy()
+        merged[worse] = before[worse]
+        return merged
 
     def _reverse(
         self,

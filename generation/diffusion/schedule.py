@@ -79,11 +79,11 @@ def reverse_step(
     Returns:
         (B, 16, 3) actions at ``target``.
     """
-    here = float(ALPHA_BARS[timestep])
-    there = 1.0 if target < 0 else float(ALPHA_BARS[target])
-    clean = ((noisy - (1.0 - here) ** 0.5 * predicted_noise) / here**0.5).clamp(-CLAMP, CLAMP)
-    spread: float = eta * ((1.0 - there) / (1.0 - here) * (1.0 - here / there)) ** 0.5
-    moved: Tensor = there**0.5 * clean + (1.0 - there - spread**2) ** 0.5 * predicted_noise
+    alpha_bar = float(ALPHA_BARS[timestep])
+    target_alpha_bar = 1.0 if target < 0 else float(ALPHA_BARS[target])
+    clean = ((noisy - (1.0 - alpha_bar) ** 0.5 * predicted_noise) / alpha_bar**0.5).clamp(-CLAMP, CLAMP)
+    spread: float = eta * ((1.0 - target_alpha_bar) / (1.0 - alpha_bar) * (1.0 - alpha_bar / target_alpha_bar)) ** 0.5
+    moved: Tensor = target_alpha_bar**0.5 * clean + (1.0 - target_alpha_bar - spread**2) ** 0.5 * predicted_noise
     return moved if fresh is None or spread == 0.0 else moved + spread * fresh
 
 
@@ -175,7 +175,7 @@ def solve(denoise: Denoise, noisy: Tensor, timesteps: Sequence[int]) -> Tensor:
             return clean
         step = float(ratios[target] - ratios[timestep])
         between = clean if before is None else clean + (0.5 * step / stepped) * (clean - before)
-        there, noise_there = signal_and_noise(target)
-        noisy = (noise_there / spread) * noisy - there * math.expm1(-step) * between
+        target_signal, target_noise = signal_and_noise(target)
+        noisy = (target_noise / spread) * noisy - target_signal * math.expm1(-step) * between
         before, stepped = clean, step
     return noisy

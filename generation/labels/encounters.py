@@ -43,18 +43,18 @@ class PathFrame:
     def of(cls, ego: Floats) -> Self:
         """The path of a recorded ego, (T, 5) body boxes, T >= 1."""
         centers = ego[:, :2]
-        kept = [0]
+        vertex_frames = [0]
         for frame in range(1, len(centers)):
-            if np.hypot(*(centers[frame] - centers[kept[-1]])) >= VERTEX_STEP_M:
-                kept.append(frame)
-        poses = ego[kept][:, [0, 1, 4]]
+            if np.hypot(*(centers[frame] - centers[vertex_frames[-1]])) >= VERTEX_STEP_M:
+                vertex_frames.append(frame)
+        poses = ego[vertex_frames][:, [0, 1, 4]]
         # The past is a drive in reverse: the same arc, left behind.
         before = _onwards(poses[::-1], backwards=True)[::-1]
         vertices = np.concatenate([before, poses[:, :2], _onwards(poses, backwards=False)])
         stations = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(vertices, axis=0).T))])
         stations -= stations[len(before)]
         # Segment k leads on from the k-th vertex; the first kept frame comes after those of the past.
-        segment = np.searchsorted(kept, np.arange(len(centers)), side="right") + len(before) - 1
+        segment = np.searchsorted(vertex_frames, np.arange(len(centers)), side="right") + len(before) - 1
         edge = np.diff(vertices, axis=0)[segment]
         length = np.hypot(edge[:, 0], edge[:, 1])
         along = ((centers - vertices[segment]) * edge).sum(axis=1) / length

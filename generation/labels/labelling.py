@@ -43,20 +43,20 @@ def describe(scene: Scene, agent: int, start: int) -> Labels:
         )
     # Where the vehicle is not there, its box is the nearest valid one and would count as standing.
     frames = start + np.flatnonzero(present[start:])
-    met = encounter(scene.ego.boxes, boxes, scene.seconds, present, start)
+    interaction = encounter(scene.ego.boxes, boxes, scene.seconds, present, start)
     closest = closest_approach(scene, agent, start)
     times = times_to_collision(scene, agent, start)[frames - start]
     soonest = int(np.argmin(times))
     reached: TimeToCollision | None = None
     if np.isfinite(times[soonest]):
         reached = TimeToCollision(seconds=float(times[soonest]), time_s=float(scene.seconds[frames[soonest]]))
-    occurred = occurrences(met)
+    occurred = occurrences(interaction)
     return Labels(
         manoeuvre=occurred[0].kind,
         occurred=occurred,
         closest_approach=closest,
         time_to_collision=reached,
-        encroachment=encroachment(met),
+        encroachment=encroachment(interaction),
         place=place_of(scene.road_map, scene.ego.boxes[closest.frame], boxes[closest.frame]),
     )
 

@@ -75,15 +75,15 @@ def occurrences(met: Encounter) -> tuple[Occurrence, ...]:
     about. Where there is none, the vehicle passed wide, or was distant. There is one entry a kind, the others in
     the order of `Manoeuvre`.
     """
-    found: dict[Manoeuvre, list[slice]] = {}
+    runs: dict[Manoeuvre, list[slice]] = {}
     for kind, run in (*_in_front(met), *_beside(met), *_behind(met)):
-        found.setdefault(kind, []).append(run)
-    nearest = {kind: min(_least_gap(met, run, HORIZON_S) for run in found[kind]) for kind in found}
+        runs.setdefault(kind, []).append(run)
+    nearest = {kind: min(_least_gap(met, run, HORIZON_S) for run in runs[kind]) for kind in runs}
     decisive = [kind for kind in Manoeuvre if nearest.get(kind, np.inf) <= float(met.gap.min()) + DECISIVE_M]
     if not decisive:
-        decisive = [_passing(met, found)]
-    kinds = sorted(found, key=lambda kind: (kind is not decisive[0], list(Manoeuvre).index(kind)))
-    return tuple(_occurrence(met, kind, found[kind]) for kind in kinds)
+        decisive = [_passing(met, runs)]
+    kinds = sorted(runs, key=lambda kind: (kind is not decisive[0], list(Manoeuvre).index(kind)))
+    return tuple(_occurrence(met, kind, runs[kind]) for kind in kinds)
 
 
 def encroachment(met: Encounter) -> Encroachment | None:
@@ -161,14 +161,14 @@ def _behind(met: Encounter) -> Iterator[tuple[Manoeuvre, slice]]:
         yield Manoeuvre.FOLLOWING, run
 
 
-def _passing(met: Encounter, found: dict[Manoeuvre, list[slice]]) -> Manoeuvre:
+def _passing(met: Encounter, runs: dict[Manoeuvre, list[slice]]) -> Manoeuvre:
     """Add what remains where nothing else is decisive."""
     near = list(_bouts(met, met.gap <= CLOSE_M))
     if near:
-        found[Manoeuvre.PASSING_WIDE] = near
+        runs[Manoeuvre.PASSING_WIDE] = near
         return Manoeuvre.PASSING_WIDE
     at = np.flatnonzero(met.present)
-    found[Manoeuvre.DISTANT] = [slice(int(at[0]), int(at[-1]) + 1)]
+    runs[Manoeuvre.DISTANT] = [slice(int(at[0]), int(at[-1]) + 1)]
     return Manoeuvre.DISTANT
 
 
@@ -198,8 +198,8 @@ def _succession(met: Encounter, run: slice) -> float:
     passed = np.searchsorted(np.maximum.accumulate(met.ego.rear), met.other.front[run])
     since = met.seconds[run] - met.seconds[np.minimum(passed, len(met.seconds) - 1)]
     # What the ego had passed before the first frame, it passed nobody knows when.
-    seen = (met.ego.rear[run] >= met.other.front[run]) & (passed > 0)
-    after = np.where(seen, np.maximum(since, 0.0), np.inf)
+    is_known = (met.ego.rear[run] >= met.other.front[run]) & (passed > 0)
+    after = np.where(is_known, np.maximum(since, 0.0), np.inf)
     before = np.where(met.ahead[run], met.meet_s[run], np.inf)
     return float(np.minimum(after, before).min())
 

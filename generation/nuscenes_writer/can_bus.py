@@ -276,9 +276,9 @@ def _summary(values: Floats, steps: Floats) -> dict[str, float]:
 
 def _route(path: Floats, spacing_m: float = 0.5) -> list[list[float]]:
     """The driven path about every half metre, as nuScenes' baseline route: a list of x and y."""
-    kept = [path[0]]
+    route = [path[0]]
     for point in path[1:]:
-        if np.hypot(*(point - kept[-1])) >= spacing_m:
-            kept.append(point)
-    kept.append(path[-1])
-    return [_plain(point) for point in kept]
+        if np.hypot(*(point - route[-1])) >= spacing_m:
+            route.append(point)
+    route.append(path[-1])
+    return [_plain(point) for point in route]

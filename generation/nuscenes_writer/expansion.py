@@ -162,13 +162,13 @@ def map_expansion(road_map: RoadMap) -> Row:
     writer.add_areas(road_map)
     for divider in road_map.dividers:
         writer.add_divider(divider)
-    kept = {name for name, lane in road_map.lanes.items() if writer.add_lane(lane)}
+    written_lanes = {name for name, lane in road_map.lanes.items() if writer.add_lane(lane)}
     connectivity = {
         name: {
-            "incoming": [other for other in road_map.lanes[name].predecessors if other in kept],
-            "outgoing": [other for other in road_map.lanes[name].successors if other in kept],
+            "incoming": [other for other in road_map.lanes[name].predecessors if other in written_lanes],
+            "outgoing": [other for other in road_map.lanes[name].successors if other in written_lanes],
         }
-        for name in sorted(kept)
+        for name in sorted(written_lanes)
     }
     return {
         "version": EXPANSION_VERSION,
@@ -294,8 +294,8 @@ _LANE_ENDS: Final = ((0, "start_pose"), (-1, "end_pose"))
 
 def _sound(shape: shapely.Geometry) -> list[Polygon]:
     """Valid polygons of a geometry, slivers below a square centimetre dropped."""
-    whole = shape if shape.is_valid else shapely.make_valid(shape)
-    return [piece for piece in as_multipolygon(whole).geoms if piece.area > 1e-4]
+    valid = shape if shape.is_valid else shapely.make_valid(shape)
+    return [piece for piece in as_multipolygon(valid).geoms if piece.area > 1e-4]
 
 
 def _largest(shape: shapely.Geometry) -> Polygon | None:

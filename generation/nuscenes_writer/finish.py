@@ -60,8 +60,8 @@ def finish_data_set(
         _write_root(plan, plan.data_root(variant), vocabulary, members, splits)
     _remove_left_overs(plan, roots)
     for variant, members in sorted(roots.items()):
-        made = _provenance(plan, members) | _left_out(plan, variant, sorted(roots))
-        write_json(plan.data_root(variant) / plan.version / PROVENANCE, made)
+        provenance = _provenance(plan, members) | _left_out(plan, variant, sorted(roots))
+        write_json(plan.data_root(variant) / plan.version / PROVENANCE, provenance)
 
 
 def _read_fragment(plan: DataSetPlan, key: str) -> Fragment:
@@ -80,11 +80,11 @@ def _require_distinct(members: Sequence[Fragment]) -> None:
         if name in names:
             raise InputError(f"two scenes are called {name}; give each its own name or use another variant")
         names.add(name)
-        for what, known in owners.items():
-            for item in fragment[what]:
+        for kind, known in owners.items():
+            for item in fragment[kind]:
                 if item in known:
                     raise InputError(
-                        f"{known[item]} and {name} share {what[:-1]} {item}; scenes of one data set need logs or times "
+                        f"{known[item]} and {name} share {kind[:-1]} {item}; scenes of one data set need logs or times "
                         "and instances of their own: rename their logs or identifiers"
                     )
                 known[item] = name
@@ -107,19 +107,19 @@ def _all_roots(plan: DataSetPlan, roots: Mapping[int, Any]) -> list[Path]:
 
 
 def _claims(plan: DataSetPlan) -> dict[Path, dict[str, Any]]:
-    found = {path: read_state(path) for path in sorted((plan.state / "claims").glob("*.json"))}
-    return {path: claim for path, claim in found.items() if claim is not None}
+    claims = {path: read_state(path) for path in sorted((plan.state / "claims").glob("*.json"))}
+    return {path: claim for path, claim in claims.items() if claim is not None}
 
 
 def _remove_stale(plan: DataSetPlan, roots: Mapping[int, Sequence[Fragment]]) -> None:
     """Remove scenes that are no longer part of the data set, and roots that have none left."""
-    kept = {fragment["key"] for members in roots.values() for fragment in members}
+    current_keys = {fragment["key"] for members in roots.values() for fragment in members}
     used = {
         plan.data_root(variant): frozenset(path for fragment in members for path in fragment["files"])
         for variant, members in roots.items()
     }
     for path, claim in _claims(plan).items():
-        if claim["key"] not in kept:
+        if claim["key"] not in current_keys:
             root = plan.data_root(claim["variant"])
             release_claim(plan, claim, used.get(root, frozenset()))
             with writing_to(path):
@@ -127,7 +127,7 @@ def _remove_stale(plan: DataSetPlan, roots: Mapping[int, Sequence[Fragment]]) ->
             if root not in used:
                 _remove_root(plan, root)
     maps = {fragment["map"] for members in roots.values() for fragment in members}
-    for folder, names in (("fragments", kept), ("judgements", kept), ("maps", maps)):
+    for folder, names in (("fragments", current_keys), ("judgements", current_keys), ("maps", maps)):
         for path in sorted((plan.state / folder).glob("*.json")):
             if path.stem not in names:
                 with writing_to(path):
@@ -189,7 +189,7 @@ def _provenance(plan: DataSetPlan, members: Sequence[Fragment]) -> dict[str, Any
         fragment["name"]: {name: fragment[name] for name in ("source_scene", "adversaries", "report")}
         for fragment in members
     }
-    made = {
+    provenance = {
         "schema": PROVENANCE_SCHEMA,
         "split": plan.split,
         "source": source,
@@ -197,21 +197,21 @@ def _provenance(plan: DataSetPlan, members: Sequence[Fragment]) -> dict[str, Any
         "scenes": scenes,
     }
     if plan.frozen is not None:
-        made["frozen"] = dict(zip(("name", "content"), plan.frozen, strict=True))
+        provenance["frozen"] = dict(zip(("name", "content"), plan.frozen, strict=True))
     if plan.search is not None:
-        made[SEARCH] = plan.search
-    return made
+        provenance[SEARCH] = plan.search
+    return provenance
 
 
 def _left_out(plan: DataSetPlan, variant: int, written: Sequence[int]) -> dict[str, Any]:
     """Facts on scenes that an inspector rejected: a root's own, and in the first one those of roots without any."""
-    said = {}
+    left_out = {}
     for number, judged in plan.left_out:
         own = plan.layout == "suffixed" or number == variant
         if own or (variant == written[0] and number not in written):
             name = judged.name.removeprefix(f"v{variant}/") if plan.layout == "per-variant" else judged.name
-            said[name] = {"token": judged.token, "reason": judged.reason}
-    return {LEFT_OUT: said} if said else {}
+            left_out[name] = {"token": judged.token, "reason": judged.reason}
+    return {LEFT_OUT: left_out} if left_out else {}
 
 
 def _remove_left_overs(plan: DataSetPlan, roots: Mapping[int, Any]) -> None:

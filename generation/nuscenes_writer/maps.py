@@ -208,11 +208,11 @@ def _copy_source_maps(plan: DataSetPlan, root: Path) -> frozenset[str]:
 
 def _files_below(folder: Path) -> Iterator[Path]:
     """Files in a folder, through linked folders, each folder once."""
-    seen = set()
+    visited = set()
     for parent, children, names in os.walk(folder, followlinks=True):
         real = os.path.realpath(parent)
-        if real in seen:
+        if real in visited:
             children.clear()
             continue
-        seen.add(real)
+        visited.add(real)
         yield from (Path(parent) / name for name in sorted(names) if not name.startswith("."))

@@ -86,8 +86,8 @@ class DataSetPlan:
     def __post_init__(self) -> None:
         if not 1 <= self.jpeg_quality <= 100:
             raise InputError(f"the JPEG quality must be 1 to 100, got {self.jpeg_quality}")
-        for what, name in (("version folder", self.version), ("split", self.split)):
-            require_plain_name(what, name)
+        for kind, name in (("version folder", self.version), ("split", self.split)):
+            require_plain_name(kind, name)
 
     @property
     def state(self) -> Path:

@@ -91,10 +91,10 @@ def merged(parts: Sequence[RoadMap]) -> RoadMap:
         on a canvas that holds everything.
     """
     if len(parts) == 1:
-        whole = parts[0]
+        road_map = parts[0]
     else:
         areas = [part.drivable_area for part in parts]
-        whole = RoadMap(
+        road_map = RoadMap(
             location=parts[0].location,
             drivable_area=as_multipolygon(shapely.union_all(areas, grid_size=_SNAP_M)),
             lanes=_merged_lanes(parts),
@@ -103,7 +103,7 @@ def merged(parts: Sequence[RoadMap]) -> RoadMap:
             canvas_m=(max(part.canvas_m[0] for part in parts), max(part.canvas_m[1] for part in parts)),
             **{layer: _merged_polygons(getattr(part, layer) for part in parts) for layer in _POLYGON_LAYERS},
         )
-    return replace(whole, canvas_m=_canvas(whole))
+    return replace(road_map, canvas_m=_canvas(road_map))
 
 
 _POLYGON_LAYERS = ("ped_crossings", "walkways", "road_segments", "stop_lines", "carparks", "road_blocks")
@@ -122,39 +122,39 @@ def _canvas(road_map: RoadMap) -> tuple[float, float]:
 
 
 def _merged_lanes(parts: Sequence[RoadMap]) -> dict[str, Lane]:
-    found: dict[str, Lane] = {}
+    lanes: dict[str, Lane] = {}
     for part in parts:
         for name, lane in part.lanes.items():
-            known = found.get(name)
+            known = lanes.get(name)
             if known is None:
-                found[name] = lane
+                lanes[name] = lane
                 continue
             longer = max(known, lane, key=lambda candidate: _length(candidate.centerline))
-            found[name] = replace(
+            lanes[name] = replace(
                 longer,
                 successors=tuple(sorted({*known.successors, *lane.successors})),
                 predecessors=tuple(sorted({*known.predecessors, *lane.predecessors})),
             )
-    return dict(sorted(found.items()))
+    return dict(sorted(lanes.items()))
 
 
 def _merged_dividers(parts: Sequence[RoadMap]) -> tuple[Divider, ...]:
-    found: dict[str, Divider] = {}
+    dividers: dict[str, Divider] = {}
     for part in parts:
         for divider in part.dividers:
-            known = found.get(divider.identifier)
+            known = dividers.get(divider.identifier)
             if known is None or _length(divider.line) > _length(known.line):
-                found[divider.identifier] = divider
-    return tuple(found[name] for name in sorted(found))
+                dividers[divider.identifier] = divider
+    return tuple(dividers[name] for name in sorted(dividers))
 
 
 def _merged_polygons(layers: Iterable[dict[str, Polygon]]) -> dict[str, Polygon]:
-    found: dict[str, Polygon] = {}
+    polygons: dict[str, Polygon] = {}
     for layer in layers:
         for name, shape in layer.items():
-            if name not in found or shape.area > found[name].area:
-                found[name] = shape
-    return dict(sorted(found.items()))
+            if name not in polygons or shape.area > polygons[name].area:
+                polygons[name] = shape
+    return dict(sorted(polygons.items()))
 
 
 def _length(line: Any) -> float:

@@ -105,11 +105,11 @@ def written_scene(
         sensor_files += [_lossless(path) for path in sensor_files if path.endswith(".jpg")]
     claim_files(plan, key, variant, name, [*sensor_files, *messages])
     root = plan.data_root(variant)
-    there = _pictures_there(plan, key, variant, name)
+    existing_pictures = _pictures_there(plan, key, variant, name)
     for path, data in messages.items():
         write_bytes(root / path, data, durable=False)
     _write_lidar_files(root, names, scene, channels, frames)
-    _write_images(plan, root, names, scene, channels, frames, there)
+    _write_images(plan, root, names, scene, channels, frames, existing_pictures)
     if plan.pictures == "keyframes":
         sensor_files = [path for path in sensor_files if not _is_sweep_image(path)]
     fragment = {
@@ -225,9 +225,9 @@ def require_sound(scene: Scene) -> None:
         "annotated rotations": scene.annotations.rotation[known],
         "annotated sizes": scene.annotations.size[known],
     }
-    for what, values in checked.items():
+    for quantity, values in checked.items():
         if not np.isfinite(values).all():
-            raise InputError(f"{scene.name}: the {what} hold NaN or infinity; repair the recording or leave it out")
+            raise InputError(f"{scene.name}: the {quantity} hold NaN or infinity; repair the recording or leave it out")
     if (checked["annotated sizes"] <= 0).any():
         raise InputError(f"{scene.name}: an annotated size is not positive; repair the recording or leave it out")
 
@@ -257,17 +257,19 @@ def _write_lidar_files(
 
 def _write_images(
     plan: DataSetPlan, root: Path, names: SceneNames, scene: Scene, channels: Sequence[Channel], frames: Sequence[int],
-    there: frozenset[str],
+    existing_pictures: frozenset[str],
 ) -> None:  # fmt: skip
     """Draw and write the images that a plan wants of a scene and that are not there."""
     cameras = [channel for channel in channels if channel.camera is not None]
     if plan.renderer is None or not cameras:
         return
     wanted = frames if plan.pictures == "all" else scene.keyframes.tolist()
-    open_frames = [frame for frame in wanted if any(_file_of(names, scene, one, frame) not in there for one in cameras)]
+    open_frames = [
+        frame for frame in wanted if any(_file_of(names, scene, one, frame) not in existing_pictures for one in cameras)
+    ]
     drawn = plan.renderer.render(scene, open_frames)
-    told = progress(drawn, total=len(open_frames), label=scene.name, count=Count("frame"))
-    for frame, images in zip(open_frames, told, strict=True):
+    rendered = progress(drawn, total=len(open_frames), label=scene.name, count=Count("frame"))
+    for frame, images in zip(open_frames, rendered, strict=True):
         for channel in cameras:
             path, image = root / _file_of(names, scene, channel, frame), _checked(channel, images)
             if plan.lossless:

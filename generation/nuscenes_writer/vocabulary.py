@@ -136,8 +136,8 @@ def _rows(table: str, words: Mapping[str, str]) -> list[Row]:
 
 def _numbered(own: Mapping[str, Row]) -> dict[str, Row]:
     """Categories in nuScenes' order: the source's rows where it has them."""
-    made = {name: _rows("category", {name: _CATEGORY_WORDS[name]})[0] for name in NUMBERED_CATEGORIES}
-    return {**made, **own}
+    numbered = {name: _rows("category", {name: _CATEGORY_WORDS[name]})[0] for name in NUMBERED_CATEGORIES}
+    return {**numbered, **own}
 
 
 def _visibility_rows() -> list[Row]:
@@ -153,10 +153,10 @@ def _table_folder(source: SourceInfo | None) -> Path | None:
         return None
     if source.version is not None:
         return source.root / source.version
-    found = version_folders(source.root)
-    if len(found) > 1:
-        raise InputError(f"{source.root} has several versions ({', '.join(found)}); say which one is the source")
-    return source.root / found[0] if found else None
+    versions = version_folders(source.root)
+    if len(versions) > 1:
+        raise InputError(f"{source.root} has several versions ({', '.join(versions)}); say which one is the source")
+    return source.root / versions[0] if versions else None
 
 
 def _read(folder: Path | None, table: str) -> list[Row]:

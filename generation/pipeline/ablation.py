@@ -69,7 +69,7 @@ def ablation_estimate(source: DataSet, planner: PlannerUnderTest, settings: Buil
     Arguments and errors as of `ablate`.
     """
     reports = [estimate_build(source, "adv", _settings_of(variant, settings, planner)) for variant in VARIANTS]
-    return "\n".join(f"{variant.label}: {said.sentence()}" for variant, said in zip(VARIANTS, reports, strict=True))
+    return "\n".join(f"{variant.label}: {report.sentence()}" for variant, report in zip(VARIANTS, reports, strict=True))
 
 
 def _settings_of(variant: Variant, settings: BuildSettings, planner: PlannerUnderTest) -> BuildSettings:
@@ -123,7 +123,7 @@ def _counted(
     seed: int,
 ) -> AblationRow:
     """Numbers of one variant, by recorded scene first: variants of one recording are resampled together."""
-    scene_of = {each.written: each.scene for each in attempts if each.written is not None}
+    scene_of = {attempt.written: attempt.scene for attempt in attempts if attempt.written is not None}
     colliding: Counter[str] = Counter()
     judged: Counter[str] = Counter()
     for row in () if record is None else record.rows:
@@ -131,12 +131,16 @@ def _counted(
         if outcome.counted and outcome.collision is not None and not outcome.cut_short:
             judged[scene_of[row.scene]] += 1
             colliding[scene_of[row.scene]] += any(outcome.collision)
-    tried = Counter(each.scene for each in attempts)
+    attempt_counts = Counter(attempt.scene for attempt in attempts)
     scenes = sorted(samples)
     above = np.array([[float(colliding[scene])] * 2 for scene in scenes]).reshape(-1, 2)
-    below = np.array([[float(tried[scene] * samples[scene]), float(judged[scene])] for scene in scenes]).reshape(-1, 2)
+    below = np.array(
+        [[float(attempt_counts[scene] * samples[scene]), float(judged[scene])] for scene in scenes]
+    ).reshape(-1, 2)
     of_tried, of_kept = ratios_over_scenes(above, below, scenes, seed=seed)
-    gaps = [each.closest_approach.gap_m for each in attempts if each.kept and each.closest_approach is not None]
+    gaps = [
+        attempt.closest_approach.gap_m for attempt in attempts if attempt.kept and attempt.closest_approach is not None
+    ]
     return AblationRow(
         name=variant.name,
         attempted=report.tried,

@@ -51,7 +51,7 @@ class RuntimeTable(Runtime):
             "runtime",
             f"processor seconds of {counted(self.attempts, 'attempt')} and {counted(self.scenes, 'scene')}",
             ("stage", "total", "each", "paper"),
-            [(name, *("-" if each is None else f"{each:.2f}" for each in seconds)) for name, *seconds in rows],
+            [(name, *("-" if value is None else f"{value:.2f}" for value in seconds)) for name, *seconds in rows],
             notes=(
                 "each: one attempt, rendering one scene; paper: quoted, seconds by the clock for one scene on two Xeon "
                 "8457C and four L20, rendered by MagicDriveDiT.",
@@ -80,25 +80,25 @@ def kept_runtime(state: Path, timings: Path) -> RuntimeTable | None:
     """
     attempts = sorted((timings / "attempts").glob("*.timing.json"))
     written = sorted((state / "fragments").glob("*.json"))
-    found = runtime_table(attempts, [timings / "rendering" / f"{path.stem}.timing.json" for path in written])
-    return found if found.attempts or found.scenes else None
+    runtime = runtime_table(attempts, [timings / "rendering" / f"{path.stem}.timing.json" for path in written])
+    return runtime if runtime.attempts or runtime.scenes else None
 
 
 def mean_seconds(notes: Sequence[Path]) -> float | None:
     """Mean over notes of all stages together, ``None`` where there is no note."""
-    found = _notes(notes)
-    return sum(sum(note.seconds.values()) for note in found) / len(found) if found else None
+    stage_times = _notes(notes)
+    return sum(sum(note.seconds.values()) for note in stage_times) / len(stage_times) if stage_times else None
 
 
 def _notes(paths: Iterable[Path]) -> list[_Note]:
-    found = []
+    stage_times = []
     for path in paths:
         try:
-            found.append(_Note.model_validate(read_kept_json(path)))
+            stage_times.append(_Note.model_validate(read_kept_json(path)))
         except ValidationError:
             # Times are a convenience; a damaged or absent note says nothing.
             continue
-    return found
+    return stage_times
 
 
 KEPT_SHARE = 0.4
@@ -127,13 +127,13 @@ class Estimate:
     def sentence(self) -> str:
         """For people."""
         parts = []
-        for what, unit, count, each, workers in (
+        for work, unit, count, unit_s, workers in (
             ("planning", "attempt", self.attempts, self.attempt_s, self.workers),
             ("rendering", "scene", self.scenes, self.scene_s, self.renderers),
         ):
-            if count and each:
-                time_left = duration(count * each / (workers or 1))
-                parts.append((f"{time_left} of {what} ({counted(count, unit)} at {duration(each)})", _on(workers)))
+            if count and unit_s:
+                time_left = duration(count * unit_s / (workers or 1))
+                parts.append((f"{time_left} of {work} ({counted(count, unit)} at {duration(unit_s)})", _on(workers)))
         if not parts:
             return "about no time"
         if self.workers == self.renderers:
@@ -223,8 +223,8 @@ def rendering_estimate(
     few = [int(frame) for frame in scene.keyframes[:4]]
     one, some = (_seconds(functools.partial(_draw, renderer, scene, frames)) for frames in (few[:1], few))
     # What a scene costs before its first picture is drawn is not paid again for each.
-    each = (some - one) / (len(few) - 1) if len(few) > 1 else one
-    return one + max(each, 0.0) * (count - 1)
+    frame_s = (some - one) / (len(few) - 1) if len(few) > 1 else one
+    return one + max(frame_s, 0.0) * (count - 1)
 
 
 def _draw(renderer: Renderer, scene: Scene, frames: Sequence[int]) -> None:
@@ -240,6 +240,6 @@ def workers_of(executor: Executor) -> int | None:
 def _seconds(work: Callable[[], object]) -> float:
     """Processor seconds of a piece of work, after a first time that does not count."""
     work()
-    begun = time.process_time()
+    start = time.process_time()
     work()
-    return time.process_time() - begun
+    return time.process_time() - start

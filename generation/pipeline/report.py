@@ -87,9 +87,11 @@ class BuildReport:
         adversaries: int,
     ) -> "BuildReport":
         """The report on a finished search for adversaries."""
-        discarded = Counter(each.attempt.discard for each in found.tried if each.attempt.discard is not None)
+        discarded = Counter(
+            attempted.attempt.discard for attempted in found.tried if attempted.attempt.discard is not None
+        )
         # Later looks at the same scene, with adversaries in it, are in candidates.jsonl.
-        first_looks = [seen for earlier, seen in found.eligibility if not earlier]
+        first_looks = [vehicles for earlier, vehicles in found.eligibility if not earlier]
         return cls(
             split="adv",
             scenes=scenes,
@@ -148,17 +150,21 @@ class BuildReport:
     def _summary(self) -> str:
         if self.dry_run or self.split == "val-r":
             return self.sentence()
-        kept = self.tried - sum(self.discarded.values()) - sum(self.dropped.values())
-        rows = [("written", kept, f"in {counted(len(self.written), 'scene')}")]
-        for what, counts in (("discarded", self.discarded), ("not kept", self.dropped), ("not tried", self.not_tried)):
+        written_count = self.tried - sum(self.discarded.values()) - sum(self.dropped.values())
+        rows = [("written", written_count, f"in {counted(len(self.written), 'scene')}")]
+        for outcome, counts in (
+            ("discarded", self.discarded),
+            ("not kept", self.dropped),
+            ("not tried", self.not_tried),
+        ):
             rows += [
-                (what, count, reason) for reason, count in sorted(counts.items(), key=lambda row: (-row[1], row[0]))
+                (outcome, count, reason) for reason, count in sorted(counts.items(), key=lambda row: (-row[1], row[0]))
             ]
         lines = [
             f"{counted(self.scenes, 'scene')}, {counted(self.tried, 'vehicle')} tried, "
             f"{counted(len(self.written), 'scene')} written"
         ]
-        lines += [f"  {what:<9} {count:>7}  {reason}" for what, count, reason in rows]
+        lines += [f"  {outcome:<9} {count:>7}  {reason}" for outcome, count, reason in rows]
         if self.unsolvable is not None:
             lines.append(
                 f"  scenes that nobody could have avoided: {self.unsolvable['dropped']} dropped for it, "
@@ -180,13 +186,13 @@ class BuildReport:
         return "\n".join(lines)
 
 
-def _requests(found: SearchResult, written: Sequence[Chain]) -> dict[str, dict[str, int]]:
+def _requests(result: SearchResult, written: Sequence[Chain]) -> dict[str, dict[str, int]]:
     """Counts of how often each kind was asked for, tried, kept and written."""
-    kept = Counter(tried.unit.asked for tried in found.tried if tried.attempt.kept)
+    kept = Counter(attempted.unit.asked for attempted in result.tried if attempted.attempt.kept)
     wrote = Counter(link.unit.asked for chain in written for link in chain.links)
     return {
-        kind.value: {"asked": each.vehicles, "tried": each.tried, "kept": kept[kind], "written": wrote[kind]}
-        for kind, each in found.requests.items()
+        kind.value: {"asked": request.vehicles, "tried": request.tried, "kept": kept[kind], "written": wrote[kind]}
+        for kind, request in result.requests.items()
     }
 
 
@@ -196,8 +202,8 @@ def estimate_build(source: DataSet, split: str, settings: BuildSettings) -> Buil
     if split != "val-r":
         search = search_of(source, names, settings)
         return replace(_search_estimate(source, search, names, settings), split=split)
-    each, workers = _rendering_seconds(source, names, settings), workers_of(settings.where_rendered)
-    about = Estimate(0, 0.0, len(names), each, workers, workers)
+    scene_s, workers = _rendering_seconds(source, names, settings), workers_of(settings.where_rendered)
+    about = Estimate(0, 0.0, len(names), scene_s, workers, workers)
     skipped = unlabelled_scenes(source, settings)
     return BuildReport("val-r", len(names), estimate=about, dry_run=True, unlabelled=skipped)
 
@@ -208,7 +214,7 @@ def _search_estimate(source: DataSet, search: Search, names: Sequence[str], sett
     units = [unit for _, of_scene in chosen for unit in of_scene]
     with_rounds = settings.keep_rounds and settings.adversaries == 1
     left = [unit for unit in units if kept_attempt(search, unit, with_rounds=with_rounds) is None]
-    count, each = planning_estimate(search, units, left, source.scene, settings.adversaries)
+    count, attempt_s = planning_estimate(search, units, left, source.scene, settings.adversaries)
     expected = round(KEPT_SHARE * len(units))
     for most in (settings.per_scene, settings.variants):
         expected = expected if most is None else min(expected, most * len(names))
@@ -216,13 +222,13 @@ def _search_estimate(source: DataSet, search: Search, names: Sequence[str], sett
         expected = min(expected, settings.total)
     scene_s = _rendering_seconds(source, names, settings)
     planners, renderers = workers_of(settings.executor), workers_of(settings.where_rendered)
-    about = Estimate(count, each, expected, scene_s, planners, renderers)
+    about = Estimate(count, attempt_s, expected, scene_s, planners, renderers)
     return BuildReport(
         "adv",
         len(names),
         len(units),
         len(units) - len(left),
-        not_tried=not_tried_together([seen for seen, _ in chosen]),
+        not_tried=not_tried_together([vehicles for vehicles, _ in chosen]),
         adversaries=settings.adversaries,
         estimate=about,
         dry_run=True,

@@ -17,9 +17,9 @@ def said_settings(root: Path, made: Mapping[str, Any] | None) -> dict[str, Any]:
         Those in ``search.json`` of a root that was searched. A frozen split says the hash of its settings alone: for a
         packaged one, those of the default or of a preset that have this hash. Empty where neither is known.
     """
-    said = read_kept_json(root / "search.json")
-    if isinstance(said, dict) and isinstance(said.get("hyper"), dict):
-        return {name: value for name, value in said["hyper"].items() if isinstance(value, bool | int | float | str)}
+    recorded = read_kept_json(root / "search.json")
+    if isinstance(recorded, dict) and isinstance(recorded.get("hyper"), dict):
+        return {name: value for name, value in recorded["hyper"].items() if isinstance(value, bool | int | float | str)}
     frozen = made.get("frozen") if made is not None else None
     name = frozen.get("name") if isinstance(frozen, dict) else None
     if name not in packaged_splits():

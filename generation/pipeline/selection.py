@@ -34,15 +34,20 @@ def distance(first: Tried, second: Tried) -> float:
         (1 where they never act together), and 1 more where their primary manoeuvres are of different kinds.
     """
     tracks, starts = [], []
-    for each in (first, second):
-        tracks.append(np.array(each.stored.poses, dtype=np.float64).reshape(-1, 3)[:, :2])
-        starts.append(each.attempt.launch_frame or 0)
+    for attempted in (first, second):
+        tracks.append(np.array(attempted.stored.poses, dtype=np.float64).reshape(-1, 3)[:, :2])
+        starts.append(attempted.attempt.launch_frame or 0)
     begin, end = max(starts), min(start + len(track) for start, track in zip(starts, tracks, strict=True))
     apart = 1.0
     if begin < end:
-        here, there = (track[begin - start : end - start] for start, track in zip(starts, tracks, strict=True))
-        apart = float(np.minimum(np.linalg.norm(here - there, axis=1) / FAR_M, 1.0).mean())
-    kinds = {None if each.attempt.labels is None else each.attempt.labels.manoeuvre for each in (first, second)}
+        first_track, second_track = (
+            track[begin - start : end - start] for start, track in zip(starts, tracks, strict=True)
+        )
+        apart = float(np.minimum(np.linalg.norm(first_track - second_track, axis=1) / FAR_M, 1.0).mean())
+    kinds = {
+        None if attempted.attempt.labels is None else attempted.attempt.labels.manoeuvre
+        for attempted in (first, second)
+    }
     return apart + (len(kinds) - 1)
 
 
@@ -52,7 +57,7 @@ def differing(order: Sequence[Chain], most: int) -> list[Chain]:
     The most challenging one comes first; then, again and again, the one whose least `distance` to those that are
     kept is largest. Scenes with several adversaries are compared link by link.
     """
-    kept: set[str] = set()
+    selected: set[str] = set()
     for scene in dict.fromkeys(chain.scene_name for chain in order):
         rest = [chain for chain in order if chain.scene_name == scene]
         chosen = [rest.pop(0)]
@@ -60,8 +65,8 @@ def differing(order: Sequence[Chain], most: int) -> list[Chain]:
             least = [min(_apart(chain, other) for other in chosen) for chain in rest]
             # The first of equals is the more challenging one.
             chosen.append(rest.pop(int(np.argmax(least))))
-        kept.update(chain.name for chain in chosen)
-    return [chain for chain in order if chain.name in kept]
+        selected.update(chain.name for chain in chosen)
+    return [chain for chain in order if chain.name in selected]
 
 
 def _apart(first: Chain, second: Chain) -> float:
@@ -80,11 +85,11 @@ def rejected_jobs(
         By name of the job: the variant, and what was said, under the name in the data set.
     """
     verdicts = read_review(plan.root)
-    found = {}
+    rejected = {}
     for job in jobs:
         name = job.name_read(plan)
-        said = verdicts.get(name)
-        if said is None or said.verdict != REJECTED:
+        verdict = verdicts.get(name)
+        if verdict is None or verdict.verdict != REJECTED:
             continue
         scene = job.make(read(job.source_scene))
         names = SceneNames.of(
@@ -96,9 +101,9 @@ def rejected_jobs(
             identity=job.identity,
         )
         token = names.token("scene")
-        if token == said.token:
-            found[job.name] = job.variant, Judged(name, token, REJECTED, said.reason)
-    return found
+        if token == verdict.token:
+            rejected[job.name] = job.variant, Judged(name, token, REJECTED, verdict.reason)
+    return rejected
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,8 +141,8 @@ def select(source: DataSet, plan: DataSetPlan, found: SearchResult, settings: Bu
     order = [chain for chain in order if chain.name not in rejected]
     left_out = tuple(rejected.values())
     if settings.surrogate is None or not order:
-        kept = _most_challenging(found, order, settings)
-        return Selection(kept, [by_name[chain.name] for chain in kept], left_out=left_out)
+        selected = _most_challenging(found, order, settings)
+        return Selection(selected, [by_name[chain.name] for chain in selected], left_out=left_out)
     staging, jobs = staging_plan(plan, settings.surrogate), [by_name[chain.name] for chain in order]
     keys = write_scenes(
         staging,
@@ -155,28 +160,28 @@ def select(source: DataSet, plan: DataSetPlan, found: SearchResult, settings: Bu
             failing.append(chain)
         else:
             found.drop(chain, Dropped.SURROGATE_COPES)
-    kept = _most_challenging(found, failing, settings)
+    selected = _most_challenging(found, failing, settings)
     staged = {job.name: key for job, key in zip(jobs, keys, strict=True)}
-    return Selection(kept, [by_name[chain.name] for chain in kept], judgement, staging, staged, left_out)
+    return Selection(selected, [by_name[chain.name] for chain in selected], judgement, staging, staged, left_out)
 
 
-def _most_challenging(found: SearchResult, chains: Sequence[Chain], settings: BuildSettings) -> list[Chain]:
+def _most_challenging(result: SearchResult, chains: Sequence[Chain], settings: BuildSettings) -> list[Chain]:
     apart = chains if settings.variants is None else differing(chains, settings.variants)
-    kept = ranked(apart, per_scene=settings.per_scene, total=settings.total)
-    names = {chain.name for chain in kept}
+    selected = ranked(apart, per_scene=settings.per_scene, total=settings.total)
+    names = {chain.name for chain in selected}
     for chain in chains:
         if chain.name not in names:
-            found.drop(chain, Dropped.BEYOND_LIMIT)
-    return kept
+            result.drop(chain, Dropped.BEYOND_LIMIT)
+    return selected
 
 
 def writing_jobs(chains: Sequence[Chain], plan: DataSetPlan) -> list[WritingJob]:
     """Jobs of generated scenes: names that do not depend on the rank, variant numbers that do."""
-    seen: dict[str, int] = {}
+    next_variant: dict[str, int] = {}
     jobs = []
     for chain in chains:
-        variant = seen.get(chain.scene_name, 0)
-        seen[chain.scene_name] = variant + 1
+        variant = next_variant.get(chain.scene_name, 0)
+        next_variant[chain.scene_name] = variant + 1
         written_as = chain.scene_name if plan.layout == "per-variant" else chain.name
         jobs.append(
             WritingJob(

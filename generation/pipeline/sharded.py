@@ -49,13 +49,13 @@ def build_shard(source: DataSet, split: str, settings: BuildSettings, shard: Sha
         plan, jobs, files = originals(source, names, settings)
         return _drawn(source, plan, shard.part(jobs), len(jobs), files, settings)
     search = search_of(source, names, settings)
-    made = _all_searched(source, split, search, names, settings)
-    if made is None:
+    prepared = _all_searched(source, split, search, names, settings)
+    if prepared is None:
         mine = shard.part(names)
         searched(source, search, mine, settings, keep=True)
         return BuiltShard("searched", FinishedShard(settings.out, len(mine), len(names)))
-    jobs = made.chosen.jobs
-    return _drawn(source, made.plan, shard.part(jobs), len(jobs), made.files, settings)
+    jobs = prepared.chosen.jobs
+    return _drawn(source, prepared.plan, shard.part(jobs), len(jobs), prepared.files, settings)
 
 
 def draw_frozen_shard(

@@ -113,27 +113,27 @@ def selected(
 
     ``keep`` says whether choices of vehicles are written.
     """
-    found = searched(source, search, names, settings, keep=keep)
+    result = searched(source, search, names, settings, keep=keep)
     plan = _plan(source, split, settings)
-    chosen = select(source, plan, found, settings)
-    said = None if chosen.judgement is None else chosen.judgement.as_json(settings.out)
-    report = BuildReport.of(len(names), found, chosen.chains, said, settings.adversaries)
+    chosen = select(source, plan, result, settings)
+    surrogate = None if chosen.judgement is None else chosen.judgement.as_json(settings.out)
+    report = BuildReport.of(len(names), result, chosen.chains, surrogate, settings.adversaries)
     report = replace(report, split=split, unlabelled=unlabelled_scenes(source, settings))
-    files = _report_files(report, found, chosen.chains)
+    files = _report_files(report, result, chosen.chains)
     files["search.json"] = (canonical_json(search.as_json(), indent=1) + "\n").encode()
     plan = replace(plan, left_out=chosen.left_out)
     if seed_of(split) is not None:
         how = _choice(report, settings, plan.left_out)
         plan = replace(plan, search=search_hash(search_facts(search), how, settings.adversaries))
-    return Selected(found, chosen, plan, report, files)
+    return Selected(result, chosen, plan, report, files)
 
 
 def _build_adversarial(
     source: DataSet, split: str, search: Search, names: Sequence[str], settings: BuildSettings
 ) -> BuildReport:
-    made = selected(source, split, search, names, settings)
-    found, chosen, plan, report = made.found, made.chosen, made.plan, made.report
-    publish_reports(settings.out, made.files)
+    prepared = selected(source, split, search, names, settings)
+    result, chosen, plan, report = prepared.found, prepared.chosen, prepared.plan, prepared.report
+    publish_reports(settings.out, prepared.files)
     if not chosen.jobs:
         withdraw(settings.out)
         raise NothingSurvivedError(
@@ -145,7 +145,9 @@ def _build_adversarial(
     if settings.freeze is not None:
         how = _choice(report, settings, plan.left_out)
         write_frozen(settings.freeze, freeze(source, plan, chosen.chains, search, how, settings.where_rendered))
-    return replace(report, runtime=runtime_table([search.timing_path(tried.unit) for tried in found.tried], notes))
+    return replace(
+        report, runtime=runtime_table([search.timing_path(attempted.unit) for attempted in result.tried], notes)
+    )
 
 
 def _what_to_do(report: BuildReport, settings: BuildSettings) -> str:
@@ -153,9 +155,9 @@ def _what_to_do(report: BuildReport, settings: BuildSettings) -> str:
     if report.tried:
         return f"try more scenes or another --seed (details in {settings.out / ATTEMPTS_FILE})"
     reasons = sorted(report.not_tried.items(), key=lambda row: (-row[1], row[0]))
-    said = ", ".join(f"{count} {reason}" for reason, count in reasons) or "nothing is annotated"
+    exclusions = ", ".join(f"{count} {reason}" for reason, count in reasons) or "nothing is annotated"
     return (
-        f"of {counted(sum(report.not_tried.values()), 'object')} none can be tried ({said}): choose other scenes with "
+        f"of {counted(sum(report.not_tried.values()), 'object')} none can be tried ({exclusions}): choose other scenes with "
         "--source-split or --scenes"
     )
 
@@ -175,8 +177,8 @@ def _choice(report: BuildReport, settings: BuildSettings, rejected: Sequence[tup
 
 
 def _frozen_rejections(rejected: Sequence[tuple[int, Judged]]) -> tuple[FrozenRejection, ...] | None:
-    said = [FrozenRejection(name=each.name, token=each.token, reason=each.reason) for _, each in rejected]
-    return tuple(said) or None
+    rejections = [FrozenRejection(name=scene.name, token=scene.token, reason=scene.reason) for _, scene in rejected]
+    return tuple(rejections) or None
 
 
 def originals(
@@ -228,18 +230,18 @@ def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], setti
     return [timing / f"{key}.timing.json" for key in keys]
 
 
-def _report_files(report: BuildReport, found: SearchResult, written: Sequence[Chain]) -> dict[str, bytes]:
+def _report_files(report: BuildReport, result: SearchResult, written: Sequence[Chain]) -> dict[str, bytes]:
     """Reports of a build on itself, by file name."""
     name_of = {link.unit: chain.name for chain in written for link in chain.links}
     attempts = []
-    for tried in found.tried:
+    for attempted in result.tried:
         fate = {
-            "earlier": tuple(link.agent_id for link in tried.unit.earlier),
-            "dropped": found.dropped.get(tried.unit),
-            "written": name_of.get(tried.unit),
+            "earlier": tuple(link.agent_id for link in attempted.unit.earlier),
+            "dropped": result.dropped.get(attempted.unit),
+            "written": name_of.get(attempted.unit),
         }
-        attempts.append(tried.attempt.model_copy(update=fate).as_json())
-    candidates = [seen.row(earlier) for earlier, seen in found.eligibility]
+        attempts.append(attempted.attempt.model_copy(update=fate).as_json())
+    candidates = [vehicles.row(earlier) for earlier, vehicles in result.eligibility]
     files = {
         "report.json": (canonical_json(report.as_json(), indent=1) + "\n").encode(),
         ATTEMPTS_FILE: "".join(canonical_json(row) + "\n" for row in attempts).encode(),

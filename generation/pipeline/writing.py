@@ -223,10 +223,10 @@ def publish(written: WrittenScenes) -> None:
 def _kept_file(folder: Path) -> dict[str, tuple[SceneJudgement, ...]] | None:
     """File that was published before; nothing if it is damaged, so that it is written again."""
     try:
-        found = read_judgements_file(folder)
+        published = read_judgements_file(folder)
     except InputError:
         return None
-    return None if found is None else found.scenes
+    return None if published is None else published.scenes
 
 
 def _judge(plan: DataSetPlan, key: str, scene: Scene, tracks: TracksAtHand) -> None:

@@ -63,8 +63,8 @@ def scene_strip(
     for frame, (panel, _) in zip(frames[1:], panels[1:]):
         draw_time(panel, float(above.seconds[frame]))
     channel = best_camera(scene, frames, renderer)
-    seen = [_labelled(images[channel], channel, panel_px) for images in renderer.render(scene, list(frames))]
-    return np.vstack([_side_by_side([panel for panel, _ in panels]), _side_by_side(seen)])[_GAP_PX:, _GAP_PX:]
+    camera_panels = [_labelled(images[channel], channel, panel_px) for images in renderer.render(scene, list(frames))]
+    return np.vstack([_side_by_side([panel for panel, _ in panels]), _side_by_side(camera_panels)])[_GAP_PX:, _GAP_PX:]
 
 
 def best_camera(scene: Scene, frames: Sequence[int], renderer: Renderer) -> str:
@@ -128,4 +128,4 @@ def _labelled(picture: Picture, channel: str, width_px: int) -> Picture:
 def _side_by_side(pictures: Sequence[Picture]) -> Picture:
     """Pictures in a row, a white gap above and to the left of each."""
     gap = ((_GAP_PX, 0), (_GAP_PX, 0), (0, 0))
-    return np.hstack([np.pad(each, gap, constant_values=255) for each in pictures])
+    return np.hstack([np.pad(picture, gap, constant_values=255) for picture in pictures])

@@ -58,8 +58,8 @@ class Searched:
 
     def discarded(self, finding: Finding) -> "Searched":
         """The same without a scene, for a reason."""
-        told = {"kept": False, "discard": finding.reason.value, "because": finding.as_json(), "challenge": 0.0}
-        return replace(self, attempt=self.attempt.model_copy(update=told), finding=finding, scene=None)
+        changes = {"kept": False, "discard": finding.reason.value, "because": finding.as_json(), "challenge": 0.0}
+        return replace(self, attempt=self.attempt.model_copy(update=changes), finding=finding, scene=None)
 
 
 def attempts_together(
@@ -97,10 +97,10 @@ def attempts_together(
             vehicles, earlier or [{}] * len(vehicles), asked or [None] * len(vehicles), strict=True
         )
     ]
-    found, spent = run_together(searches, prior)
+    outcomes, spent = run_together(searches, prior)
     return [
         replace(result, stage_seconds=_stage_seconds(result.stage_seconds, seconds))
-        for result, seconds in zip(found, spent, strict=True)
+        for result, seconds in zip(outcomes, spent, strict=True)
     ]
 
 
@@ -137,9 +137,9 @@ def _tries(
         rng = np.random.default_rng(content_seed(*content, ALGORITHM_VERSION, number, *request))
         planning = Planning(scene, agent, start, hyper, diversify, model, rng, stages, keep_rounds, asked)
         driven = yield from planning.run()
-        told = blank.attempt.model_copy(update={"tries": number + 1, "plans": driven.plans})
-        tried = Searched(told, None, driven.poses, rounds=driven.rounds)
-        result = _judged(tried, planning, earlier) if driven.gave_up is None else tried.discarded(driven.gave_up)
+        attempt = blank.attempt.model_copy(update={"tries": number + 1, "plans": driven.plans})
+        outcome = Searched(attempt, None, driven.poses, rounds=driven.rounds)
+        result = _judged(outcome, planning, earlier) if driven.gave_up is None else outcome.discarded(driven.gave_up)
         # A vehicle that the area loses drives the other way; it would be lost again.
         if result.finding is None or result.finding.reason is Discard.LEAVES_AREA:
             break
@@ -168,22 +168,22 @@ def _untried(scene_name: str, agent_id: str, seed: int, start: int | None, asked
     return Searched(attempt, None, np.zeros((0, 3)))
 
 
-def _judged(tried: Searched, planning: Planning, earlier: Mapping[str, int]) -> Searched:
+def _judged(outcome: Searched, planning: Planning, earlier: Mapping[str, int]) -> Searched:
     """The result with its verdict and its numbers."""
     agent, start = planning.agent, planning.start
-    changed = planning.scene.with_adversary(agent, slice(start, start + len(tried.poses)), tried.poses)
+    changed = planning.scene.with_adversary(agent, slice(start, start + len(outcome.poses)), outcome.poses)
     # The reference code has asked at each planning frame all that it asks.
-    asked = planning.hyper.discards is not Discards.REFERENCE
-    finding = verify(changed, agent, start, planning.hyper, planning.model.limits) if asked else None
+    verified_here = planning.hyper.discards is not Discards.REFERENCE
+    finding = verify(changed, agent, start, planning.hyper, planning.model.limits) if verified_here else None
     soonest = float(times_to_collision(changed, agent, start).min())
     closest = closest_approach(changed, agent, start)
-    told: dict[str, Any] = {
+    changes: dict[str, Any] = {
         "closest_approach": Approach(gap_m=closest.gap_m, time_s=closest.time_s, side=closest.side),
         "least_time_to_collision_s": None if np.isinf(soonest) else soonest,
     }
     if finding is None:
         labels = describe(changed, agent, start)
-        told |= {
+        changes |= {
             "challenge": challenge_score(changed, agent, start),
             "labels": labels,
             "masked_steps": masked_steps(changed),
@@ -191,10 +191,10 @@ def _judged(tried: Searched, planning: Planning, earlier: Mapping[str, int]) -> 
         if planning.asked is not None and labels.manoeuvre != planning.asked.value:
             finding = Finding(Discard.ANOTHER_MANOEUVRE, quantity=labels.manoeuvre)
     if finding is None:
-        launches = {**earlier, tried.attempt.agent: start}
-        told["judgements"] = judge_scene(changed, TracksAtHand(generated=True, launches=launches))
-        finding = unfair(changed, told["judgements"], planning.hyper)
-    result = replace(tried, attempt=tried.attempt.model_copy(update=told), scene=changed)
+        launches = {**earlier, outcome.attempt.agent: start}
+        changes["judgements"] = judge_scene(changed, TracksAtHand(generated=True, launches=launches))
+        finding = unfair(changed, changes["judgements"], planning.hyper)
+    result = replace(outcome, attempt=outcome.attempt.model_copy(update=changes), scene=changed)
     return result if finding is None else result.discarded(finding)
 
 

@@ -67,8 +67,8 @@ class Wish:
         """Whether the executed track has the kind already, by the label itself."""
         end = self.start + len(track)
         # The label looks as far ahead as the ego gets in 3 s; a second more is for what it settles on.
-        seen = slice(0, end + LOOK_AHEAD_FRAMES)
-        boxes = agent_boxes(self.scene, self.agent)[seen]
+        visible = slice(0, end + LOOK_AHEAD_FRAMES)
+        boxes = agent_boxes(self.scene, self.agent)[visible]
         boxes[self.start : end, [0, 1, 4]] = track
         # It goes on as it does: speeds at the last frame look ahead.
         step = track[-1, :2] - track[-2, :2] if len(track) > 1 else np.zeros(2)
@@ -76,8 +76,8 @@ class Wish:
         boxes[end:, :2] += step * np.arange(1, len(boxes) - end + 1)[:, None]
         driven = np.zeros(len(boxes), dtype=np.bool_)
         driven[self.start : end] = True
-        met = encounter(self.scene.ego.boxes[seen], boxes, self.scene.seconds[seen], driven, self.start)
-        return any(found.kind == self.kind.value for found in occurrences(met))
+        interaction = encounter(self.scene.ego.boxes[visible], boxes, self.scene.seconds[visible], driven, self.start)
+        return any(occurrence.kind == self.kind.value for occurrence in occurrences(interaction))
 
     def _ready(self, track: Floats, way: EgoWay) -> bool:
         """Whether, within the last two seconds, the vehicle was clear of the strip on the side that is asked for."""

@@ -71,13 +71,13 @@ def eligibility(
     ``keep`` says whether the choice is written.
     """
     key, store = search.eligibility_key(scene_name, earlier), eligibility_store(search)
-    kept = store.get(key)
-    if kept is not None and kept.scene_name == scene_name:
-        return kept
-    found = eligibility_of(read(), search.hyper, search.seed)
+    cached = store.get(key)
+    if cached is not None and cached.scene_name == scene_name:
+        return cached
+    computed = eligibility_of(read(), search.hyper, search.seed)
     if keep:
-        store.put(key, found)
-    return found
+        store.put(key, computed)
+    return computed
 
 
 def eligibility_store(search: Search) -> ResultStore[Eligibility]:
@@ -123,8 +123,8 @@ def attempts(
     Raises:
         InputError: If workers are lost, results cannot be written, or searching again gives another track.
     """
-    found = [kept_attempt(search, unit, with_rounds=keep_rounds) for unit in units]
-    missing = [index for index, stored in enumerate(found) if stored is None]
+    stored_attempts = [kept_attempt(search, unit, with_rounds=keep_rounds) for unit in units]
+    missing = [index for index, stored in enumerate(stored_attempts) if stored is None]
     batches = [missing[first : first + together] for first in range(0, len(missing), together)]
 
     def work() -> Iterator[list[tuple[Scene, Unit]]]:
@@ -137,8 +137,8 @@ def attempts(
     )
     for batch, results in zip(batches, done, strict=True):
         for index, stored in zip(batch, results, strict=True):
-            found[index] = stored
-    return [stored for stored in found if stored is not None]
+            stored_attempts[index] = stored
+    return [stored for stored in stored_attempts if stored is not None]
 
 
 def _attempted(search: Search, keep_rounds: bool, work: Sequence[tuple[Scene, Unit]]) -> list[StoredAttempt]:
@@ -155,7 +155,7 @@ def _attempted(search: Search, keep_rounds: bool, work: Sequence[tuple[Scene, Un
         earlier=[{link.agent_id: link.start for link in unit.earlier} for _, unit in work],
         asked=[unit.asked for _, unit in work],
     )
-    kept = []
+    stored_attempts = []
     for (scene, unit), result in zip(work, results, strict=True):
         stored = StoredAttempt.of(unit, _undisturbed(result, unit, search.hyper))
         before = kept_attempt(search, unit)
@@ -170,18 +170,22 @@ def _attempted(search: Search, keep_rounds: bool, work: Sequence[tuple[Scene, Un
             _keep_rounds(search, unit, scene, result.rounds)
         if before is None:
             attempt_store(search).put(search.key(unit), stored)
-        kept.append(stored)
-    return kept
+        stored_attempts.append(stored)
+    return stored_attempts
 
 
 def _require_same(before: StoredAttempt, again: StoredAttempt) -> None:
     """The rounds must belong to the track that was kept."""
-    poses, expected = (np.array(each.poses, dtype=np.float64).reshape(-1, 3) for each in (again, before))
-    told, said = again.report, before.report
-    same = (told.kept, told.launch_frame, poses.shape) == (said.kept, said.launch_frame, expected.shape)
+    poses, expected = (np.array(attempt.poses, dtype=np.float64).reshape(-1, 3) for attempt in (again, before))
+    report, first_report = again.report, before.report
+    same = (report.kept, report.launch_frame, poses.shape) == (
+        first_report.kept,
+        first_report.launch_frame,
+        expected.shape,
+    )
     if not same or not np.abs(poses - expected).max(initial=0.0) <= SAME_M:
         raise InputError(
-            f"searching again for {said.agent} in {said.scene} gives another track here than the one that "
+            f"searching again for {first_report.agent} in {first_report.scene} gives another track here than the one that "
             "was kept, as happens with other versions of the numerical libraries, so its rounds cannot be kept; leave "
             "--keep-rounds out, or delete the output and generate it again"
         )

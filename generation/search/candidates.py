@@ -114,7 +114,7 @@ def _stays(scene: Scene, frames: NDArray[np.int64], points: Floats, half_extent_
     """(P,) whether points stay in the area around the ego from (P,) frames to the end of the scene."""
     pose = scene.ego.pose
     inside = np.stack(
-        [np.abs(to_local(points, each)).max(axis=-1) <= half_extent_m - MARGIN_M for each in pose], axis=1
+        [np.abs(to_local(points, ego_pose)).max(axis=-1) <= half_extent_m - MARGIN_M for ego_pose in pose], axis=1
     )
     return np.asarray((inside | (np.arange(len(pose)) < frames[:, None])).all(axis=1))
 
@@ -127,11 +127,11 @@ def launch_in_reach(scene: Scene, agent: int, hyper: HyperParameters) -> int | N
     ego's way.
     """
     valid = scene.agents.valid[agent]
-    seen = np.convolve(valid, np.ones(hyper.history_frames + 1), mode="full")[: len(valid)] > hyper.history_frames
+    eligible = np.convolve(valid, np.ones(hyper.history_frames + 1), mode="full")[: len(valid)] > hyper.history_frames
     position = scene.agents.position[agent, :, :2]
-    seen &= in_canvas(scene, position, hyper.half_extent_m - MARGIN_M)
-    seen[len(valid) - hyper.shortest_drive_frames :] = False
-    frames = np.flatnonzero(seen)
+    eligible &= in_canvas(scene, position, hyper.half_extent_m - MARGIN_M)
+    eligible[len(valid) - hyper.shortest_drive_frames :] = False
+    frames = np.flatnonzero(eligible)
     frames = frames[frames % FRAMES_PER_KEYFRAME == 0]
     frames = frames[scene.road_map.is_drivable(position[frames])]
     frames = np.array([frame for frame in frames.tolist() if drives_forward(scene, agent, frame)], np.int64)
@@ -266,9 +266,9 @@ def launch_frame(scene: Scene, agent: int, hyper: HyperParameters) -> int | None
             return launch_in_reach(scene, agent, hyper)
         case Launch.START:
             inside = in_canvas(scene, scene.agents.position[agent, :, :2], hyper.half_extent_m)
-            there = np.flatnonzero(inside & scene.agents.valid[agent])
+            frames = np.flatnonzero(inside & scene.agents.valid[agent])
             last = inside.size - 1 - hyper.shortest_drive_frames
-            return int(there[0]) if len(there) and there[0] <= last else None
+            return int(frames[0]) if len(frames) and frames[0] <= last else None
 
 
 def _launch_near(scene: Scene, agent: int, hyper: HyperParameters) -> int | None:
@@ -278,10 +278,12 @@ def _launch_near(scene: Scene, agent: int, hyper: HyperParameters) -> int | None
     road, and enough of the scene is left.
     """
     valid = scene.agents.valid[agent]
-    seen = np.convolve(valid, np.ones(hyper.history_frames + 1), mode="full")[: len(valid)] > hyper.history_frames
+    has_history = (
+        np.convolve(valid, np.ones(hyper.history_frames + 1), mode="full")[: len(valid)] > hyper.history_frames
+    )
     last = len(valid) - 1 - hyper.shortest_drive_frames
     close = center_distance(scene, agent) < hyper.launch_distance_m
-    for frame in np.flatnonzero(seen & close):
+    for frame in np.flatnonzero(has_history & close):
         if frame > last:
             return None
         if drives_forward(scene, agent, int(frame)):

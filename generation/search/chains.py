@@ -105,8 +105,8 @@ class Chain:
     def name(self) -> str:
         """Name of the generated scene; it does not depend on the rank."""
         # The same vehicle may have been asked for several kinds.
-        asked = [link.unit.asked.value for link in self.links if link.unit.asked is not None]
-        suffix = token("adversary", self.scene_name, *self.agent_ids, *asked)[:8]
+        kinds = [link.unit.asked.value for link in self.links if link.unit.asked is not None]
+        suffix = token("adversary", self.scene_name, *self.agent_ids, *kinds)[:8]
         return f"{self.scene_name.replace('/', '-')}-{suffix}"
 
     @property
@@ -167,8 +167,8 @@ class SearchResult:
         """Count what the vehicles of one scene were asked for."""
         for kind in kinds:
             before = self.requests.get(kind, Requested())
-            tried = sum(unit.asked is kind for unit in units)
-            self.requests[kind] = Requested(before.vehicles + vehicles, before.tried + tried)
+            unit_count = sum(unit.asked is kind for unit in units)
+            self.requests[kind] = Requested(before.vehicles + vehicles, before.tried + unit_count)
 
 
 def first_units(
@@ -201,12 +201,12 @@ def search_chains(
         keep_rounds: Whether rounds are kept of the last adversary of each chain: the others are as they are shown.
         keep: Whether choices of vehicles are written.
     """
-    found, scenes = SearchResult(), _Scenes(source)
+    result, scenes = SearchResult(), _Scenes(source)
     chains = [Chain(name) for name in names]
     for stage in range(adversaries):
         looking = (_chosen(search, chain, scenes, keep=keep) for chain in chains)
         chosen = list(progress(looking, total=len(chains), label="choosing vehicles"))
-        found.eligibility += [(chain.agent_ids, seen) for chain, (seen, _) in zip(chains, chosen, strict=True)]
+        result.eligibility += [(chain.agent_ids, vehicles) for chain, (vehicles, _) in zip(chains, chosen, strict=True)]
         owner = {unit: chain for chain, (_, units) in zip(chains, chosen, strict=True) for unit in units}
         scene_of = functools.partial(_scene_of, scenes, owner)
         label = "planning adversaries" if stage == 0 else f"planning adversary {stage + 1} of {adversaries}"
@@ -219,14 +219,14 @@ def search_chains(
             keep_rounds=keep_rounds and stage == adversaries - 1,
             label=label,
         )
-        tried = [Tried(unit, search.key(unit), stored) for unit, stored in zip(owner, results, strict=True)]
-        found.tried += tried
-        for seen, units in chosen:
-            found.requested(search.asked, len(seen.chosen), units)
-        links = [each for each in tried if each.attempt.kept]
-        chains = _begun(links) if stage == 0 else _extended(found, chains, links)
-    found.chains = chains
-    return found
+        attempted = [Tried(unit, search.key(unit), stored) for unit, stored in zip(owner, results, strict=True)]
+        result.tried += attempted
+        for vehicles, units in chosen:
+            result.requested(search.asked, len(vehicles.chosen), units)
+        links = [attempt for attempt in attempted if attempt.attempt.kept]
+        chains = _begun(links) if stage == 0 else _extended(result, chains, links)
+    result.chains = chains
+    return result
 
 
 def _begun(links: Sequence[Tried]) -> list[Chain]:
@@ -234,7 +234,7 @@ def _begun(links: Sequence[Tried]) -> list[Chain]:
     return [Chain(link.scene_name, (link,)) for link in links]
 
 
-def _extended(found: SearchResult, chains: Sequence[Chain], links: Sequence[Tried]) -> list[Chain]:
+def _extended(result: SearchResult, chains: Sequence[Chain], links: Sequence[Tried]) -> list[Chain]:
     """Each chain with the most challenging of its new adversaries; chains without any are dropped."""
     of_chain: dict[tuple[str, tuple[Earlier, ...]], list[Tried]] = {}
     for link in links:
@@ -243,10 +243,10 @@ def _extended(found: SearchResult, chains: Sequence[Chain], links: Sequence[Trie
     for chain in chains:
         new = of_chain.get((chain.scene_name, chain.earlier))
         if new is None:
-            found.drop(chain, Dropped.TOO_FEW_ADVERSARIES)
+            result.drop(chain, Dropped.TOO_FEW_ADVERSARIES)
             continue
         best, *others = ranked(new, per_scene=None, total=None)
-        found.dropped.update({link.unit: Dropped.OUTRANKED for link in others})
+        result.dropped.update({link.unit: Dropped.OUTRANKED for link in others})
         longer.append(replace(chain, links=(*chain.links, best)))
     return longer
 
@@ -257,13 +257,13 @@ def _scene_of(scenes: "_Scenes", owner: Mapping[Unit, Chain], unit: Unit) -> Sce
 
 def _chosen(search: Search, chain: Chain, scenes: "_Scenes", *, keep: bool) -> tuple[Eligibility, list[Unit]]:
     """Which vehicles of a scene are tried, and the vehicles to try in it."""
-    seen = eligibility(search, chain.scene_name, chain.earlier, lambda: scenes.of(chain), keep=keep)
-    units = [Unit(chain.scene_name, vehicle.agent, vehicle.agent_id, chain.earlier) for vehicle in seen.chosen]
+    vehicles = eligibility(search, chain.scene_name, chain.earlier, lambda: scenes.of(chain), keep=keep)
+    units = [Unit(chain.scene_name, vehicle.agent, vehicle.agent_id, chain.earlier) for vehicle in vehicles.chosen]
     if not search.asked:
-        return seen, units
+        return vehicles, units
     scene = scenes.of(chain)
     starts = [launch_frame(scene, unit.agent, search.hyper) for unit in units]
-    return seen, [
+    return vehicles, [
         replace(unit, asked=kind)
         for unit, start in zip(units, starts, strict=True)
         for kind in search.asked

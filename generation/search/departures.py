@@ -228,30 +228,32 @@ def departures(preset: str, hyper: HyperParameters) -> tuple[Departure, ...]:
     """
     match preset:
         case "paper":
-            known, asked = PAPER, HyperParameters.paper()
+            known, preset_hyper = PAPER, HyperParameters.paper()
         case "reference":
-            known, asked = REFERENCE, HyperParameters.reference()
+            known, preset_hyper = REFERENCE, HyperParameters.reference()
         case _:
             return ()
     changed = [
         Departure(
-            f"{each.name} is {getattr(asked, each.name)}",
-            f"it is {getattr(hyper, each.name)}",
+            f"{setting.name} is {getattr(preset_hyper, setting.name)}",
+            f"it is {getattr(hyper, setting.name)}",
             "it was asked for",
         )
-        for each in fields(hyper)
-        if getattr(hyper, each.name) != getattr(asked, each.name)
+        for setting in fields(hyper)
+        if getattr(hyper, setting.name) != getattr(preset_hyper, setting.name)
     ]
     return (*changed, *known)
 
 
 def told(preset: str, hyper: HyperParameters) -> list[str]:
     """Lines for ``--dry-run``: departures, then how the paper is read where it leaves something open."""
-    found = departures(preset, hyper)
-    if not found:
+    differences = departures(preset, hyper)
+    if not differences:
         return []
-    lines = [f"preset {preset} departs from the {'text' if preset == 'paper' else 'code'} in {len(found)} points:"]
-    lines += [f"- {each.sentence()}" for each in found]
+    lines = [
+        f"preset {preset} departs from the {'text' if preset == 'paper' else 'code'} in {len(differences)} points:"
+    ]
+    lines += [f"- {point.sentence()}" for point in differences]
     if preset == "paper" and READINGS:
-        lines += ["what the text leaves open:", *(f"- {each.sentence()}" for each in READINGS)]
+        lines += ["what the text leaves open:", *(f"- {point.sentence()}" for point in READINGS)]
     return lines

@@ -100,6 +100,6 @@ def overrun(station: Floats, speed: Floats) -> Floats:
     step = round(PLAN_STEP_S * FRAME_HZ)
     for back in range(step, round(STEADY_S * FRAME_HZ) + 1, step):
         if back < len(station):
-            kept = station[:-back] + speed[:-back] * back / FRAME_HZ
-            over[back:] = np.maximum(over[back:], kept - station[back:])
+            predicted = station[:-back] + speed[:-back] * back / FRAME_HZ
+            over[back:] = np.maximum(over[back:], predicted - station[back:])
     return over

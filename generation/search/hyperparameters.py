@@ -335,8 +335,10 @@ class HyperParameters(ThreatSettings):
 
         Settings that no track depends on are left out: random numbers are seeded by it.
         """
-        said = {name: value for name, value in asdict(self).items() if name not in _OF_THE_VERDICT}
-        return content_key({name: said[name] for name in said if name not in _ADDED or said[name] != _ADDED[name]})
+        values = {name: value for name, value in asdict(self).items() if name not in _OF_THE_VERDICT}
+        return content_key(
+            {name: values[name] for name in values if name not in _ADDED or values[name] != _ADDED[name]}
+        )
 
     @property
     def executed_frames(self) -> int:

@@ -228,8 +228,8 @@ def _out_of_the_way(placed: Placed) -> Floats:
 
 
 def _braking_ahead(placed: Placed, side: float) -> Floats:
-    there = placed.inside() + placed.ahead() + placed.reached() + placed.headed(0.0)
-    return there + SPEED_S**2 * _short(BRAKING_M_S2 + BEYOND_M_S2 - placed.braking)
+    position_m = placed.inside() + placed.ahead() + placed.reached() + placed.headed(0.0)
+    return position_m + SPEED_S**2 * _short(BRAKING_M_S2 + BEYOND_M_S2 - placed.braking)
 
 
 def _blocking(placed: Placed, side: float) -> Floats:
@@ -318,10 +318,10 @@ def missing(kind: Manoeuvre, placed: Placed, *, ready: bool = True) -> Floats:
     ``ready`` is for cut-ins: whether the vehicle was outside on that side just now, and may come in.
     """
     family, side = family_and_side(kind)
-    found = _MISSING[family](placed, side)
+    distance = _MISSING[family](placed, side)
     if family in IN_FRONT:
         in_position = (placed.overtaken() == 0.0) & (ready or family != "cut-in")
-        found = np.where(in_position, found, _into_position(placed, side))
+        distance = np.where(in_position, distance, _into_position(placed, side))
     elif family in BEHIND:
-        found = np.where(placed.fallen_back() == 0.0, found, _out_of_the_way(placed))
-    return np.asarray(np.minimum(found, MOST_MISSING_M))
+        distance = np.where(placed.fallen_back() == 0.0, distance, _out_of_the_way(placed))
+    return np.asarray(np.minimum(distance, MOST_MISSING_M))

@@ -106,21 +106,21 @@ class Planning:
         finding: Finding | None = None
         for frame in range(self.start, len(self.scene.timestamps_us) - 1, self.hyper.executed_frames):
             try:
-                found = yield from self.plan(frame, state, np.concatenate(track))
+                refinement = yield from self.plan(frame, state, np.concatenate(track))
             except NothingToDraw:
                 finding = Finding(Discard.NOTHING_TO_DRAW, frame)
                 break
             steps = min(self.hyper.executed_frames, len(self.scene.timestamps_us) - 1 - frame)
-            executed = found.motion.center[found.chosen, 1 : steps + 1]
-            plans.append(_trace(frame, found))
-            finding = self._fault(frame, executed, found.score)
+            executed = refinement.motion.center[refinement.chosen, 1 : steps + 1]
+            plans.append(_trace(frame, refinement))
+            finding = self._fault(frame, executed, refinement.score)
             if finding is None or finding.reason is Discard.LEAVES_AREA:
                 track.append(executed)
             if finding is not None:
                 break
             if self.keep_rounds:
-                rounds.append(rounds_of(self.scene, self.agent, frame, state, found, self.hyper, self.model))
-            state = self._next_state(found, steps, np.concatenate(track))
+                rounds.append(rounds_of(self.scene, self.agent, frame, state, refinement, self.hyper, self.model))
+            state = self._next_state(refinement, steps, np.concatenate(track))
         return Driven(np.concatenate(track), tuple(plans), tuple(rounds), finding)
 
     def first_pose(self) -> Floats:
@@ -133,11 +133,11 @@ class Planning:
             return self._state_from_positions(self.start, self._recorded_pose(self.start)[None])
         return initial_state(self.scene, self.agent, self.start, self.model.limits)
 
-    def _next_state(self, found: Refinement, steps: int, track: Floats) -> VehicleState:
+    def _next_state(self, refinement: Refinement, steps: int, track: Floats) -> VehicleState:
         """Motion at the next planning frame: where the executed candidate has got to, or what two positions say."""
         if self.hyper.motion is Motion.REFERENCE:
             return self._state_from_positions(self.start + len(track) - 1, track)
-        return found.motion.state(found.chosen, steps)
+        return refinement.motion.state(refinement.chosen, steps)
 
     def _state_from_positions(self, frame: int, track: Floats) -> VehicleState:
         now, before = self._pose(frame, track), self._pose(frame - SPEED_FRAMES, track)
@@ -148,8 +148,8 @@ class Planning:
         if not np.isfinite(executed).all():
             return Finding(Discard.NO_SAFE_CANDIDATE, frame)
         if self.hyper.discards is Discards.REFERENCE:
-            found = fault_of_step(score, frame) if self.hyper.scored else None
-            return found or fault_of_place(self.scene, executed[:, :2], frame + 1)
+            score_failure = fault_of_step(score, frame) if self.hyper.scored else None
+            return score_failure or fault_of_place(self.scene, executed[:, :2], frame + 1)
         touched = self._touched(frame, executed) if self.hyper.scored else None
         if touched is not None:
             return Finding(Discard.NO_SAFE_CANDIDATE, frame, touched)
@@ -194,9 +194,9 @@ class Planning:
         frames = tuple(frame + offset for offset in offsets)
         size = self.scene.agents.size[self.agent, :2]
         if self.hyper.score is ScoreOf.REFERENCE:
-            seen = reference_surroundings(self.scene, self.agent, frames, raster)
+            reference_around = reference_surroundings(self.scene, self.agent, frames, raster)
             on = challenge_on(self._distances(frame, track), self.start, frame, self.rng)
-            return lambda motion: reference_terms(motion.center[:, offsets], size, seen, challenged=on)
+            return lambda motion: reference_terms(motion.center[:, offsets], size, reference_around, challenged=on)
         around = self.around(frames, raster)
         hyper = self.hyper if self.asked is None else self.hyper.where_asked()
         further = threat_rating(self.scene, self.agent, frame, offsets, around, hyper) if hyper.threatens else None
@@ -273,14 +273,14 @@ class Planning:
         return self.scene.agents.ids[other[0]] if len(other) else None
 
 
-def _trace(frame: int, found: Refinement) -> PlanningFrame:
+def _trace(frame: int, refinement: Refinement) -> PlanningFrame:
     def finite(value: float) -> float | None:
         return value if np.isfinite(value) else None
 
     return PlanningFrame(
         frame=frame,
-        round=found.round,
-        score=finite(found.score),
-        best_scores=tuple(finite(float(entry.scores.min())) for entry in found.rounds),
-        collision_free=tuple(entry.collision_free for entry in found.rounds),
+        round=refinement.round,
+        score=finite(refinement.score),
+        best_scores=tuple(finite(float(entry.scores.min())) for entry in refinement.rounds),
+        collision_free=tuple(entry.collision_free for entry in refinement.rounds),
     )

@@ -86,7 +86,7 @@ def run_together(searches: Sequence[SearchSteps[Found]], prior: Prior) -> tuple[
 
     All requests that are open at a time are answered in one call.
     """
-    found: dict[int, Found] = {}
+    outcomes: dict[int, Found] = {}
     answering, searching = [0.0] * len(searches), [0.0] * len(searches)
     waiting: dict[int, Request] = {}
 
@@ -95,7 +95,7 @@ def run_together(searches: Sequence[SearchSteps[Found]], prior: Prior) -> tuple[
         try:
             waiting[index] = next(searches[index]) if answer is None else searches[index].send(answer)
         except StopIteration as end:
-            found[index] = end.value
+            outcomes[index] = end.value
         searching[index] += time.process_time() - start
 
     for index in range(len(searches)):
@@ -110,4 +110,4 @@ def run_together(searches: Sequence[SearchSteps[Found]], prior: Prior) -> tuple[
             answering[index] += share
             go_on(index, answer)
     seconds = [Seconds(*both) for both in zip(answering, searching, strict=True)]
-    return [found[index] for index in range(len(searches))], seconds
+    return [outcomes[index] for index in range(len(searches))], seconds

@@ -61,11 +61,11 @@ def ranked(results: Sequence[AnyRanked], *, per_scene: int | None, total: int | 
     """
     order = sorted(results, key=lambda result: (-result.challenge, result.scene_name, result.agent_id))
     taken: Counter[str] = Counter()
-    kept: list[AnyRanked] = []
+    selected: list[AnyRanked] = []
     for result in order:
-        if total is not None and len(kept) >= total:
+        if total is not None and len(selected) >= total:
             break
         if per_scene is None or taken[result.scene_name] < per_scene:
             taken[result.scene_name] += 1
-            kept.append(result)
-    return kept
+            selected.append(result)
+    return selected

@@ -217,19 +217,19 @@ def reference_collisions(center: Floats, size: Floats, around: Surroundings) -> 
     sure = np.zeros(poses * count, dtype=np.bool_)
     sure[candidate[distance < first[6] + second[6]]] = True
     step = candidate // count
-    asked = (step < SOON_POSES) | np.isin(step, CHECKED_LATER)
-    asked &= ~sure[candidate] & (distance <= first[7] + second[7])
-    meets = _inflated_meet(first[:, asked], second[:, asked])
-    at, objects = candidate[asked][meets], around.boxes.shape[1]
-    ego = object_[asked][meets] % objects == objects - 1
-    collision, others = sure.copy(), np.zeros_like(sure)
-    collision[at], others[at[~ego]] = True, True
+    checked = (step < SOON_POSES) | np.isin(step, CHECKED_LATER)
+    checked &= ~sure[candidate] & (distance <= first[7] + second[7])
+    meets = _inflated_meet(first[:, checked], second[:, checked])
+    at, objects = candidate[checked][meets], around.boxes.shape[1]
+    ego = object_[checked][meets] % objects == objects - 1
+    collision, hits_other = sure.copy(), np.zeros_like(sure)
+    collision[at], hits_other[at[~ego]] = True, True
     soon = at[ego]
-    soon = soon[~others[soon] & (soon // count < SOON_POSES)]
+    soon = soon[~hits_other[soon] & (soon // count < SOON_POSES)]
     hits_ego = np.zeros(count, dtype=np.bool_)
     hits_ego[soon % count] = True
     shape = (poses, count)
-    return ReferenceContacts(sure.reshape(shape).T, collision.reshape(shape).T, hits_ego, int(asked.sum()))
+    return ReferenceContacts(sure.reshape(shape).T, collision.reshape(shape).T, hits_ego, int(checked.sum()))
 
 
 def _inflated_meet(first: Floats, second: Floats) -> Bools:
@@ -311,8 +311,8 @@ def reference_launch(scene: Scene, agent: int) -> int | None:
     for frame in np.flatnonzero(near[: LAST_LAUNCH + 1]):
         if frame >= SEEN_FRAMES and valid[frame - SEEN_FRAMES : frame].all():
             start = max(int(frame), FIRST_LAUNCH)
-            there = start < len(valid) - 1 and bool(valid[start - HISTORY_FRAMES : start + 1].all())
-            return start if there else None
+            is_present = start < len(valid) - 1 and bool(valid[start - HISTORY_FRAMES : start + 1].all())
+            return start if is_present else None
     return None
 
 

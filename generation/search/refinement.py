@@ -148,9 +148,9 @@ def scores_together(batches: Sequence[Batch], hyper: HyperParameters) -> Floats:
     (R, B) of R rounds of as many candidates each; lower is better, infinite where a candidate must never be chosen.
     """
     terms = [batch.evaluated.terms for batch in batches]
-    finite = np.stack([each.finite for each in terms])
+    finite = np.stack([batch_terms.finite for batch_terms in terms])
     challenge = terms[0].challenges(terms)
-    safety = np.stack([each.safety(batch.start, hyper) for batch, each in zip(batches, terms)])
+    safety = np.stack([batch_terms.safety(batch.start, hyper) for batch, batch_terms in zip(batches, terms)])
     wanted = hyper.ac_weight * challenge
     if terms[0].asked is not None:
         wanted = hyper.manoeuvre_weight * terms[0].requests(terms)

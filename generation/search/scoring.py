@@ -75,13 +75,15 @@ class Terms:
     @classmethod
     def challenges(cls, batches: "Sequence[Self]") -> Floats:
         """ACScore of the appendix, normalised over R batches together, (R, B)."""
-        return normalised(np.stack([each.challenge for each in batches]), np.stack([each.finite for each in batches]))
+        return normalised(
+            np.stack([batch.challenge for batch in batches]), np.stack([batch.finite for batch in batches])
+        )
 
     @classmethod
     def requests(cls, batches: "Sequence[Self]") -> Floats:
         """Distance to the manoeuvre that was asked for, normalised in the same way, (R, B); zeros where nothing was."""
-        asked = [np.zeros_like(each.challenge) if each.asked is None else each.asked for each in batches]
-        return normalised(np.stack(asked), np.stack([each.finite for each in batches]))
+        distances = [np.zeros_like(batch.challenge) if batch.asked is None else batch.asked for batch in batches]
+        return normalised(np.stack(distances), np.stack([batch.finite for batch in batches]))
 
 
 def surroundings(
@@ -93,9 +95,9 @@ def surroundings(
     ``raster_ego`` the ego is there as the rasters of protocols show it, too (`HyperParameters.raster_ego`).
     """
     at = np.asarray(frames)
-    others = scene.agents.valid[:, at].any(axis=1)
-    others[agent] = False
-    rows = np.flatnonzero(others)
+    is_present = scene.agents.valid[:, at].any(axis=1)
+    is_present[agent] = False
+    rows = np.flatnonzero(is_present)
     ego = scene.ego.boxes[at]
     egos = [*([raster_footprints(scene, at)] if raster_ego else []), ego[:, None]]
     boxes = np.concatenate([_boxes_at(scene, rows, at), *egos], axis=1)

@@ -49,10 +49,10 @@ class LaneHeadings:
             return np.zeros(poses.shape[:-1], np.bool_)
         count = min(NEIGHBOURS, len(self.points))
         away, nearest = self._tree.query(poses[..., :2], k=[*range(1, count + 1)], distance_upper_bound=WITHIN_M)
-        found = np.isfinite(away)
-        headings = self.headings[np.where(found, nearest, 0)]
+        has_lane = np.isfinite(away)
+        headings = self.headings[np.where(has_lane, nearest, 0)]
         along = np.abs(wrap_angle(poses[..., 2:] - headings)) <= AGAINST_RAD
-        return np.asarray(found.any(axis=-1) & ~(found & along).any(axis=-1))
+        return np.asarray(has_lane.any(axis=-1) & ~(has_lane & along).any(axis=-1))
 
     @functools.cached_property
     def _tree(self) -> cKDTree:
@@ -270,7 +270,7 @@ def threat_rating(
     ahead = Ahead.of(scene, frame, offsets)
     size = scene.agents.size[agent, :2]
     columns = list(ahead.columns)
-    there = replace(around, boxes=around.boxes[columns], present=around.present[columns])
+    scored_around = replace(around, boxes=around.boxes[columns], present=around.present[columns])
     lanes = LaneHeadings.of(scene) if hyper.against_weight else None
     aim_m = ahead.aim_m(hyper.threat_gap_s, hyper.threat_least_m)
 
@@ -288,7 +288,7 @@ def threat_rating(
             (hyper.side_weight, lambda: side(placed, hyper.side_least_m, hyper.side_s)),
             (hyper.behind_weight, lambda: behind(placed)),
             (hyper.ahead_weight, lambda: not_ahead(placed)),
-            (hyper.hover_weight, lambda: hovering(center, size, there)),
+            (hyper.hover_weight, lambda: hovering(center, size, scored_around)),
             (hyper.likelihood_weight, lambda: unlikely(speed, acceleration, steering, float(size[0]))),
             (hyper.area_weight, lambda: near_edge(center, ahead.ego, hyper.half_extent_m)),
         )

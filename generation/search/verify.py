@@ -68,13 +68,13 @@ def masked_together(scenes: Iterable[Mapping[str, MaskedSteps]]) -> dict[str, di
     for by_protocol in scenes:
         for name, steps in by_protocol.items():
             sums.setdefault(name, Counter()).update(adversary=steps.adversary, others=steps.others)
-    return {name: dict(found) for name, found in sums.items()}
+    return {name: dict(counts) for name, counts in sums.items()}
 
 
 def masked_line(sums: Mapping[str, Mapping[str, int]]) -> str:
     """`masked_together` for people."""
-    told = ", ".join(f"{name} {of['adversary']} / {of['others']}" for name, of in sums.items())
-    return f"steps masked whatever is planned, for adversaries / for others: {told}"
+    counts = ", ".join(f"{name} {of['adversary']} / {of['others']}" for name, of in sums.items())
+    return f"steps masked whatever is planned, for adversaries / for others: {counts}"
 
 
 def raster_footprints(scene: Scene, frames: NDArray[np.int64]) -> Floats:
@@ -187,10 +187,10 @@ def _contact(scene: Scene, agent: int, start: int, boxes: Floats) -> Finding | N
     """Contact with an object or the ego, at 12 Hz and as a reader of the data set sees it."""
     read = _as_read(scene)
     stretches = ((scene, np.arange(start, start + len(boxes))), (read, np.arange(start, read.agents.yaw.shape[1])))
-    for seen, at in stretches:
-        step, other = contacts(agent_boxes(seen, agent)[at], seen, agent, at)
+    for view, at in stretches:
+        step, other = contacts(agent_boxes(view, agent)[at], view, agent, at)
         if len(step):
-            return Finding(Discard.HITS_OBJECT, int(at[step[0]]), seen.agents.ids[other[0]])
+            return Finding(Discard.HITS_OBJECT, int(at[step[0]]), view.agents.ids[other[0]])
     touched = np.flatnonzero(boxes_overlap(boxes, scene.ego.boxes[start:]))
     if len(touched) or log_replay_contacts(scene, np.array([agent]))[agent]:
         return Finding(Discard.HITS_EGO, start + int(touched[0]) if len(touched) else None, EGO)
@@ -220,8 +220,8 @@ def _masked(scene: Scene, agent: int, start: int) -> Finding | None:
     name, frames = scene.agents.ids[agent], slice(start, scene.agents.yaw.shape[1])
     track = np.column_stack([scene.agents.position[agent, frames, :2], scene.agents.yaw[agent, frames]])
     frozen = np.column_stack([np.round(track[:, :2], METRE_DIGITS), np.round(track[:, 2], YAW_DIGITS)])
-    for seen in (scene, scene.with_adversary(agent, frames, frozen)):
-        for native, (own, _) in recorded_contacts(seen, {name}, NATIVE_PROTOCOLS).items():
+    for view in (scene, scene.with_adversary(agent, frames, frozen)):
+        for native, (own, _) in recorded_contacts(view, {name}, NATIVE_PROTOCOLS).items():
             if own.any():
                 sample, step = np.nonzero(own)
                 first = int(scene.keyframes[(sample + step).min() + 1])
@@ -297,11 +297,11 @@ def _off_road(scene: Scene, start: int, boxes: Floats, hyper: HyperParameters) -
     shapely.prepare(scene.road_map.drivable_area)
     center_off = ~scene.road_map.is_drivable(boxes[:, :2])
     corner_off = ~scene.road_map.is_drivable(box_corners(boxes)).all(axis=-1)
-    for what, off, most in (
+    for quantity, off, most in (
         ("share of frames with the centre off the road", center_off, hyper.most_off_road_share),
         ("share of frames with a corner off the road", corner_off, hyper.most_corner_off_road_share),
     ):
         if off.mean() > most:
             first = start + int(np.argmax(off))
-            return Finding(Discard.LEAVES_ROAD, first, quantity=what, value=float(off.mean()), limit=most)
+            return Finding(Discard.LEAVES_ROAD, first, quantity=quantity, value=float(off.mean()), limit=most)
     return None

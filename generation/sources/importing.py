@@ -88,12 +88,12 @@ class _Imported(NamedTuple):
 
 
 def _import_one(plan: DataSetPlan, path: Path) -> _Imported:
-    made = read_exchanged(path)
-    scene = with_default_rig(made.scene)
+    exchanged = read_exchanged(path)
+    scene = with_default_rig(exchanged.scene)
     if scene.adversaries and plan.split == "val":
         raise InputError(f"{path} names adversaries, which are never in val; import it with --split adv")
-    report = dict(made.report)
-    written = written_scene(plan, scene, name=scene.name, source_scene=made.source_scene, report=report)
+    report = dict(exchanged.report)
+    written = written_scene(plan, scene, name=scene.name, source_scene=exchanged.source_scene, report=report)
     return _Imported(scene.name, written)
 
 

@@ -121,9 +121,9 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
     numbers = list(range(settings.train_scenes)) if settings.driven is None else list(drives)
     names = town_scene_names("train", max(numbers, default=-1) + 1)
     train = [names[number] for number in numbers]
-    note, whole = root / STATE_FOLDER / "town.json", {"key": settings.folder_name(root.name)}
-    made_of = whole if settings.pictures == "all" else {**whole, "pictures": settings.pictures}
-    if is_finished(root) and read_kept_json(note) in (made_of, whole):
+    note, complete_note = root / STATE_FOLDER / "town.json", {"key": settings.folder_name(root.name)}
+    made_of = complete_note if settings.pictures == "all" else {**complete_note, "pictures": settings.pictures}
+    if is_finished(root) and read_kept_json(note) in (made_of, complete_note):
         return root
     renderer = SchematicRenderer(settings.width, settings.height) if settings.images else None
     plan = DataSetPlan(
@@ -143,12 +143,12 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
 
 def _record(folder: Path) -> DriveRecord:
     """The only record of drives in a folder."""
-    found = find_drives(folder)
-    if len(found) != 1:
+    records = find_drives(folder)
+    if len(records) != 1:
         raise InputError(
-            f"{folder} holds {len(found) or 'no'} records of drives ({DRIVE_FILE}); give --driven the folder of one"
+            f"{folder} holds {len(records) or 'no'} records of drives ({DRIVE_FILE}); give --driven the folder of one"
         )
-    return found[0]
+    return records[0]
 
 
 def _drives(settings: TownSettings) -> dict[int, Driven]:
@@ -191,7 +191,7 @@ def _write_one(plan: DataSetPlan, seed: int, off_path: bool, crossing: int, work
         report[DRIVEN] = learned.as_json()
     elif off_path and split == "train":
         scene, excursions = town_scene_off_path(index, seed=seed, crossing=crossing)
-        report[OFF_PATH] = [each.as_json() for each in excursions]
+        report[OFF_PATH] = [excursion.as_json() for excursion in excursions]
     else:
         scene = town_scene(split, index, seed=seed, crossing=crossing)
     return written_scene(plan, scene, name=scene.name, source_scene=scene.name, report=report)

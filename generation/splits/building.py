@@ -75,7 +75,7 @@ class FrozenReport:
             "unsolvable": list(self.unsolvable),
             "masked_steps": self.masked_steps,
             "dry_run": self.estimate is not None,
-            **({"faults": {name: list(found) for name, found in self.faults.items()}} if self.edited else {}),
+            **({"faults": {name: list(names) for name, names in self.faults.items()}} if self.edited else {}),
         }
 
     @property
@@ -118,7 +118,7 @@ class FrozenReport:
         if self.verified_by == ALGORITHM_VERSION:
             return ""
         if self.edited:
-            wrong = "; ".join(f"{name}: {', '.join(found)}" for name, found in self.faults.items() if found)
+            wrong = "; ".join(f"{name}: {', '.join(names)}" for name, names in self.faults.items() if names)
             return f"\n  edited, and verified by nobody; faults of motion (docs/realism.md): {wrong or 'none'}"
         return (
             f"\n  verified by version {self.verified_by} of the search, as it was frozen; a search verifies by version "
@@ -153,9 +153,9 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *,
     plan, chosen, report = ready_to_rebuild(source, split, settings, as_split)
     if settings.dry_run:
         recorded = min(frozen.source for frozen, _ in chosen)
-        each = rendering_estimate(plan.renderer, source.scene(recorded), plan.frames, settings.timing / "rendering")
+        scene_s = rendering_estimate(plan.renderer, source.scene(recorded), plan.frames, settings.timing / "rendering")
         workers = workers_of(settings.where_rendered)
-        return replace(report, estimate=Estimate(0, 0.0, len(chosen), each, workers, workers))
+        return replace(report, estimate=Estimate(0, 0.0, len(chosen), scene_s, workers, workers))
     # Everything is looked at before anything is written.
     jobs, tables, masked = frozen_jobs(source, plan, chosen, split)
     with only_writer(settings.out):
@@ -176,7 +176,7 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *,
         other_images=other_images,
         verified_by=split.frozen.search.algorithm,
         masked_steps=masked,
-        unsolvable=tuple(job.name for job, said in zip(jobs, judged, strict=True) if unsolvable(said)),
+        unsolvable=tuple(job.name for job, assessments in zip(jobs, judged, strict=True) if unsolvable(assessments)),
         faults=_faults(jobs, judged) if split.frozen.search.algorithm == EDITED else {},
     )
 
@@ -206,19 +206,21 @@ def said_of_frozen(report: FrozenReport) -> dict[str, bytes]:
 
 
 def _faults(jobs: Sequence[WritingJob], judged: Sequence[Sequence[SceneJudgement]]) -> dict[str, tuple[str, ...]]:
-    found: dict[str, tuple[str, ...]] = {}
-    for job, said in zip(jobs, judged, strict=True):
-        names = {name for each in said if each.faults is not None for name in each.faults.found}
-        found[job.name] = tuple(sorted(names))
-    return found
+    faults: dict[str, tuple[str, ...]] = {}
+    for job, assessments in zip(jobs, judged, strict=True):
+        names = {
+            name for assessment in assessments if assessment.faults is not None for name in assessment.faults.found
+        }
+        faults[job.name] = tuple(sorted(names))
+    return faults
 
 
 def require_not_frozen(root: Path) -> None:
     """Refuse to search in a root that is built from a frozen split."""
     mark = root / STATE_FOLDER / _MARK
     if mark.exists():
-        kept = read_kept_json(mark)
-        name = kept.get("name") if isinstance(kept, dict) else None
+        stored = read_kept_json(mark)
+        name = stored.get("name") if isinstance(stored, dict) else None
         raise InputError(
             f"{root} is built from the frozen split {name}; search for another split in another --out, nothing was "
             "changed"
@@ -230,10 +232,10 @@ def _require_room(root: Path, name: str, content: str) -> None:
     state = root / STATE_FOLDER
     if (root / "search.json").exists() or (state / "attempts").exists() or (state / "surveys").exists():
         raise InputError(f"{root} holds what generate searched for; build {name} in another --out, nothing was changed")
-    kept = read_kept_json(state / _MARK)
-    if isinstance(kept, dict) and kept.get("content") != content:
+    stored = read_kept_json(state / _MARK)
+    if isinstance(stored, dict) and stored.get("content") != content:
         raise InputError(
-            f"{root} is built from the frozen split {kept.get('name')}, which is not the same; build {name} in another "
+            f"{root} is built from the frozen split {stored.get('name')}, which is not the same; build {name} in another "
             "--out, nothing was changed"
         )
 
@@ -265,7 +267,8 @@ def _plan(source: DataSet, split: NamedSplit, as_split: str, settings: BuildSett
         frozen=(name, content),
         search=search_hash(frozen.search, frozen.chosen, adversaries) if of_seed else None,
         left_out=tuple(
-            (0, Judged(each.name, each.token, REJECTED, each.reason)) for each in split.frozen.chosen.rejected or ()
+            (0, Judged(rejection.name, rejection.token, REJECTED, rejection.reason))
+            for rejection in split.frozen.chosen.rejected or ()
         ),
     )
 
@@ -278,7 +281,7 @@ def frozen_jobs(
     ``chosen`` has each scene with the number of its variant; with the jobs come the hash of each scene's tables,
     and the masked steps of all scenes.
     """
-    made: dict[int, tuple[WritingJob, str]] = {}
+    built: dict[int, tuple[WritingJob, str]] = {}
     masked = []
     for index in sorted(range(len(chosen)), key=lambda index: (chosen[index][0].source, index)):
         frozen, variant = chosen[index]
@@ -296,10 +299,10 @@ def frozen_jobs(
             identity=frozen.identity,
             tracks=tracks_of(frozen),
         )
-        made[index] = job, tables_digest(plan, scene, frozen)
+        built[index] = job, tables_digest(plan, scene, frozen)
         masked.append(masked_steps(scene))
     order = range(len(chosen))
-    return [made[index][0] for index in order], [made[index][1] for index in order], masked_together(masked)
+    return [built[index][0] for index in order], [built[index][1] for index in order], masked_together(masked)
 
 
 def _other_images(

@@ -66,9 +66,9 @@ def edited_split(source: DataSet, path: Path, edited: Edited | None = None) -> N
     )
     scenes: dict[str, FrozenScene] = {}
     files = read_edited(path) if edited is None else edited
-    for file, made in files:
-        recorded = _recorded(source, made, file)
-        frozen = edited_scene(made.scene, recorded, file)
+    for file, exchanged in files:
+        recorded = _recorded(source, exchanged, file)
+        frozen = edited_scene(exchanged.scene, recorded, file)
         if frozen.name in scenes:
             raise InputError(f"{file} holds the same scene as another file of {path}; keep one of them")
         digest = tables_digest(plan, adversarial(frozen, recorded), frozen)
@@ -90,16 +90,16 @@ def edited_split(source: DataSet, path: Path, edited: Edited | None = None) -> N
     return NamedSplit(path.resolve().stem, split)
 
 
-def _recorded(source: DataSet, made: Exchanged, file: Path) -> Scene:
+def _recorded(source: DataSet, exchanged: Exchanged, file: Path) -> Scene:
     """The recording of an edited scene."""
     names = source.scene_names(None)
-    found = next((name for name in (made.source_scene, made.scene.name) if name in names), None)
-    if found is None:
+    recorded_name = next((name for name in (exchanged.source_scene, exchanged.scene.name) if name in names), None)
+    if recorded_name is None:
         raise InputError(
-            f"{file} is of {one_line(made.source_scene, 80)}, which {source.name} has no recording of; choose the "
+            f"{file} is of {one_line(exchanged.source_scene, 80)}, which {source.name} has no recording of; choose the "
             "recordings that it was exported from with --data"
         )
-    return source.scene(found)
+    return source.scene(recorded_name)
 
 
 def edited_scene(scene: Scene, recorded: Scene, file: Path) -> FrozenScene:
@@ -119,7 +119,7 @@ def edited_scene(scene: Scene, recorded: Scene, file: Path) -> FrozenScene:
         raise InputError(f"{file} holds {recorded.name} as it was recorded; move a vehicle in it, or leave it out")
     adversaries.sort(key=lambda each: (each.launch_frame, recorded.agents.ids.index(each.instance)))
     stem = recorded.name.replace("/", "-")
-    suffix = token("edited", recorded.name, [each.model_dump(mode="json") for each in adversaries])[:8]
+    suffix = token("edited", recorded.name, [adversary.model_dump(mode="json") for adversary in adversaries])[:8]
     return FrozenScene(name=f"{stem}-{suffix}", source=recorded.name, adversaries=tuple(adversaries), tables=_UNKNOWN)
 
 
@@ -153,8 +153,8 @@ def _rows(scene: Scene, recorded: Scene, file: Path) -> NDArray[np.int64]:
     missing = [name for name, own in zip(recorded.agents.ids, called, strict=True) if own not in ids]
     added = sorted(set(ids) - set(called))
     if missing or added:
-        what = f"lacks {missing[0]} of {recorded.name}" if missing else f"has {one_line(added[0], 80)}, which is new"
-        raise InputError(f"{file} {what}; vehicles may be moved, and nothing may be added or taken away")
+        problem = f"lacks {missing[0]} of {recorded.name}" if missing else f"has {one_line(added[0], 80)}, which is new"
+        raise InputError(f"{file} {problem}; vehicles may be moved, and nothing may be added or taken away")
     rows = np.array([ids[own] for own in called], np.int64)
     sizes = np.abs(scene.agents.size[rows] - recorded.agents.size).max(axis=1, initial=0.0)
     kinds = [scene.agents.categories[row] for row in rows.tolist()]
@@ -167,30 +167,30 @@ def _rows(scene: Scene, recorded: Scene, file: Path) -> NDArray[np.int64]:
 def _differs(scene: Scene, row: int, recorded: Scene, agent: int) -> Bools:
     """(K,) keyframes at which an object is not where it was recorded: by a centimetre at its corners, or not there."""
     at = recorded.keyframes
-    here, there = scene.agents.valid[row, at], recorded.agents.valid[agent, at]
+    edited_valid, recorded_valid = scene.agents.valid[row, at], recorded.agents.valid[agent, at]
     steps = scene.agents.position[row, at, :2] - recorded.agents.position[agent, at, :2]
     turned = np.abs(wrap_angle(scene.agents.yaw[row, at] - recorded.agents.yaw[agent, at]))
     away = np.linalg.norm(steps, axis=1) + 0.5 * np.hypot(*recorded.agents.size[agent, :2]) * turned
-    return np.asarray((here != there) | (here & there & (away > SAME_M)))
+    return np.asarray((edited_valid != recorded_valid) | (edited_valid & recorded_valid & (away > SAME_M)))
 
 
 def _adversary(scene: Scene, row: int, recorded: Scene, agent: int, differs: Bools, file: Path) -> FrozenAdversary:
     """One edited vehicle: from the last keyframe at which it is where it was recorded."""
     name, category = recorded.agents.ids[agent], recorded.agents.categories[agent]
-    who = f"{file}: {name} of {recorded.name}"
+    described = f"{file}: {name} of {recorded.name}"
     if not category.startswith("vehicle."):
-        raise InputError(f"{who} ({category}) is not where it was recorded; only vehicles may be edited")
-    there = recorded.agents.valid[agent, recorded.keyframes]
+        raise InputError(f"{described} ({category}) is not where it was recorded; only vehicles may be edited")
+    recorded_valid = recorded.agents.valid[agent, recorded.keyframes]
     first = int(np.argmax(differs))
-    before = np.flatnonzero(there[:first])
-    if not len(before) and not there[first]:
-        begins = int(recorded.keyframes[np.argmax(there)])
-        raise InputError(f"{who} is there before frame {begins}, where its recording begins; let it begin there")
+    before = np.flatnonzero(recorded_valid[:first])
+    if not len(before) and not recorded_valid[first]:
+        begins = int(recorded.keyframes[np.argmax(recorded_valid)])
+        raise InputError(f"{described} is there before frame {begins}, where its recording begins; let it begin there")
     launch = int(recorded.keyframes[before[-1] if len(before) else first])
-    gone = np.flatnonzero(~scene.agents.valid[row, launch:])
-    if len(gone):
+    missing = np.flatnonzero(~scene.agents.valid[row, launch:])
+    if len(missing):
         raise InputError(
-            f"{who} is not there at frame {launch + int(gone[0])}; a vehicle that is edited must be there from its "
+            f"{described} is not there at frame {launch + int(missing[0])}; a vehicle that is edited must be there from its "
             f"first change to the end (frame {len(scene.timestamps_us) - 1})"
         )
     poses = np.column_stack([scene.agents.position[row, launch:, :2], scene.agents.yaw[row, launch:]])

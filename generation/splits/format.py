@@ -74,7 +74,7 @@ class FrozenScene(_Frozen):
     def _consistent(self) -> Self:
         if not self.name.startswith(self.source.replace("/", "-")):
             raise ValueError(f"the scene {self.name} is not called after its recorded scene {self.source}")
-        instances = [each.instance for each in self.adversaries]
+        instances = [adversary.instance for adversary in self.adversaries]
         if len(set(instances)) < len(instances):
             raise ValueError(f"{self.name} has one adversary twice")
         return self
@@ -82,7 +82,7 @@ class FrozenScene(_Frozen):
     @property
     def identity(self) -> str:
         """Hash of what the scene is: its tokens are made of it, so that they are the same on every machine."""
-        return content_key(self.source, [each.model_dump(mode="json") for each in self.adversaries])
+        return content_key(self.source, [adversary.model_dump(mode="json") for adversary in self.adversaries])
 
 
 class Recordings(_Frozen):
@@ -112,8 +112,8 @@ class SearchFacts(_Frozen):
     @model_serializer(mode="wrap")
     def _as_older_files(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out fields that older files do not have, so that their content hash stays."""
-        said: dict[str, Any] = plain(self)
-        return {name: value for name, value in said.items() if value is not None}
+        values: dict[str, Any] = plain(self)
+        return {name: value for name, value in values.items() if value is not None}
 
 
 class FrozenRejection(_Frozen):
@@ -152,9 +152,9 @@ class Choice(_Frozen):
     @model_serializer(mode="wrap")
     def _without_nothing(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Splits without the younger fields keep the bytes, and the content hash, that they had before these came."""
-        said: dict[str, Any] = plain(self)
+        values: dict[str, Any] = plain(self)
         younger = ("rejected", "variants", "asked")
-        return {name: value for name, value in said.items() if value or name not in younger}
+        return {name: value for name, value in values.items() if value or name not in younger}
 
 
 class ImageFacts(_Frozen):
@@ -206,9 +206,9 @@ class FrozenSplit(_Frozen):
 
     def text(self) -> str:
         """The file: a line for each scene, the same for the same content."""
-        whole = self.model_dump(mode="json", by_alias=True)
-        scenes = ",\n".join(map(canonical_json, whole.pop("scenes")))
-        head = canonical_json(whole, indent=1).removesuffix("\n}")
+        content = self.model_dump(mode="json", by_alias=True)
+        scenes = ",\n".join(map(canonical_json, content.pop("scenes")))
+        head = canonical_json(content, indent=1).removesuffix("\n}")
         return f'{head},\n "scenes": [\n{scenes}\n ]\n}}\n'
 
 

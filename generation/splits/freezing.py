@@ -55,12 +55,12 @@ def freeze(
 
 def search_facts(search: Search) -> SearchFacts:
     """Facts on the search, as frozen splits say them."""
-    said = search.as_json()
+    definition = search.as_json()
     return SearchFacts(
-        algorithm=said["algorithm"],
-        hyper=said["hyper_fingerprint"],
-        prior=said["prior"],
-        seed=said["seed"],
+        algorithm=definition["algorithm"],
+        hyper=definition["hyper_fingerprint"],
+        prior=definition["prior"],
+        seed=definition["seed"],
         solvable=search.hyper.solvable,
     )
 

@@ -33,21 +33,21 @@ class NamedSplit:
             scenes: Names of its scenes, or of recorded ones for all that are made of them; ``None`` for all.
             limit: Only those of the first so many recorded scenes.
         """
-        seen: dict[str, int] = {}
+        variant_counts: dict[str, int] = {}
         numbered = []
         for frozen in self.frozen.scenes:
-            numbered.append((frozen, seen.get(frozen.source, 0)))
-            seen[frozen.source] = numbered[-1][1] + 1
-        wanted = set(seen if scenes is None else scenes)
-        unknown = sorted(wanted - set(seen) - {frozen.name for frozen in self.frozen.scenes})
+            numbered.append((frozen, variant_counts.get(frozen.source, 0)))
+            variant_counts[frozen.source] = numbered[-1][1] + 1
+        wanted = set(variant_counts if scenes is None else scenes)
+        unknown = sorted(wanted - set(variant_counts) - {frozen.name for frozen in self.frozen.scenes})
         if unknown:
             raise InputError(
                 f"frozen split {self.name} has no scene made from {', '.join(unknown)}; it has scenes made from "
-                f"{', '.join(sorted(seen)[:8])}{' ...' if len(seen) > 8 else ''}"
+                f"{', '.join(sorted(variant_counts)[:8])}{' ...' if len(variant_counts) > 8 else ''}"
             )
-        asked = [each for each in numbered if each[0].source in wanted or each[0].name in wanted]
-        recorded = set(sorted({frozen.source for frozen, _ in asked})[:limit])
-        return [each for each in asked if each[0].source in recorded]
+        matching = [scene for scene in numbered if scene[0].source in wanted or scene[0].name in wanted]
+        recorded = set(sorted({frozen.source for frozen, _ in matching})[:limit])
+        return [scene for scene in matching if scene[0].source in recorded]
 
 
 def packaged_splits(data: str = "", split: str = "adv") -> tuple[str, ...]:
@@ -60,12 +60,12 @@ def packaged_splits(data: str = "", split: str = "adv") -> tuple[str, ...]:
     Returns:
         Names such as ``mini-adv-1``: data set, split and a number that grows.
     """
-    found = []
+    numbered = []
     for path in _FOLDER.glob("*.json"):
         named = _NUMBERED.fullmatch(path.stem)
         if named and named["split"] == split and data in ("", named["data"]):
-            found.append((named["data"], int(named["number"]), path.stem))
-    return tuple(name for _, _, name in sorted(found))
+            numbered.append((named["data"], int(named["number"]), path.stem))
+    return tuple(name for _, _, name in sorted(numbered))
 
 
 def newest_split(data: str, split: str = "adv") -> NamedSplit:
@@ -128,9 +128,9 @@ def frozen_of_seed(path: Path, seed: int) -> NamedSplit:
             f"there is no file {own}, the frozen split of seed {seed}; --from names the file that --freeze named, "
             "without the seed"
         )
-    found = frozen_split(own)
-    require_seed(seed_split(seed), found.frozen.search.seed, str(own))
-    return found
+    named_split = frozen_split(own)
+    require_seed(seed_split(seed), named_split.frozen.search.seed, str(own))
+    return named_split
 
 
 def require_seed(split: str, seed: int, what: str) -> None:

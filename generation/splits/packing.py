@@ -80,8 +80,8 @@ class Manifest(Stored):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        found = {name for name, file in self.files.items() if file.kind == "split"}
-        if found != {split_file(split.name) for split in self.splits}:
+        split_files = {name for name, file in self.files.items() if file.kind == "split"}
+        if split_files != {split_file(split.name) for split in self.splits}:
             raise ValueError("its splits are not those of its files")
         return self
 
@@ -145,8 +145,8 @@ def pack_split(path: Path, contents: PackageContents, executor: Executor) -> Pac
         splits=tuple(_packed(split) for split in contents.splits),
         files={name: _file(kind, data) for name, (kind, data) in sorted(members.items())},
     )
-    said = (canonical_json(manifest.model_dump(mode="json", by_alias=True), indent=1) + "\n").encode()
-    data = package_bytes({MANIFEST: said} | {name: data for name, (_, data) in sorted(members.items())})
+    manifest_bytes = (canonical_json(manifest.model_dump(mode="json", by_alias=True), indent=1) + "\n").encode()
+    data = package_bytes({MANIFEST: manifest_bytes} | {name: data for name, (_, data) in sorted(members.items())})
     _require_free(path, data)
     write_bytes(path, data)
     return Packed(path, hashlib.sha256(data).hexdigest(), manifest)
@@ -210,11 +210,11 @@ def _of_root(root: DataSet, splits: Sequence[NamedSplit], executor: Executor) ->
         members[VERDICTS_FILE] = ("verdicts", _json(stored.model_dump(mode="json", by_alias=True)))
     counted = statistics(root.root, version=root.version)
     judged = judge_split(root, adversarial_names(root, names), executor)
-    said = {
+    summary = {
         **counted.model_dump(mode="json", exclude={"root"}),
         "judgement": judged.model_dump(mode="json"),
     }
-    members[STATISTICS_FILE] = ("statistics", _json(said))
+    members[STATISTICS_FILE] = ("statistics", _json(summary))
     return members
 
 

@@ -11,8 +11,8 @@ from generation.splits.unpacking import Package
 def rebuild(source: DataSet, package: Package, split: NamedSplit, settings: BuildSettings) -> FrozenReport:
     """Build a split of a package from its recordings as ``adv``, verdicts included; the same command resumes."""
     report = build_frozen(source, split, settings)
-    said = {} if package.review is None else dict(package.review.verdicts)
-    own = {name: verdict for name, verdict in said.items() if name in set(report.written)}
+    verdicts = {} if package.review is None else dict(package.review.verdicts)
+    own = {name: verdict for name, verdict in verdicts.items() if name in set(report.written)}
     if own and not settings.dry_run:
         record_verdicts(settings.out, own)
     return report

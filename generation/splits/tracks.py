@@ -39,10 +39,10 @@ def adversarial(frozen: FrozenScene, scene: Scene) -> Scene:
     It must be that recording: each vehicle in it and, at the launch, in its place, and as many frames.
     """
     changed = scene
-    for each in frozen.adversaries:
-        agent, stop = _place(each, scene), each.launch_frame + len(each.track)
-        changed = changed.with_adversary(agent, slice(each.launch_frame, stop), np.array(each.track))
-        inside = (scene.keyframes >= each.launch_frame) & (scene.keyframes < stop)
+    for adversary in frozen.adversaries:
+        agent, stop = _place(adversary, scene), adversary.launch_frame + len(adversary.track)
+        changed = changed.with_adversary(agent, slice(adversary.launch_frame, stop), np.array(adversary.track))
+        inside = (scene.keyframes >= adversary.launch_frame) & (scene.keyframes < stop)
         rotation = changed.annotations.rotation
         rotation[agent, inside] = np.round(rotation[agent, inside], _ROTATION_DIGITS) + 0.0
     return changed
@@ -82,7 +82,7 @@ def _distance(scene: Scene, agent: int, frame: int, adversary: FrozenAdversary) 
 
 def tracks_of(frozen: FrozenScene) -> TracksAtHand:
     """Tracks by which the adversaries of a frozen scene were made: at 12 Hz, and then rounded along both axes."""
-    launches = {each.instance: each.launch_frame for each in frozen.adversaries}
+    launches = {adversary.instance: adversary.launch_frame for adversary in frozen.adversaries}
     return TracksAtHand(generated=True, launches=launches, rounded_m=float(np.hypot(0.5, 0.5)) * 10**-METRE_DIGITS)
 
 
@@ -103,7 +103,7 @@ def scene_report(frozen: FrozenScene, scene: Scene, seed: int) -> dict[str, Any]
 
     Numbers are rounded, so that they are the same on every machine.
     """
-    reports = [_attempt(each, frozen.source, scene, seed) for each in frozen.adversaries]
+    reports = [_attempt(adversary, frozen.source, scene, seed) for adversary in frozen.adversaries]
     if len(reports) == 1:
         return reports[0]
     challenge = sum(report["challenge"] for report in reports) / len(reports)
@@ -114,7 +114,7 @@ def _attempt(adversary: FrozenAdversary, source: str, scene: Scene, seed: int) -
     agent, start = scene.agents.ids.index(adversary.instance), adversary.launch_frame
     closest = closest_approach(scene, agent, start)
     soonest = float(times_to_collision(scene, agent, start).min())
-    told = Attempt(
+    attempt = Attempt(
         scene=source,
         agent=adversary.instance,
         seed=seed,
@@ -126,7 +126,7 @@ def _attempt(adversary: FrozenAdversary, source: str, scene: Scene, seed: int) -
         least_time_to_collision_s=None if np.isinf(soonest) else soonest,
         labels=describe(scene, agent, start),
     )
-    rounded: dict[str, Any] = rounded_numbers(told.as_json(), _REPORT_DIGITS)
+    rounded: dict[str, Any] = rounded_numbers(attempt.as_json(), _REPORT_DIGITS)
     return rounded
 
 

@@ -47,12 +47,12 @@ class Package:
 
     def split(self, name: str | None) -> NamedSplit:
         """One of its splits; ``None`` is the only one, if there is one alone."""
-        names = [each.name for each in self.splits]
+        names = [packed.name for packed in self.splits]
         if name is None and len(names) == 1:
             return self.splits[0]
         if name not in names:
-            what = f"has no split {name!r}" if name is not None else "has several splits"
-            raise InputError(f"{self.path} {what}; choose one of {', '.join(names)} with --split")
+            problem = f"has no split {name!r}" if name is not None else "has several splits"
+            raise InputError(f"{self.path} {problem}; choose one of {', '.join(names)} with --split")
         return self.splits[names.index(name)]
 
 
@@ -73,8 +73,8 @@ def read_split_package(path: Path) -> Package:
     manifest = _manifest(path, members.pop(MANIFEST, None))
     missing, unknown = sorted(manifest.files.keys() - members), sorted(members.keys() - manifest.files)
     if missing or unknown:
-        said = f"lacks {missing[0]}" if missing else f"holds {unknown[0]}, which its manifest does not name"
-        raise InputError(f"{path} {said}; it is damaged, fetch it again")
+        problem = f"lacks {missing[0]}" if missing else f"holds {unknown[0]}, which its manifest does not name"
+        raise InputError(f"{path} {problem}; it is damaged, fetch it again")
     left_out = []
     for name, file in manifest.files.items():
         data = members[name]
@@ -88,12 +88,12 @@ def read_split_package(path: Path) -> Package:
             left_out.append(f"{path}: {name} is left out: {absent}")
             del members[name]
     splits = []
-    for each in manifest.splits:
-        frozen = _frozen(path, each.name, members[split_file(each.name)])
+    for packed in manifest.splits:
+        frozen = _frozen(path, packed.name, members[split_file(packed.name)])
         facts = (frozen.content_id, len(frozen.scenes), frozen.recordings.name, frozen.recordings.fingerprint)
-        if facts != (each.content, each.scenes, each.recordings, each.fingerprint):
-            raise InputError(f"{path}: the split {each.name} is not the one that the manifest names; fetch it again")
-        splits.append(NamedSplit(each.name, frozen))
+        if facts != (packed.content, packed.scenes, packed.recordings, packed.fingerprint):
+            raise InputError(f"{path}: the split {packed.name} is not the one that the manifest names; fetch it again")
+        splits.append(NamedSplit(packed.name, frozen))
     review = None
     if VERDICTS_FILE in members:
         review = validated(

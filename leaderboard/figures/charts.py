@@ -63,10 +63,10 @@ def disagreement_figure(frame: Frame, split: str) -> Sketch | None:
     ``None`` where no record of the split was judged by ``exact`` and another protocol.
     """
     runs = [run for run in frame.runs if run.run.split == split and EXACT in run.run.protocols]
-    found = [(run, comparisons(run)) for run in runs]
-    if not any(compared for _, compared in found):
+    compared_runs = [(run, comparisons(run)) for run in runs]
+    if not any(compared for _, compared in compared_runs):
         return None
-    return partial(_disagreement, frame.data_name, split, found)
+    return partial(_disagreement, frame.data_name, split, compared_runs)
 
 
 def manoeuvre_figure(frame: Frame, protocol: str) -> Sketch | None:
@@ -85,15 +85,15 @@ def manoeuvre_figure(frame: Frame, protocol: str) -> Sketch | None:
 
 def _horizon_figure(data_name: str, protocol: str, rows: Sequence[Row[ProtocolSummary]], theme: Theme) -> Figure:
     runs = [row.record for row in rows]
-    shown = splits_of(runs)
+    splits = splits_of(runs)
     planners = list(dict.fromkeys(run.planner for run in runs))
     names_of = {run.planner: planner_name(run) for run in runs}
     style = {name: planner_style(place, theme) for place, name in enumerate(planners)}
     lines_of_legend = -(-len(planners) // _LEGEND_COLUMNS)
     below = 0.15 + 0.2 * lines_of_legend
-    figure = new_figure(max(_PAIRED_INCHES, 0.8 + 1.9 * len(shown)), 2.9 + below)
-    panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
-    for axes, split in zip(panels, shown):
+    figure = new_figure(max(_PAIRED_INCHES, 0.8 + 1.9 * len(splits)), 2.9 + below)
+    panels = figure.subplots(1, len(splits), sharey=True, squeeze=False)[0]
+    for axes, split in zip(panels, splits):
         for row in rows:
             if row.split == split:
                 _band(axes, row.found.columns["collision"], style[row.record.planner])
@@ -130,13 +130,15 @@ def _band(axes: Axes, rates: Mapping[str, Rate], style: dict[str, Any]) -> None:
 
 
 def _disagreement(
-    data_name: str, split: str, found: Sequence[tuple[RunRecord, dict[str, Any]]], theme: Theme
+    data_name: str, split: str, compared_runs: Sequence[tuple[RunRecord, dict[str, Any]]], theme: Theme
 ) -> Figure:
-    protocols = list(dict.fromkeys(name for _, compared in found for name in compared))
-    figure = new_figure(_PAIRED_INCHES, 1.3 + (0.3 + 0.09 * len(found)) * len(protocols) + 0.11 * len(found))
+    protocols = list(dict.fromkeys(name for _, compared in compared_runs for name in compared))
+    figure = new_figure(
+        _PAIRED_INCHES, 1.3 + (0.3 + 0.09 * len(compared_runs)) * len(protocols) + 0.11 * len(compared_runs)
+    )
     panels = figure.subplots(1, 2, sharey=True)
-    height = 0.8 / len(found)
-    for place, (_, compared) in enumerate(found):
+    height = 0.8 / len(compared_runs)
+    for place, (_, compared) in enumerate(compared_runs):
         for row, protocol in enumerate(protocols):
             if protocol not in compared:
                 continue
@@ -155,9 +157,9 @@ def _disagreement(
         axes.spines[["top", "right"]].set_visible(False)
     panels[0].set_yticks(range(len(protocols)), [drawable(name) for name in protocols], parse_math=False)
     panels[0].set_ylim(len(protocols) - 0.5, -0.5)
-    figure.tight_layout(rect=(0, (0.1 + 0.22 * -(-len(found) // 2)) / figure.get_figheight(), 1, 0.92))
-    patches = [Patch(color=theme.planner(place)) for place in range(len(found))]
-    names = [planner_name(run) for run, _ in found]
+    figure.tight_layout(rect=(0, (0.1 + 0.22 * -(-len(compared_runs) // 2)) / figure.get_figheight(), 1, 0.92))
+    patches = [Patch(color=theme.planner(place)) for place in range(len(compared_runs))]
+    names = [planner_name(run) for run, _ in compared_runs]
     name_below(figure, patches, names, 2)
     _heading(figure, f"{drawable(titled(data_name, split))}: protocols against exact (a tick: undefined)")
     return figure
@@ -193,18 +195,18 @@ def _manoeuvre_panels(data_name: str, protocol: str, runs: Sequence[RunRecord], 
     panels[0].set_yticks(range(len(order)), [drawable(name) for name in order], parse_math=False)
     panels[0].set_ylim(len(order) - 0.5, -0.5)
     figure.tight_layout(rect=(0, 0, 1, 0.93))
-    what = "scenes in which the adversary is hit first" if whom else "adversarial scenes failed"
-    _heading(figure, f"{drawable(data_name)}: {what} (red), {judges(protocol)}")
+    subject = "scenes in which the adversary is hit first" if whom else "adversarial scenes failed"
+    _heading(figure, f"{drawable(data_name)}: {subject} (red), {judges(protocol)}")
     return figure
 
 
 def _manoeuvres(run: RunRecord) -> dict[str, str]:
     """Manoeuvre of the adversary of each scene; empty where the record says nothing of any."""
     facts = run.run.scene_facts
-    found = {scene: facts[scene].manoeuvre for scene in run.run.scenes if scene in facts}
-    if not any(found.values()):
+    manoeuvre_of_scene = {scene: facts[scene].manoeuvre for scene in run.run.scenes if scene in facts}
+    if not any(manoeuvre_of_scene.values()):
         return {}
-    return {scene: name or UNLABELLED for scene, name in found.items()}
+    return {scene: name or UNLABELLED for scene, name in manoeuvre_of_scene.items()}
 
 
 def planner_style(place: int, theme: Theme) -> dict[str, Any]:

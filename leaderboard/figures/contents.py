@@ -60,18 +60,20 @@ class Setting:
 
 def generator_settings(records: Sequence[RunRecord]) -> list[Setting]:
     """Settings, by data set and split, that say whether the careful human survives and how severe plans are."""
-    found: dict[tuple[str, str], list[RunRecord]] = {}
+    records_by_split: dict[tuple[str, str], list[RunRecord]] = {}
     for record in in_table_order(list(filter(counts_attacks, records))):
-        found.setdefault((record.run.data.name, record.run.split), []).append(record)
+        records_by_split.setdefault((record.run.data.name, record.run.split), []).append(record)
     settings = []
-    for (data_name, split), runs in sorted(found.items(), key=lambda each: (each[0][0], split_place(each[0][1]))):
-        ladder = split_ladders(runs).get(split)
+    for (data_name, split), runs in sorted(
+        records_by_split.items(), key=lambda item: (item[0][0], split_place(item[0][1]))
+    ):
+        reference_drivers = split_ladders(runs).get(split)
         rates = [(run, attack_rates(run).scenes["attributable"]) for run in runs]
         success = tuple((run, rate) for run, rate in rates if rate.value is not None)
-        if ladder is not None and success:
-            said = next((run.run.realism for run in runs if run.run.realism is not None), None)
-            worst = None if said is None else said.headline
-            settings.append(Setting(data_name, split, worst, ladder.without_fault, success))
+        if reference_drivers is not None and success:
+            realism = next((run.run.realism for run in runs if run.run.realism is not None), None)
+            worst = None if realism is None else realism.headline
+            settings.append(Setting(data_name, split, worst, reference_drivers.without_fault, success))
     return settings
 
 
@@ -88,7 +90,7 @@ def attack_figures(frame: Frame) -> tuple[NamedFigure, ...]:
 
 def nothing_drawn(data_name: str, records: Sequence[RunRecord]) -> str | None:
     """Reason why there is no figure of a data set that has adversaries, in a sentence; ``None`` where there is one."""
-    own = [each for each in records if each.run.data.name == data_name and has_adversaries(each)]
+    own = [record for record in records if record.run.data.name == data_name and has_adversaries(record)]
     if not own or any(setting.data_name == data_name for setting in generator_settings(own)):
         return None
     if not any(map(says_severity, own)):
@@ -111,15 +113,15 @@ def _figure(data_name: str, settings: Sequence[Setting], theme: Theme) -> Figure
     words = [line for text in _words(settings) for line in textwrap.wrap(text, int(_LETTERS_PER_INCH * width))]
     below = _LINE * len(words) + _LEGEND_LINE * -(-len(planners) // _LEGEND_COLUMNS) + 0.2
     figure = new_figure(width, _HEIGHT + below)
-    shown = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-    for axes, (head, place) in zip(shown, panels, strict=True):
+    panel_axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for axes, (head, place) in zip(panel_axes, panels, strict=True):
         _frame(axes, head, theme)
         for number, setting in enumerate(settings, 1):
             at = place(setting)
             if at is not None:
                 _draw_setting(axes, setting, number, at, style, theme, own=setting.data_name == data_name)
-    shown[0].set_ylabel("attributable success, % of the scenes")
-    shown[0].set_ylim(-3, 108)
+    panel_axes[0].set_ylabel("attributable success, % of the scenes")
+    panel_axes[0].set_ylim(-3, 108)
     figure.tight_layout(rect=(0, below / figure.get_figheight(), 1, 0.94))
     _say(figure, f"{drawable(data_name)}: attributable attack success against realism", words, theme)
     lines = [mpl.lines.Line2D([], [], **look) for look in style.values()]
@@ -205,13 +207,13 @@ def _draw_setting(
 
 def _words(settings: Sequence[Setting]) -> list[str]:
     """Sentences on which number is which setting, and on the axes."""
-    found = []
+    sentences = []
     for number, setting in enumerate(settings, 1):
         name = drawable(split_of(setting.split, setting.data_name))
         worst = "" if setting.worst is None else f"; worst: {setting.worst.name.replace('_', ' ')}"
-        found.append(f"{number}: {name}{worst}")
+        sentences.append(f"{number}: {name}{worst}")
     if any(setting.worst is None for setting in settings):
-        found.append(
+        sentences.append(
             "Where nobody compared the adversaries with recordings, as on our own town, there is no realism; the share "
             "of scenes whose adversaries have no validity fault says less."
         )
@@ -219,8 +221,10 @@ def _words(settings: Sequence[Setting]) -> list[str]:
     known = [half for half in halves if half is not None]
     if known:
         ends = f"{min(known):.2f}" if min(known) == max(known) else f"{min(known):.2f} to {max(known):.2f}"
-        found.append(f"Two halves of the recordings reach {ends} on the same feature: what is above says nothing more.")
-    return found
+        sentences.append(
+            f"Two halves of the recordings reach {ends} on the same feature: what is above says nothing more."
+        )
+    return sentences
 
 
 OF_RUNS: Final[tuple[Callable[[Frame], Iterable[NamedFigure]], ...]] = (run_figures, attack_figures)
@@ -233,10 +237,10 @@ def matrix_figures(frame: Frame) -> list[NamedFigure]:
     ``exact`` one picture a split.
     """
     name = frame.data_name
-    found = [(judge, _matrices(frame, judge, split)) for split in frame.splits for judge in frame.judges]
-    shares = [(name_of_transfer(name, each), heat_maps(each)) for _, some in found for each in some]
-    of_lift = [some[-1] for judge, some in found if judge == EXACT and some]
-    lifts = [(name_of_lift(name, each), lift_maps(each)) for each in of_lift]
+    judge_matrices = [(judge, _matrices(frame, judge, split)) for split in frame.splits for judge in frame.judges]
+    shares = [(name_of_transfer(name, matrix), heat_maps(matrix)) for _, some in judge_matrices for matrix in some]
+    of_lift = [some[-1] for judge, some in judge_matrices if judge == EXACT and some]
+    lifts = [(name_of_lift(name, matrix), lift_maps(matrix)) for matrix in of_lift]
     return [NamedFigure(stem, title, *drawn) for (stem, title), drawn in [*shares, *lifts]]
 
 

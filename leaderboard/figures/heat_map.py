@@ -138,13 +138,17 @@ def _share(rate: Rate) -> Square | None:
     return Square(f"{100 * rate.value:.0f} %", counts, mpl.colormaps[COLOURS](rate.value)[:3])
 
 
-def _around(found: Estimate, chance: float, form: str, shade: float) -> Square | None:
-    if found.value is None:
+def _around(estimate: Estimate, chance: float, form: str, shade: float) -> Square | None:
+    if estimate.value is None:
         return None
-    ends = interval(found.low, found.high, digits=2)
-    told = found.low is not None and found.high is not None and not found.low <= chance <= found.high
-    text = form.format(number(found.value, 2))
-    return Square(text, "" if ends == UNDEFINED else ends, mpl.colormaps[AROUND_CHANCE](shade)[:3], bold=told)
+    ends = interval(estimate.low, estimate.high, digits=2)
+    excludes_chance = (
+        estimate.low is not None and estimate.high is not None and not estimate.low <= chance <= estimate.high
+    )
+    text = form.format(number(estimate.value, 2))
+    return Square(
+        text, "" if ends == UNDEFINED else ends, mpl.colormaps[AROUND_CHANCE](shade)[:3], bold=excludes_chance
+    )
 
 
 def _lift_colour(lift: float | None) -> float:
@@ -176,8 +180,8 @@ def _beyond_chance(matrix: TransferMatrix, theme: Theme) -> Figure:
 
 def _whose(matrix: TransferMatrix) -> str:
     judge = "own protocols" if matrix.protocol == NATIVE else f"protocol {drawable(matrix.protocol)}"
-    what = "Contacts with the adversary" if matrix.adversary_only else "Failures"
-    return f"{what}\non {drawable(matrix.split)}, {judge}"
+    subject = "Contacts with the adversary" if matrix.adversary_only else "Failures"
+    return f"{subject}\non {drawable(matrix.split)}, {judge}"
 
 
 def _figure(matrix: TransferMatrix, squares: Squares, of_rows: Sequence[str], caption: str, theme: Theme) -> Figure:
@@ -191,7 +195,7 @@ def _figure(matrix: TransferMatrix, squares: Squares, of_rows: Sequence[str], ca
     for row, cells in zip(rows, squares, strict=True):
         for column, square in enumerate(cells):
             _draw_square(axes, column, row, square, theme)
-    labels = [f"{name}\n{said}" for name, said in zip(names, of_rows, strict=True)]
+    labels = [f"{name}\n{row_label}" for name, row_label in zip(names, of_rows, strict=True)]
     axes.set_xlim(-0.5, count - 0.5)
     axes.set_ylim(rows[-1] + 0.5, -0.5)
     axes.set_xticks(range(count), names, rotation=40, ha="left", rotation_mode="anchor", parse_math=False)

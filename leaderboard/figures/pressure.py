@@ -38,30 +38,30 @@ Budget = tuple[float, int, int]
 
 def pressure_figures(records: Sequence[DriveRecord]) -> tuple[NamedFigure, ...]:
     """A figure of every adversary that was given several budgets, in the order of the tables."""
-    found = []
+    figures = []
     for number, (title, rows) in enumerate(pressures(records)):
         drawn = for_pages(partial(pressure_figure, title, rows))
-        found.append(NamedFigure(pressure_name(number), title, *drawn))
-    return tuple(found)
+        figures.append(NamedFigure(pressure_name(number), title, *drawn))
+    return tuple(figures)
 
 
 def pressure_figure(title: str, rows: Sequence[Pressure], theme: Theme) -> Figure:
     """One figure of planners against budgets: a panel for each of `PANELS`."""
-    strength = {each.budget: each.candidates for each in rows}
+    strength = {pressure.budget: pressure.candidates for pressure in rows}
     budgets = sorted(strength, key=lambda budget: (strength[budget], budget))
-    planners = {each.row.name: each.row.record.facts.planner for each in rows}
+    planners = {pressure.row.name: pressure.row.record.facts.planner for pressure in rows}
     style = {name: planner_style(place, theme) for place, name in enumerate(planners)}
     width = _PANEL * len(PANELS)
     words = textwrap.wrap(" ".join(map(drawable, title.split())), int(_LETTERS_PER_INCH * width))
     below = _LEGEND_LINE * -(-len(planners) // _LEGEND_COLUMNS) + 0.15
     above = _LINE * len(words) + 0.12
     figure = new_figure(width, _HEIGHT + below + above)
-    for axes, (column, said, share) in zip(figure.subplots(1, len(PANELS)), PANELS, strict=True):
-        _frame(axes, said, budgets, theme)
+    for axes, (column, axis_label, share) in zip(figure.subplots(1, len(PANELS)), PANELS, strict=True):
+        _frame(axes, axis_label, budgets, theme)
         for place, (name, look) in enumerate(style.items()):
             beside = _APART * (place - 0.5 * (len(planners) - 1))
-            found = {each.budget: each.row.rates.get(column) for each in rows if each.row.name == name}
-            _line(axes, [found.get(budget) for budget in budgets], beside, look, 100.0 if share else 1.0)
+            rates = {pressure.budget: pressure.row.rates.get(column) for pressure in rows if pressure.row.name == name}
+            _line(axes, [rates.get(budget) for budget in budgets], beside, look, 100.0 if share else 1.0)
         # The end of the other axis is known once all are drawn.
         axes.set_ylim(*((-4.0, 104.0) if share else (0.0, None)))
     height = figure.get_figheight()
@@ -74,8 +74,8 @@ def pressure_figure(title: str, rows: Sequence[Pressure], theme: Theme) -> Figur
     return figure
 
 
-def _frame(axes: Axes, said: str, budgets: Sequence[Budget], theme: Theme) -> None:
-    axes.set_ylabel(said)
+def _frame(axes: Axes, axis_label: str, budgets: Sequence[Budget], theme: Theme) -> None:
+    axes.set_ylabel(axis_label)
     axes.set_xlabel("batches x candidates, every", color=theme.faint)
     axes.set_xticks(range(len(budgets)), [f"{1 + rounds} x {count}\n{every:g} s" for every, rounds, count in budgets])
     axes.tick_params(axis="x", labelsize=8.0)

@@ -48,7 +48,7 @@ _HALF_STRIP: Final = 0.31
 
 def refinement_figures(data_name: str, sheets: Sheets) -> tuple[NamedFigure, ...]:
     """Figures of at most `SCENES_OF_A_SPLIT` scenes of each split traced by `challenger-bench sheets --rounds`."""
-    found, drawn = [], dict.fromkeys((split for _, split, _ in sheets.scenes), 0)
+    figures, drawn = [], dict.fromkeys((split for _, split, _ in sheets.scenes), 0)
     for (data, split, scene), stored in sorted(sheets.scenes.items()):
         if data != data_name or drawn[split] == SCENES_OF_A_SPLIT:
             continue
@@ -56,8 +56,8 @@ def refinement_figures(data_name: str, sheets: Sheets) -> tuple[NamedFigure, ...
         if sketch is not None:
             drawn[split] += 1
             title = f"Rounds of refinement, split {split}, {scene}"
-            found.append(NamedFigure(f"refinement-{split}-{scene}", title, *for_pages(sketch)))
-    return tuple(found)
+            figures.append(NamedFigure(f"refinement-{split}-{scene}", title, *for_pages(sketch)))
+    return tuple(figures)
 
 
 def refinement_figure(
@@ -88,12 +88,12 @@ def most_improved(rounds: RefinementTrace) -> TraceFrame | None:
     ``None`` where no frame has candidates with scores in its first and last round.
     """
     best: tuple[float, TraceFrame] | None = None
-    for each in rounds.frames:
-        ends = [_best_score(entry) for entry in each.rounds[:1] + each.rounds[-1:]]
+    for frame in rounds.frames:
+        ends = [_best_score(entry) for entry in frame.rounds[:1] + frame.rounds[-1:]]
         if not ends or ends[0] is None or ends[-1] is None:
             continue
         if best is None or ends[0] - ends[-1] > best[0]:
-            best = (ends[0] - ends[-1], each)
+            best = (ends[0] - ends[-1], frame)
     return None if best is None else best[1]
 
 
@@ -116,14 +116,20 @@ def quartiles(scores: Sequence[float], searched: int) -> tuple[float, float, flo
 
 
 def _at(rounds: RefinementTrace, frame: int) -> TraceFrame | None:
-    found = (each for each in rounds.frames if each.frame == frame)
-    return next((each for each in found if any(entry.candidates for entry in each.rounds)), None)
+    matching = (trace_frame for trace_frame in rounds.frames if trace_frame.frame == frame)
+    return next(
+        (trace_frame for trace_frame in matching if any(entry.candidates for entry in trace_frame.rounds)), None
+    )
 
 
 def _require_whole(stored: StoredSheet, at: TraceFrame) -> None:
     chosen = at.rounds[at.chosen_round] if 0 <= at.chosen_round < len(at.rounds) else None
-    whole = chosen is not None and 0 <= at.chosen < len(chosen.candidates) and 0 <= at.frame < len(stored.sheet.ego.x_m)
-    if not whole or any(len(entry.candidates) != len(entry.scores) or not entry.candidates for entry in at.rounds):
+    is_complete = (
+        chosen is not None and 0 <= at.chosen < len(chosen.candidates) and 0 <= at.frame < len(stored.sheet.ego.x_m)
+    )
+    if not is_complete or any(
+        len(entry.candidates) != len(entry.scores) or not entry.candidates for entry in at.rounds
+    ):
         raise InputError(
             f"{stored.directory / ROUNDS_FILE} does not fit together at frame {at.frame}; delete it and run "
             "challenger-bench sheets --rounds again"
@@ -135,8 +141,8 @@ def _best_score(entry: TraceRound) -> float | None:
 
 
 def _figure(sheet: Sheet, rounds: RefinementTrace, at: TraceFrame, view: MapView, theme: Theme) -> Figure:
-    shown = _shown_rounds(len(at.rounds))
-    columns, lines = min(len(shown), _COLUMNS), -(-len(shown) // _COLUMNS)
+    round_numbers = _shown_rounds(len(at.rounds))
+    columns, lines = min(len(round_numbers), _COLUMNS), -(-len(round_numbers) // _COLUMNS)
     width = _LEFT + columns * (_PANEL_WIDTH + _GAP) + _BESIDE
     tall = lines * (_PANEL_HEIGHT + _TITLE)
     words = textwrap.wrap(_words(rounds, at, theme), int(_LETTERS_PER_INCH * (width - 2 * _LEFT)))
@@ -148,7 +154,7 @@ def _figure(sheet: Sheet, rounds: RefinementTrace, at: TraceFrame, view: MapView
         return figure.add_axes((left / width, bottom / height, wide / width, high / height))
 
     scale, colours = _scale(at), _colours(theme)
-    for place, number in enumerate(shown):
+    for place, number in enumerate(round_numbers):
         row, column = divmod(place, columns)
         bottom = below + tall - (row + 1) * (_PANEL_HEIGHT + _TITLE)
         axes = placed(_LEFT + column * (_PANEL_WIDTH + _GAP), bottom, _PANEL_WIDTH, _PANEL_HEIGHT)
@@ -172,7 +178,7 @@ def _figure(sheet: Sheet, rounds: RefinementTrace, at: TraceFrame, view: MapView
 def _shown_rounds(count: int) -> list[int]:
     if count <= MOST_PANELS:
         return list(range(count))
-    return [int(each) for each in np.linspace(0, count - 1, MOST_PANELS).round()]
+    return [int(place) for place in np.linspace(0, count - 1, MOST_PANELS).round()]
 
 
 def _scale(at: TraceFrame) -> LogNorm:
@@ -228,12 +234,14 @@ def _draw_scores(axes: Axes, at: TraceFrame, scale: LogNorm, colours: Colormap, 
         axes.scatter(
             beside, known, s=9, c=[colours(scale(score)) for score in known], linewidths=0, zorder=2, clip_on=False
         )
-        found = quartiles(known, searched)
-        if found is not None:
-            axes.plot([number, number], [found[0], found[2]], color=theme.ink, linewidth=3.0, zorder=3)
+        quartile_values = quartiles(known, searched)
+        if quartile_values is not None:
+            axes.plot(
+                [number, number], [quartile_values[0], quartile_values[2]], color=theme.ink, linewidth=3.0, zorder=3
+            )
             axes.plot(
                 number,
-                found[1],
+                quartile_values[1],
                 "o",
                 color=theme.paper,
                 markeredgecolor=theme.ink,
@@ -268,13 +276,13 @@ def _draw_bar(axes: Axes, scale: LogNorm, colours: Colormap) -> None:
 
 
 def _words(rounds: RefinementTrace, at: TraceFrame, theme: Theme) -> str:
-    kept, searched = max(len(entry.candidates) for entry in at.rounds), _searched(rounds)
-    shown = "" if kept >= searched else f" ({kept} of {searched} are drawn, half of them the best)"
+    drawn, searched = max(len(entry.candidates) for entry in at.rounds), _searched(rounds)
+    drawn_note = "" if drawn >= searched else f" ({drawn} of {searched} are drawn, half of them the best)"
     seconds = (max(len(line) for entry in at.rounds for line in entry.candidates) - 1) / 2
     better = "brighter" if theme.dark else "darker"
     return (
         "A: adversary, E: ego, dashed: where the ego goes, star: executed. "
-        f"Lines: the adversary's centre over {seconds:g} s{shown}; the {better}, the better. Scores are compared over "
+        f"Lines: the adversary's centre over {seconds:g} s{drawn_note}; the {better}, the better. Scores are compared over "
         "all rounds together; beside: each candidate, median and quartiles. Free: candidates that touch nothing in the "
         "part that would be executed."
     )

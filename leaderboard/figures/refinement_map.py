@@ -48,7 +48,7 @@ def view_of(sheet: Sheet, agent_id: str, at: TraceFrame, shape: float) -> MapVie
     """The part of the map, of a shape of width by height, that holds all candidates and, where it is near, the ego."""
     lines = [np.array(line) for entry in at.rounds for line in entry.candidates if line]
     boxes = (agent_box(agent, at.frame) for agent in sheet.agents if agent.id == agent_id)
-    box = next((each for each in boxes if each is not None), None)
+    box = next((candidate for candidate in boxes if candidate is not None), None)
     pose = np.array([*lines[0][0], 0.0 if box is None else box[4]])
     points = to_local(np.concatenate(lines), pose)
     ego = to_local(_ego_way(sheet, at.frame)[:1], pose)
@@ -70,15 +70,15 @@ def draw_road(axes: Axes, sheet: Sheet, view: MapView, colours: GroundColours) -
         for area in layer.areas:
             rings = [view.here(ring) for ring in area if len(ring) > 3]
             if rings:
-                seen = shapely.make_valid(shapely.Polygon(rings[0], rings[1:])).intersection(window)
-                _fill(axes, seen, rgb(layer.colour))
+                visible = shapely.make_valid(shapely.Polygon(rings[0], rings[1:])).intersection(window)
+                _fill(axes, visible, rgb(layer.colour))
     for line in sheet.road.dividers:
-        name = next((each for each in colours.paint if line.paint.endswith(f"-{each}")), None)
+        name = next((kind for kind in colours.paint if line.paint.endswith(f"-{kind}")), None)
         if name is None or len(line.points) < 2:
             continue
-        seen = shapely.LineString(view.here(np.array(line.points))).intersection(window)
+        visible = shapely.LineString(view.here(np.array(line.points))).intersection(window)
         pattern = (0, (5, 4)) if line.paint.startswith("dashed") else "solid"
-        paths = [shapely.get_coordinates(part) for part in shapely.get_parts(seen)]
+        paths = [shapely.get_coordinates(part) for part in shapely.get_parts(visible)]
         axes.add_collection(
             LineCollection(paths, colors=[rgb(colours.paint[name])], linewidths=1.0, linestyles=[pattern], zorder=1)
         )
@@ -128,7 +128,7 @@ def rgb(colour: Rgb) -> tuple[float, float, float]:
 def _ego_way(sheet: Sheet, frame: int) -> Floats:
     """(F, 2) centres of the ego's body from a frame on; none where the sheet has no such frame."""
     frames = range(frame, min(frame + FRAMES_AHEAD + 1, len(sheet.ego.x_m)))
-    return np.array([ego_box(sheet, each)[:2] for each in frames]).reshape(-1, 2)
+    return np.array([ego_box(sheet, frame_number)[:2] for frame_number in frames]).reshape(-1, 2)
 
 
 def _fill(axes: Axes, area: shapely.Geometry, colour: tuple[float, ...]) -> None:

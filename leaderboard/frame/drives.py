@@ -81,9 +81,9 @@ class World:
     @cached_property
     def rows(self) -> list[Driven]:
         """Each record with the name of its planner, and what tells its version from others here."""
-        ran = [(each.facts.planner, each.facts.data.name, each.facts.split) for each in self.records]
+        ran = [(record.facts.planner, record.facts.data.name, record.facts.split) for record in self.records]
         named = zip(labels(ran), self.records, strict=True)
-        return [Driven(each, label or each.planner) for label, each in named]
+        return [Driven(record, label or record.planner) for label, record in named]
 
     @property
     def notes(self) -> list[str]:
@@ -104,10 +104,10 @@ class World:
 
     def _said_of_sensor(self) -> list[str]:
         """Notes on what pictures depended on besides the sensor's name."""
-        found = [each.facts.measured for each in self.records if each.facts.measured.sensor == self.sensor]
-        facts = found[0].sensor_facts if found else {}
-        said = ", ".join(f"{name} {value}" for name, value in sorted(facts.items()))
-        return [f"Sensor {self.sensor}: {said}."] if said else []
+        measured = [record.facts.measured for record in self.records if record.facts.measured.sensor == self.sensor]
+        facts = measured[0].sensor_facts if measured else {}
+        fact_texts = ", ".join(f"{name} {value}" for name, value in sorted(facts.items()))
+        return [f"Sensor {self.sensor}: {fact_texts}."] if fact_texts else []
 
 
 def worlds(records: Sequence[DriveRecord]) -> list[World]:
@@ -121,75 +121,77 @@ def worlds(records: Sequence[DriveRecord]) -> list[World]:
         review = None if facts.review is None else facts.review.content
         key = [facts.data.name, facts.data.fingerprint, review, facts.split, facts.measured.world, facts.scenes]
         kinds.setdefault(json.dumps(key), []).append(record)
-    found = [World(*each) for alike in kinds.values() for each in _by_sensor(alike)]
-    for one in found:
-        _require_one_each(one)
-    return _named(sorted(found, key=_place))
+    groups = [World(*group_values) for alike in kinds.values() for group_values in _by_sensor(alike)]
+    for group in groups:
+        _require_one_each(group)
+    return _named(sorted(groups, key=_place))
 
 
 def _by_sensor(records: Sequence[DriveRecord]) -> list[tuple[str, str, tuple[DriveRecord, ...]]]:
     """Title, sensor and records of each sensor that sees; where there is none, of the blind ones."""
-    blind = [each for each in records if each.facts.measured.sensor == NO_SENSOR]
-    seen: dict[tuple[str, str], list[DriveRecord]] = {}
+    blind = [drive_record for drive_record in records if drive_record.facts.measured.sensor == NO_SENSOR]
+    seeing_records: dict[tuple[str, str], list[DriveRecord]] = {}
     for record in records:
         measured = record.facts.measured
         if measured.sensor != NO_SENSOR:
             facts = json.dumps(measured.sensor_facts, sort_keys=True)
-            seen.setdefault((measured.sensor, facts), []).append(record)
+            seeing_records.setdefault((measured.sensor, facts), []).append(record)
     first = records[0].facts
     title = f"{first.data.name} {first.split}: closed loop, engine {first.measured.world}"
     if len(first.scenes) < first.scenes_in_split:
         title += f", {part_of_split(len(first.scenes), first.scenes_in_split)}"
-    if not seen:
+    if not seeing_records:
         return [(title, NO_SENSOR, _in_order(blind))]
-    found = []
-    for (sensor, _), seeing in sorted(seen.items()):
-        looking = {each.planner for each in seeing}
-        beside = [each for each in blind if each.planner not in looking]
-        found.append((f"{title}, sensor {sensor}", sensor, _in_order([*beside, *seeing])))
-    return found
+    groups = []
+    for (sensor, _), seeing in sorted(seeing_records.items()):
+        looking = {drive_record.planner for drive_record in seeing}
+        beside = [drive_record for drive_record in blind if drive_record.planner not in looking]
+        groups.append((f"{title}, sensor {sensor}", sensor, _in_order([*beside, *seeing])))
+    return groups
 
 
-def _place(one: World) -> tuple[bool, str, str, str, list[str], list[str]]:
-    facts = one.records[0].facts
-    ids = sorted(record.content_id for record in one.records)
+def _place(group: World) -> tuple[bool, str, str, str, list[str], list[str]]:
+    facts = group.records[0].facts
+    ids = sorted(record.content_id for record in group.records)
     engine = facts.measured.engine != "default"
-    return engine, facts.data.name, facts.split, one.title, facts.scenes, ids
+    return engine, facts.data.name, facts.split, group.title, facts.scenes, ids
 
 
-def _named(found: Sequence[World]) -> list[World]:
+def _named(groups: Sequence[World]) -> list[World]:
     """With names that do not depend on what else was measured, but for what has the same words."""
-    named, seen = [], Counter[tuple[str, str]]()
-    for one in found:
-        facts, part = one.records[0].facts, not one.records[0].covers_split
+    renamed, name_counts = [], Counter[tuple[str, str]]()
+    for group in groups:
+        facts, part = group.records[0].facts, not group.records[0].covers_split
         measured = facts.measured
         words = [facts.split, measured.engine.replace("@", "-")]
         words += [measured.agents] if measured.engine == "default" else []
         words += [measured.scenarios] if measured.scenarios != "recorded" else []
         words += [f"{measured.latency_ms}ms"] if measured.latency_ms else []
         words += ["until-fault"] if measured.until == "fault" else []
-        words += [one.sensor] if one.sensor != NO_SENSOR else []
+        words += [group.sensor] if group.sensor != NO_SENSOR else []
         words += ["part"] if part else []
         name = "-".join(words)
-        seen[facts.data.name, name] += 1
-        again = seen[facts.data.name, name]
-        named.append(replace(one, name=f"{name}-{again}" if again > 1 else name))
-    return named
+        name_counts[facts.data.name, name] += 1
+        again = name_counts[facts.data.name, name]
+        renamed.append(replace(group, name=f"{name}-{again}" if again > 1 else name))
+    return renamed
 
 
-def _require_one_each(one: World) -> None:
+def _require_one_each(group: World) -> None:
     by_name: dict[str, DriveRecord] = {}
-    for row in one.rows:
+    for row in group.rows:
         first = by_name.setdefault(row.name, row.record)
         if first is not row.record:
             raise InputError(
                 f"{first.directory} and {row.record.directory} both hold drives of {row.name} in the same world "
-                f"({one.title}); move one of them away or name the records' folder with --records"
+                f"({group.title}); move one of them away or name the records' folder with --records"
             )
 
 
 def _in_order(records: Sequence[DriveRecord]) -> tuple[DriveRecord, ...]:
     """Planners before those that are privileged, by name."""
     return tuple(
-        sorted(records, key=lambda each: (each.facts.planner.privileged, each.planner, each.facts.measured.sensor))
+        sorted(
+            records, key=lambda record: (record.facts.planner.privileged, record.planner, record.facts.measured.sensor)
+        )
     )

@@ -45,7 +45,7 @@ def frames_of(records: Sequence[RunRecord]) -> tuple[Frame, ...]:
         raise InputError("there are no run records to make tables of; run challenger-bench eval first")
     chosen = one_run_each(records)
     names = sorted({record.run.data.name for record in chosen})
-    return tuple(Frame(name, [each for each in chosen if each.run.data.name == name], chosen) for name in names)
+    return tuple(Frame(name, [run for run in chosen if run.run.data.name == name], chosen) for name in names)
 
 
 def read_results(

@@ -41,7 +41,9 @@ def splits_of(records: Iterable[RunRecord]) -> list[str]:
 
 def in_table_order(records: Sequence[RunRecord]) -> list[RunRecord]:
     """Records by planner (privileged ones last), then split."""
-    return sorted(records, key=lambda each: (each.run.planner.privileged, each.planner, split_place(each.run.split)))
+    return sorted(
+        records, key=lambda record: (record.run.planner.privileged, record.planner, split_place(record.run.split))
+    )
 
 
 def marked(planner: str, *, privileged: bool, miniature: bool) -> str:
@@ -109,19 +111,21 @@ def marks_of(planners: Iterable[Marked]) -> list[str]:
     """`mark_notes` of the planners of a table."""
     facts = list(planners)
     return mark_notes(
-        privileged=any(each.privileged for each in facts), miniature=any(each.miniature for each in facts)
+        privileged=any(planner.privileged for planner in facts), miniature=any(planner.miniature for planner in facts)
     )
 
 
 def notes_of_marks(records: Iterable[RunRecord]) -> list[str]:
     """`mark_notes` of the planners of some runs."""
     records = list(records)
-    said = dict.fromkeys((record.planner, record.reproduced) for record in records if record.reproduced is not None)
+    reproductions = dict.fromkeys(
+        (record.planner, record.reproduced) for record in records if record.reproduced is not None
+    )
     return [
         *marks_of(record.run.planner for record in records),
         *(
             f"{REPRODUCED_MARK} {planner}: reproduced: the same weights, code and options gave {whose}."
-            for planner, whose in said
+            for planner, whose in reproductions
         ),
     ]
 
@@ -159,10 +163,19 @@ def run_notes(records: Sequence[RunRecord], told: Sequence[str]) -> list[str]:
 
 def review_notes(records: Iterable[RunRecord]) -> list[str]:
     """Notes of inspectors on each split that has adversaries or a review; one sentence for all that have none."""
-    said = {record.run.split: record.run.review for record in records if record.run.review is not None}
-    notes = [f"{split}: {review_words(said[split])}." for split in sorted(said, key=split_place)]
-    made = {record.run.split for record in records if record.run.split not in said and _has_adversaries(record)}
-    return [*notes, *([f"{', '.join(sorted(made, key=split_place))}: {NOT_REVIEWED} by hand."] if made else [])]
+    reviews = {record.run.split: record.run.review for record in records if record.run.review is not None}
+    notes = [f"{split}: {review_words(reviews[split])}." for split in sorted(reviews, key=split_place)]
+    unreviewed_splits = {
+        record.run.split for record in records if record.run.split not in reviews and _has_adversaries(record)
+    }
+    return [
+        *notes,
+        *(
+            [f"{', '.join(sorted(unreviewed_splits, key=split_place))}: {NOT_REVIEWED} by hand."]
+            if unreviewed_splits
+            else []
+        ),
+    ]
 
 
 def _has_adversaries(record: RunRecord) -> bool:
@@ -174,15 +187,15 @@ def completeness_notes(records: Sequence[RunRecord]) -> list[str]:
     """One sentence for each run whose plans come from a file, with failed samples, or of a part of its split."""
     notes = file_notes(records)
     for record in records:
-        who = f"{record.planner} on {record.run.split}"
+        run_name = f"{record.planner} on {record.run.split}"
         if not record.complete:
             summary = record.summary
             notes.append(
-                f"{who}: {counted(summary.failed, 'sample')} failed. The rates cover {100 * summary.coverage:.1f} % of "
+                f"{run_name}: {counted(summary.failed, 'sample')} failed. The rates cover {100 * summary.coverage:.1f} % of "
                 f"{counted(summary.samples, 'sample')}."
             )
         if not record.covers_split:
-            notes.append(f"{who}: {part_of_split(len(record.run.scenes), record.run.scenes_in_split)}.")
+            notes.append(f"{run_name}: {part_of_split(len(record.run.scenes), record.run.scenes_in_split)}.")
     return notes
 
 

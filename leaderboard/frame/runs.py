@@ -130,16 +130,16 @@ class Frame:
         key = make, *of
         if key not in self._made:
             self._made[key] = make(self, *of)
-        made: Made = self._made[key]
-        return made
+        result: Made = self._made[key]
+        return result
 
     def rows(self, judge: str, measure: Callable[[RunRecord], Found | None]) -> list[Row[Found]]:
         """A row, in the order of tables, for each run of which something is measured.
 
         ``judge`` is the protocol or definition behind it; empty where there is none.
         """
-        said = [(record, measure(record)) for record in self.runs]
-        return [Row(record, judge, found) for record, found in said if found is not None]
+        measurements = [(record, measure(record)) for record in self.runs]
+        return [Row(record, judge, measured) for record, measured in measurements if measured is not None]
 
     def scored(self, record: RunRecord, protocol: str) -> Scored:
         """Verdicts on one of the runs, read once."""
@@ -159,8 +159,10 @@ class Frame:
 
 def judged(records: Iterable[RunRecord], protocol: str) -> list[Row[ProtocolSummary]]:
     """`Frame.judged` of records in any order."""
-    found = [(record, protocol_of(record, protocol)) for record in records]
-    return [Row(each, judge, each.summary.protocols[judge]) for each, judge in found if judge in each.summary.protocols]
+    record_judges = [(record, protocol_of(record, protocol)) for record in records]
+    return [
+        Row(run, judge, run.summary.protocols[judge]) for run, judge in record_judges if judge in run.summary.protocols
+    ]
 
 
 def shown_protocols(frame: Frame, asked: Sequence[str] | None) -> Sequence[str]:

@@ -111,11 +111,13 @@ def tabulate(
     above and below them, if not the same; `sources` say where quoted numbers come from.
     """
     groups = [(label, len(list(same))) for label, same in itertools.groupby(columns, lambda column: column.group)]
-    shown = None
+    brief_form = None
     if brief is not None:
         places = [place for place, column in enumerate(columns) if column.key in brief]
-        said = tuple(notes if brief_notes is None else brief_notes)
-        shown = Brief(brief_title or title, tuple(places), said, sum(columns[place].text for place in places))
+        shown_notes = tuple(notes if brief_notes is None else brief_notes)
+        brief_form = Brief(
+            brief_title or title, tuple(places), shown_notes, sum(columns[place].text for place in places)
+        )
     return table_of(
         name,
         title,
@@ -125,7 +127,7 @@ def tabulate(
         text_columns=sum(column.text for column in columns),
         groups=groups if any(label for label, _ in groups) else (),
         sources=sources,
-        brief=shown,
+        brief=brief_form,
         latex_form=latex_form,
     )
 
@@ -144,15 +146,17 @@ def by_data_set(sheets: Sheets, tables: OfSplits) -> dict[str, tuple[Table, ...]
     splits: dict[str, list[SplitSheet]] = {}
     for sheet in sorted(sheets.splits.values(), key=lambda sheet: (sheet.data.name, split_place(sheet.split))):
         splits.setdefault(sheet.data.name, []).append(sheet)
-    found = {name: tuple(table for table in tables(name, own) if table is not None) for name, own in splits.items()}
-    return {name: made for name, made in found.items() if made}
+    tables_by_name = {
+        name: tuple(table for table in tables(name, own) if table is not None) for name, own in splits.items()
+    }
+    return {name: own_tables for name, own_tables in tables_by_name.items() if own_tables}
 
 
 def by_name(parts: Iterable[Mapping[str, Sequence[Table]]]) -> dict[str, tuple[Table, ...]]:
     """Tables of several kinds by name of the data set, in the order of the names."""
-    found = list(parts)
-    names = sorted({name for part in found for name in part})
-    return {name: tuple(table for part in found for table in part.get(name, ())) for name in names}
+    mappings = list(parts)
+    names = sorted({name for part in mappings for name in part})
+    return {name: tuple(table for part in mappings for table in part.get(name, ())) for name in names}
 
 
 def origin_of(sheet: SplitSheet) -> Origin:

@@ -31,35 +31,38 @@ from leaderboard.tables.slices import SLICES
 def data_sets(results: Results) -> Iterator[Section]:
     """Runs of each data set: tables, pages and pictures."""
     for frame in results.frames:
-        name, found = frame.data_name, frame.once(data_set_tables)
+        name, set_tables = frame.data_name, frame.once(data_set_tables)
         heading, of_tables = escape_markdown(name), {figure.name: figure for figure in matrix_figures(frame)}
         figures, notes = data_set_figures(frame, results.sheets), [*missing_notes(frame), *missing_figures(frame)]
-        shown: list[Item] = [*(f"- {escape_markdown(note)}" for note in notes), ""] if notes else []
-        for table in found.front:
-            shown += [table, *([of_tables[table.name]] if table.name in of_tables else [])]
-        pages = {page_path(name, judge): (f"protocol {judge}", tables) for judge, tables in found.others.items()}
-        if found.slices:
+        items: list[Item] = [*(f"- {escape_markdown(note)}" for note in notes), ""] if notes else []
+        for table in set_tables.front:
+            items += [table, *([of_tables[table.name]] if table.name in of_tables else [])]
+        pages = {page_path(name, judge): (f"protocol {judge}", tables) for judge, tables in set_tables.others.items()}
+        if set_tables.slices:
             page = page_path(name, SLICES)
             link = f"[{SLICES}]({quote(page)})"
-            shown += [*figures, f"The same by place, light, manoeuvre of the adversary, speed and command: {link}.", ""]
-            pages = {page: (SLICES, found.slices), **pages}
+            items += [*figures, f"The same by place, light, manoeuvre of the adversary, speed and command: {link}.", ""]
+            pages = {page: (SLICES, set_tables.slices), **pages}
         else:
-            shown += figures
-        links = [f"[{escape_markdown(judge)}]({quote(page_path(name, judge))})" for judge in found.others]
+            items += figures
+        links = [f"[{escape_markdown(judge)}]({quote(page_path(name, judge))})" for judge in set_tables.others]
         if links:
-            shown += [f"Changes, planners and transfer under the other protocols: {', '.join(links)}.", ""]
-        shown += [tables[0] for tables in found.others.values()]
-        groups = dict.fromkeys(map(group_of, found.front))
+            items += [f"Changes, planners and transfer under the other protocols: {', '.join(links)}.", ""]
+        items += [tables[0] for tables in set_tables.others.values()]
+        groups = dict.fromkeys(map(group_of, set_tables.front))
         yield Section(
             name,
             heading,
-            list(said_once(shown)),
+            list(said_once(items)),
             [
-                *((group, [table for table in found.front if group_of(table) == group]) for group in groups),
+                *((group, [table for table in set_tables.front if group_of(table) == group]) for group in groups),
                 *pages.values(),
             ],
             [*of_tables.values(), *figures],
-            {path: page_text(f"{heading}: {escape_markdown(said)}", tables) for path, (said, tables) in pages.items()},
+            {
+                path: page_text(f"{heading}: {escape_markdown(label)}", tables)
+                for path, (label, tables) in pages.items()
+            },
         )
 
 
@@ -70,11 +73,11 @@ def closed_loop(results: Results) -> Iterator[Section]:
         tables, figures = closed_loop_tables(name, own, results.runs), pressure_figures(own)
         heading, page = f"{escape_markdown(name)}: {CLOSED_LOOP}", page_path(name, "closed-loop")
         scenes = [table for table in tables if table.name.startswith(DISAGREEMENTS)]
-        shown: list[Item] = [table for table in tables if table not in scenes]
+        items: list[Item] = [table for table in tables if table not in scenes]
         if scenes:
-            shown += [f"Scenes on which the two loops disagree, by name: [{CLOSED_LOOP}]({quote(page)}).", ""]
+            items += [f"Scenes on which the two loops disagree, by name: [{CLOSED_LOOP}]({quote(page)}).", ""]
         files = {page: page_text(heading, tables)}
-        yield Section(name, heading, [*shown, *figures], [(CLOSED_LOOP, tables)], figures, files)
+        yield Section(name, heading, [*items, *figures], [(CLOSED_LOOP, tables)], figures, files)
 
 
 def of_extensions(results: Results) -> Iterator[Section]:

@@ -109,5 +109,5 @@ def sections_of(records: Mapping[str, Sequence[Any]]) -> Iterator[Section]:
     """Sections that extensions make of records by kind; kinds without a record need no extension."""
     for kind in OFFERS["section"]:
         if records.get(kind):
-            made: Iterable[Section] = from_extension("section", kind)(records[kind])
-            yield from made
+            extension_sections: Iterable[Section] = from_extension("section", kind)(records[kind])
+            yield from extension_sections

@@ -61,14 +61,16 @@ def hyper_parameter_tables(sheets: Sheets, ablations: Sequence[AblationReport]) 
 
     Sheets count that know the settings of their search.
     """
-    found: dict[str, dict[str, Mapping[str, Any]]] = {}
+    searches_by_data_set: dict[str, dict[str, Mapping[str, Any]]] = {}
     for (data_name, split), sheet in sorted(sheets.splits.items()):
         if sheet.hyper:
-            found.setdefault(data_name, {})[split] = sheet.hyper
+            searches_by_data_set.setdefault(data_name, {})[split] = sheet.hyper
     for study in ablations:
         if study.hyper:
-            found.setdefault(study.data.name, {}).setdefault(f"ablation, {study.planner.name}", study.hyper)
-    return {name: (_hyper_parameters(name, searches),) for name, searches in found.items()}
+            searches_by_data_set.setdefault(study.data.name, {}).setdefault(
+                f"ablation, {study.planner.name}", study.hyper
+            )
+    return {name: (_hyper_parameters(name, searches),) for name, searches in searches_by_data_set.items()}
 
 
 def _hyper_parameters(data_name: str, searches: Mapping[str, Mapping[str, Any]]) -> Table:
@@ -106,16 +108,16 @@ def paper_runtime_tables(data_name: str, splits: Sequence[SplitSheet]) -> list[T
 
 
 def _runtime(data_name: str, split: SplitSheet, runtime: Runtime) -> Table:
-    origin, each = origin_of(split), {stage: runtime.each_s(stage) for stage in stages_of(runtime)}
+    origin, seconds_by_stage = origin_of(split), {stage: runtime.each_s(stage) for stage in stages_of(runtime)}
     rows: list[Values] = [
         {
             "Component": COMPONENTS.get(stage, stage.capitalize()),
             "here": origin.cell(seconds, "s", *counted_of(runtime, stage)),
             "paper": published_seconds(stage),
         }
-        for stage, seconds in each.items()
+        for stage, seconds in seconds_by_stage.items()
     ]
-    total = origin.cell(sum(seconds or 0.0 for seconds in each.values()), "s", runtime.attempts, "attempts")
+    total = origin.cell(sum(seconds or 0.0 for seconds in seconds_by_stage.values()), "s", runtime.attempts, "attempts")
     return tabulate(
         f"paper-runtime-{split.split}",
         f"{data_name}, split {split.split}: runtime breakdown (s)",

@@ -45,7 +45,7 @@ def paper_table_1(data_name: str, records: Sequence[RunRecord]) -> Table | None:
         return None
     splits = [split for split in SPLIT_ORDER if any(split in block for block in blocks)]
     rows = [(split, *_half(left, split), *_half(right, split)) for left, right in _pairs(blocks) for split in splits]
-    said = ", ".join(f"{split} is {DATA_SET_OF_SPLIT[split]}" for split in splits)
+    split_names = ", ".join(f"{split} is {DATA_SET_OF_SPLIT[split]}" for split in splits)
     return table_of(
         "paper-table-1",
         f"{data_name}: performance of end-to-end driving systems across data sets, collision rate over 3 seconds (%)",
@@ -53,7 +53,7 @@ def paper_table_1(data_name: str, records: Sequence[RunRecord]) -> Table | None:
         rows,
         notes=(
             "As in the paper each planner is judged by the protocol of its own repository (exact where it has none): "
-            f"planners do not compare with each other. ×: (adv − val) / val of the averages. In the paper {said}.",
+            f"planners do not compare with each other. ×: (adv − val) / val of the averages. In the paper {split_names}.",
             *row_notes([row for block in blocks for row in block.values()]),
         ),
         text_columns=2,
@@ -115,15 +115,15 @@ def _half(block: Block | None, split: str) -> tuple[str | Shown, ...]:
     if row is None:
         return (_first(block).planner, *(UNDEFINED,) * (len(_HEADS) - 1))
     rates, digits = row.found.columns["collision"], _DIGITS.get(row.judge, 2)
-    shown = [row.origin.percent(rates[horizon]).shown(digits) for horizon in HORIZONS]
-    return (row.with_caveats, *shown, _increase(row, block.get("val")), *_published(row))
+    rate_cells = [row.origin.percent(rates[horizon]).shown(digits) for horizon in HORIZONS]
+    return (row.with_caveats, *rate_cells, _increase(row, block.get("val")), *_published(row))
 
 
 def _increase(row: Row[ProtocolSummary], val: Row[ProtocolSummary] | None) -> Shown:
     """Increase from val to adv, where both are whole and judged alike."""
     if row.split != "adv" or val is None or not (row.record.covers_split and val.record.covers_split):
         return Shown("")
-    both = [each.found for each in (val, row)]
+    both = [run_row.found for run_row in (val, row)]
     same = both[0].version == both[1].version
     value = increase_over(*(summary.columns["collision"]["avg"].value for summary in both)) if same else None
     origin = Origin(row.judge, record_name(val.record, row.record))

@@ -22,13 +22,13 @@ _SMALLEST_LABEL: Final = 0.03
 
 def runtime_charts(data_name: str, sheets: Sheets) -> tuple[NamedFigure, ...]:
     """A chart for each split, by its name, of a data set whose generation was timed."""
-    found = []
+    figures = []
     for (name, split), sheet in sorted(sheets.splits.items()):
         shares = runtime_shares(sheet)
         if name == data_name and shares:
             drawn = for_pages(partial(_figure, titled(data_name, split), shares))
-            found.append(NamedFigure(f"runtime-{split}", f"Runtime composition, split {split}", *drawn))
-    return tuple(found)
+            figures.append(NamedFigure(f"runtime-{split}", f"Runtime composition, split {split}", *drawn))
+    return tuple(figures)
 
 
 def runtime_shares(sheet: SplitSheet) -> dict[str, float]:
@@ -36,9 +36,9 @@ def runtime_shares(sheet: SplitSheet) -> dict[str, float]:
     if sheet.runtime is None:
         return {}
     stages = (*RUNTIME_S, *sorted(set(sheet.runtime.total_s) - set(RUNTIME_S)))
-    each = {stage: sheet.runtime.each_s(stage) or 0.0 for stage in stages}
-    total = sum(each.values())
-    return {stage: seconds / total for stage, seconds in each.items()} if total else {}
+    seconds_by_stage = {stage: sheet.runtime.each_s(stage) or 0.0 for stage in stages}
+    total = sum(seconds_by_stage.values())
+    return {stage: seconds / total for stage, seconds in seconds_by_stage.items()} if total else {}
 
 
 def _figure(title: str, shares: Mapping[str, float], theme: Theme) -> Figure:

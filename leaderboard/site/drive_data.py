@@ -68,10 +68,10 @@ class _Shown:
 def drive_files(drives: Sequence[DriveRecord], sheets: Sheets) -> dict[str, bytes]:
     """Scripts of the drives whose scene has a sheet of the same content: ``data/scenes/<key>.js`` below the site."""
     files = {}
-    for one in _shown(drives):
-        if _has_sheet(one, sheets):
-            drive = _drive(one, sheets.scenes[one.scene].sheet)
-            files[f"data/scenes/{one.key}.js"] = data_script(f'({_SCENES})["{one.key}"]', drive)
+    for named_drive in _shown(drives):
+        if _has_sheet(named_drive, sheets):
+            drive = _drive(named_drive, sheets.scenes[named_drive.scene].sheet)
+            files[f"data/scenes/{named_drive.key}.js"] = data_script(f'({_SCENES})["{named_drive.key}"]', drive)
     return files
 
 
@@ -83,15 +83,15 @@ def drive_index(drives: Sequence[DriveRecord], sheets: Sheets) -> list[dict[str,
         ``miniature``, ``world``, ``sensor``, ``family``, ``run``, ``runs``, ``end``, ``contact``, ``failure``,
         ``everybody``, ``adversary`` (whether one that answers is shown where it went).
     """
-    found = []
-    for one in _shown(drives):
-        facts, row = one.record.facts, one.row
+    entries = []
+    for named_drive in _shown(drives):
+        facts, row = named_drive.record.facts, named_drive.row
         contact = None if row.contact is None else asdict(row.contact)
-        found.append(
+        entries.append(
             {
-                "key": one.key if _has_sheet(one, sheets) else None,
-                "scene": scene_key(one.scene),
-                "planner": one.name,
+                "key": named_drive.key if _has_sheet(named_drive, sheets) else None,
+                "scene": scene_key(named_drive.scene),
+                "planner": named_drive.name,
                 "privileged": facts.planner.privileged,
                 "miniature": facts.planner.miniature,
                 "world": facts.measured.world,
@@ -102,39 +102,42 @@ def drive_index(drives: Sequence[DriveRecord], sheets: Sheets) -> list[dict[str,
                 "end": row.end,
                 "contact": contact,
                 "failure": None if row.failure is None else row.failure.reason,
-                "everybody": one.everybody,
-                "adversary": _adversary_is_shown(one, sheets),
+                "everybody": named_drive.everybody,
+                "adversary": _adversary_is_shown(named_drive, sheets),
             }
         )
-    return found
+    return entries
 
 
 def _shown(drives: Sequence[DriveRecord]) -> Iterator[_Shown]:
     """Every drive once, in the order of the tables."""
-    done = set()
+    listed_ids = set()
     for world in worlds(drives):
-        for one in world.rows:
-            if one.record.content_id not in done:
-                done.add(one.record.content_id)
-                yield from (_Shown(one.record, one.name, row) for row in one.record.rows)
+        for table_row in world.rows:
+            if table_row.record.content_id not in listed_ids:
+                listed_ids.add(table_row.record.content_id)
+                yield from (_Shown(table_row.record, table_row.name, row) for row in table_row.record.rows)
 
 
-def _has_sheet(one: _Shown, sheets: Sheets) -> bool:
-    stored = sheets.scenes.get(one.scene)
-    return stored is not None and stored.sheet.data.fingerprint == one.record.facts.data.fingerprint
+def _has_sheet(named_drive: _Shown, sheets: Sheets) -> bool:
+    stored = sheets.scenes.get(named_drive.scene)
+    return stored is not None and stored.sheet.data.fingerprint == named_drive.record.facts.data.fingerprint
 
 
-def _adversary_is_shown(one: _Shown, sheets: Sheets) -> bool:
-    return _has_sheet(one, sheets) and driven_adversary(sheets.scenes[one.scene].sheet, one.row) is not None
+def _adversary_is_shown(named_drive: _Shown, sheets: Sheets) -> bool:
+    return (
+        _has_sheet(named_drive, sheets)
+        and driven_adversary(sheets.scenes[named_drive.scene].sheet, named_drive.row) is not None
+    )
 
 
-def _drive(one: _Shown, sheet: Sheet) -> dict[str, Any]:
-    row = one.row
+def _drive(named_drive: _Shown, sheet: Sheet) -> dict[str, Any]:
+    row = named_drive.row
     ticks = (np.array(row.ticks.time_us, np.int64) - sheet.timestamps_us[0]) * 1e-6
     states = np.array(row.ticks.ego, np.float64)
     states[:, :2] -= sheet.origin_m
     adversary = driven_adversary(sheet, row)
-    contact = _contact(one, sheet, adversary, ticks, states)
+    contact = _contact(named_drive, sheet, adversary, ticks, states)
     end = ticks[-1] if contact is None else contact["t"]
     seconds = frame_seconds(sheet)
     seconds = seconds[: max(int(np.searchsorted(seconds, end + _LATE_S)), 1)]
@@ -142,8 +145,8 @@ def _drive(one: _Shown, sheet: Sheet) -> dict[str, Any]:
     pose = np.where((seconds < ticks[0])[:, None], recorded, driven_poses(seconds, ticks, states))
     ego = sheet.ego
     data = {
-        "base": scene_key(one.scene),
-        "key": one.key,
+        "base": scene_key(named_drive.scene),
+        "key": named_drive.key,
         "frames": np.round(seconds, 3).tolist(),
         "ego": {
             "x": packed(pose[:, _X].tolist(), CENTIMETRE),
@@ -162,31 +165,33 @@ def _drive(one: _Shown, sheet: Sheet) -> dict[str, Any]:
         "pictures": [],
         "edges": {},
     }
-    gone = _gone(row, ticks)
-    if not one.everybody or gone:
-        shown = [_until_gone(agent, seconds, gone) for agent in sheet.agents] if one.everybody else []
-        data["agents"] = [agent_data(agent) for agent in shown if agent.x_m]
+    removal_times = _gone(row, ticks)
+    if not named_drive.everybody or removal_times:
+        visible_agents = (
+            [_until_gone(agent, seconds, removal_times) for agent in sheet.agents] if named_drive.everybody else []
+        )
+        data["agents"] = [agent_data(agent) for agent in visible_agents if agent.x_m]
     if adversary is not None:
-        data["moved"] = agent_data(_until_gone(adversary, seconds, gone))
-    considered = read_considered(one.record.directory, row)
-    data |= {} if considered is None else {"considered": considered_data(sheet, considered)}
-    return data | _plans(one, seconds, ticks, states)
+        data["moved"] = agent_data(_until_gone(adversary, seconds, removal_times))
+    search_trace = read_considered(named_drive.record.directory, row)
+    data |= {} if search_trace is None else {"considered": considered_data(sheet, search_trace)}
+    return data | _plans(named_drive, seconds, ticks, states)
 
 
 def _gone(row: DriveRow, ticks: Floats) -> dict[str, float]:
     """When those who touched the ego without its fault are gone, seconds by identifier: the next planning instant."""
-    found = {}
+    removal_times = {}
     for touch in row.passed:
         at = int(np.searchsorted(ticks, float(ticks[row.primed - 1]) + touch.seconds - _LATE_S))
-        found[touch.agent] = float(ticks[min(at, len(ticks) - 1)])
-    return found
+        removal_times[touch.agent] = float(ticks[min(at, len(ticks) - 1)])
+    return removal_times
 
 
-def _until_gone(agent: SheetAgent, seconds: Floats, gone: Mapping[str, float]) -> SheetAgent:
+def _until_gone(agent: SheetAgent, seconds: Floats, removal_times: Mapping[str, float]) -> SheetAgent:
     """The agent's track for as long as it is there."""
-    if agent.id not in gone:
+    if agent.id not in removal_times:
         return agent
-    frames = max(int(np.searchsorted(seconds, gone[agent.id] - _LATE_S)) - agent.first, 0)
+    frames = max(int(np.searchsorted(seconds, removal_times[agent.id] - _LATE_S)) - agent.first, 0)
     columns = ("x_m", "y_m", "yaw_rad")
     return agent.model_copy(update={name: getattr(agent, name)[:frames] for name in columns})
 
@@ -197,7 +202,11 @@ def driven_adversary(sheet: Sheet, row: DriveRow) -> SheetAgent | None:
     ``None`` without one, and where the sheet does not know the vehicle.
     """
     went = row.adversary
-    agent = None if went is None else next((each for each in sheet.agents if each.id == went.uuid), None)
+    agent = (
+        None
+        if went is None
+        else next((sheet_agent for sheet_agent in sheet.agents if sheet_agent.id == went.uuid), None)
+    )
     if went is None or agent is None:
         return None
     begins = min(agent.first, went.start)
@@ -209,11 +218,11 @@ def driven_adversary(sheet: Sheet, row: DriveRow) -> SheetAgent | None:
     return agent.model_copy(update={"adversary": True, "first": begins, **columns})
 
 
-def _plans(one: _Shown, seconds: Floats, ticks: Floats, states: Floats) -> dict[str, Any]:
+def _plans(named_drive: _Shown, seconds: Floats, ticks: Floats, states: Floats) -> dict[str, Any]:
     """Planning instants of the drive and the plan of each."""
-    row, planner = one.row, one.record.facts.planner
+    row, planner = named_drive.row, named_drive.record.facts.planner
     samples: list[dict[str, Any]] = []
-    found: list[dict[str, Any] | None] = []
+    plan_entries: list[dict[str, Any] | None] = []
     # A drive that failed has an instant without a plan; the instant at which a drive ends has none either.
     plans = [*row.plans, *([None] if row.failure is not None else [])]
     for number, (plan, t) in enumerate(zip(plans, ticks, strict=False)):
@@ -225,15 +234,15 @@ def _plans(one: _Shown, seconds: Floats, ticks: Floats, states: Floats) -> dict[
         if plan is None:
             assert row.failure is not None
             lines = row.failure.text.strip().splitlines() or [row.failure.reason]
-            found.append({"failed": lines[-1][:ERROR_CHARACTERS]})
+            plan_entries.append({"failed": lines[-1][:ERROR_CHARACTERS]})
             continue
-        found.append(_plan(np.array(plan.waypoints, np.float64), plan.frame, states[number, :3]))
+        plan_entries.append(_plan(np.array(plan.waypoints, np.float64), plan.frame, states[number, :3]))
     model = {
-        "name": one.name,
+        "name": named_drive.name,
         "privileged": planner.privileged,
         "miniature": planner.miniature,
         "native": None,
-        "samples": found,
+        "samples": plan_entries,
     }
     return {"samples": samples, "models": [model]}
 
@@ -252,17 +261,20 @@ def _plan(waypoints: Floats, frame: str, axle: Floats) -> dict[str, Any] | None:
 
 
 def _contact(
-    one: _Shown, sheet: Sheet, adversary: SheetAgent | None, ticks: Floats, states: Floats
+    named_drive: _Shown, sheet: Sheet, adversary: SheetAgent | None, ticks: Floats, states: Floats
 ) -> dict[str, float] | None:
     """When and where the drive ended, by the stored states; between the bodies where the other's place is known."""
-    row = one.row
+    row = named_drive.row
     if row.contact is None:
         return None
     t = float(ticks[row.primed - 1]) + row.contact.seconds
     x, y, yaw = driven_poses(np.array([t]), ticks, states)[0]
     ego, ahead = sheet.ego, sheet.ego.centre_ahead_m
     box = np.array([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), ego.length_m, ego.width_m, yaw])
-    agent = next((each for each in sheet.agents if each.id == row.contact.agent and one.everybody), None)
+    agent = next(
+        (sheet_agent for sheet_agent in sheet.agents if sheet_agent.id == row.contact.agent and named_drive.everybody),
+        None,
+    )
     if adversary is not None and adversary.id == row.contact.agent:
         agent = adversary
     other = None if agent is None else agent_box_at(sheet, agent, t)
@@ -300,17 +312,21 @@ def considered_data(sheet: Sheet, frames: Sequence[ConsideredFrame]) -> list[dic
     each candidate, decimetres as steps, worst first), ``shares`` (of each, hundredths: 0 for the best score, 100 for
     the worst or infinite ones) and ``chosen`` (x, y in turn of the one that was driven; null where none was).
     """
-    found = []
-    for each in frames:
-        points = np.array(each.candidates, np.float64) - np.array(sheet.origin_m) if each.candidates else _NOWHERE
-        shown = candidates_by_score(points, each.scores, each.chosen)
-        found.append(
+    entries = []
+    for trace_frame in frames:
+        points = (
+            np.array(trace_frame.candidates, np.float64) - np.array(sheet.origin_m)
+            if trace_frame.candidates
+            else _NOWHERE
+        )
+        candidates = candidates_by_score(points, trace_frame.scores, trace_frame.chosen)
+        entries.append(
             {
-                "t": round((each.time_us - sheet.timestamps_us[0]) * 1e-6, 3),
-                "did": each.did,
-                "paths": [packed_path(path, DECIMETRE) for path in shown.paths],
-                "shares": [round(100 * share) for share in shown.shares.tolist()],
-                "chosen": None if shown.chosen is None else packed_path(shown.chosen, DECIMETRE),
+                "t": round((trace_frame.time_us - sheet.timestamps_us[0]) * 1e-6, 3),
+                "did": trace_frame.did,
+                "paths": [packed_path(path, DECIMETRE) for path in candidates.paths],
+                "shares": [round(100 * share) for share in candidates.shares.tolist()],
+                "chosen": None if candidates.chosen is None else packed_path(candidates.chosen, DECIMETRE),
             }
         )
-    return found
+    return entries

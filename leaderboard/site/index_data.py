@@ -107,22 +107,25 @@ def _driving(summary: DrivingSummary) -> dict[str, Any]:
 
 def _scenes_hit(record: RunRecord, protocol: str) -> list[int] | None:
     """Numbers of scenes with a sample that touches the adversary first, and of scenes where that is said."""
-    told = attributes(record) and registered_version(protocol) is not None and says_whom(record, protocol)
-    if not told:
+    is_known = attributes(record) and registered_version(protocol) is not None and says_whom(record, protocol)
+    if not is_known:
         return None
     verdicts = touched_scenes(record, protocol).values()
     return [sum(failed is True for failed in verdicts), sum(failed is not None for failed in verdicts)]
 
 
 def _protocol(summary: ProtocolSummary, *, stale: bool) -> dict[str, Any]:
-    shown = {name: summary.columns[name] for name in _SHOWN_COLUMNS if name in summary.columns}
+    shown_columns = {name: summary.columns[name] for name in _SHOWN_COLUMNS if name in summary.columns}
     return {
         "version": summary.version,
         "stale": stale,
         "counted": summary.counted,
         "scenesFailed": summary.scenes_failed,
         "scenesDecided": summary.scenes_decided,
-        **{name: {horizon: _rate(rate) for horizon, rate in by_horizon.items()} for name, by_horizon in shown.items()},
+        **{
+            name: {horizon: _rate(rate) for horizon, rate in by_horizon.items()}
+            for name, by_horizon in shown_columns.items()
+        },
     }
 
 
@@ -229,19 +232,19 @@ def _figure(figure: PlacedFigure, written: frozenset[str]) -> dict[str, Any]:
 
 def _key_tables(frames: Sequence[Frame], origins: "_Origins", written: frozenset[str]) -> list[dict[str, Any]]:
     """Table of the first page of each data set."""
-    found = [(frame.data_name, key_table(frame)) for frame in frames]
-    placed = [PlacedTable(table, name, "", "") for name, table in found if table is not None]
-    return [_table(each, f"key-{number}", origins, written) for number, each in enumerate(placed)]
+    key_tables = [(frame.data_name, key_table(frame)) for frame in frames]
+    placed = [PlacedTable(table, name, "", "") for name, table in key_tables if table is not None]
+    return [_table(placed_table, f"key-{number}", origins, written) for number, placed_table in enumerate(placed)]
 
 
 def _table_ids(tables: Iterable[PlacedTable]) -> list[str]:
     """Names for addresses, unique whatever data sets and splits are called."""
-    found: list[str] = []
+    ids: list[str] = []
     for placed in tables:
         base = "-".join(file_name(part) for part in (placed.data_name, placed.table.name) if part)
-        same = [name for name in found if name == base or name.startswith(f"{base}~")]
-        found.append(f"{base}~{len(same) + 1}" if same else base)
-    return found
+        same = [name for name in ids if name == base or name.startswith(f"{base}~")]
+        ids.append(f"{base}~{len(same) + 1}" if same else base)
+    return ids
 
 
 def _table(placed: PlacedTable, name: str, origins: "_Origins", written: frozenset[str]) -> dict[str, Any]:
@@ -287,11 +290,11 @@ class _Origins:
         """The facts behind a number, whose text is in the row; what there is none of is left out."""
         if cell is None:
             return None
-        said = (cell.unit, cell.of, cell.protocol, cell.record, cell.source)
-        origin = tuple(-1 if word is None else self._words.setdefault(word, len(self._words)) for word in said)
+        origin_values = (cell.unit, cell.of, cell.protocol, cell.record, cell.source)
+        origin = tuple(-1 if word is None else self._words.setdefault(word, len(self._words)) for word in origin_values)
         numbers = {"low": cell.low, "high": cell.high, "n": cell.n}
-        shown = {name: _significant(value) for name, value in numbers.items() if value is not None}
-        return {**shown, "record": self._origins.setdefault(origin, len(self._origins))}
+        rounded = {name: _significant(value) for name, value in numbers.items() if value is not None}
+        return {**rounded, "record": self._origins.setdefault(origin, len(self._origins))}
 
 
 def _significant(value: float) -> float | int | str:
@@ -306,7 +309,7 @@ def _significant(value: float) -> float | int | str:
 
 def _attempts(sheets: Sheets) -> list[dict[str, Any]]:
     """Vehicles that the search tried; what is not there is left out, because there are many."""
-    found = []
+    attempts = []
     for (data_name, split), sheet in sorted(sheets.splits.items()):
         for attempt in sheet.attempts:
             facts = {
@@ -319,8 +322,8 @@ def _attempts(sheets: Sheets) -> list[dict[str, Any]]:
                 "reason": attempt.discarded,
                 "manoeuvre": attempt.manoeuvre,
             }
-            found.append({name: value for name, value in facts.items() if value is not None})
-    return found
+            attempts.append({name: value for name, value in facts.items() if value is not None})
+    return attempts
 
 
 LISTS: Final[dict[str, Callable[[Results, frozenset[str]], list[dict[str, Any]]]]] = {
@@ -337,8 +340,8 @@ def key_table(frame: Frame) -> Table | None:
     judged = [row.record for row in frame.judged(EXACT)]
     if not judged:
         return None
-    whole, effect = frame.once(collision_table, EXACT), frame.once(effect_table)
-    found = {(run.planner, run.run.split): row for row, run in enumerate(judged)}
+    collisions, effect = frame.once(collision_table, EXACT), frame.once(effect_table)
+    row_numbers = {(run.planner, run.run.split): row for row, run in enumerate(judged)}
     attacked = enumerate(filter(has_adversaries, frame.runs))
     caused = {run.planner: row for row, run in attacked if run.run.split == "adv" and EXACT in run.summary.protocols}
     planners, splits = {run.planner: run.run.planner for run in judged}, splits_of(judged)
@@ -347,8 +350,10 @@ def key_table(frame: Frame) -> Table | None:
     for name, facts in planners.items():
         rows.append({"planner": name_cell(name, facts).text})
         for split in splits:
-            taken = {head: _taken(whole, found.get((name, split)), column) for head, column in RATES.items()}
-            rows[-1] |= {f"{head} on {split}": value for head, value in taken.items()}
+            averages = {
+                head: _taken(collisions, row_numbers.get((name, split)), column) for head, column in RATES.items()
+            }
+            rows[-1] |= {f"{head} on {split}": value for head, value in averages.items()}
         if effect is not None:
             rows[-1] |= {head: _taken(effect, caused.get(name), column) for head, column in of_adversary.items()}
     columns = [

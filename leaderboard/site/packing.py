@@ -26,9 +26,9 @@ def data_script(target: str, value: Any) -> bytes:
 
 def script_data(text: str) -> Any:
     """The value that a script of `data_script` assigns."""
-    _, found, rest = text.partition("JSON.parse('")
+    _, separator, rest = text.partition("JSON.parse('")
     literal, end, _ = rest.rpartition("')")
-    if not found or not end:
+    if not separator or not end:
         raise InputError("a script of the site assigns no data; write the leaderboard again")
     plain = re.sub(r"\\(x3c|.)", lambda escape: "<" if escape[1] == "x3c" else escape[1], literal)
     try:
@@ -66,5 +66,5 @@ def packed(values: Sequence[float | None], unit: float) -> Packed:
 
 def packed_path(points: ArrayLike, unit: float, start: tuple[float, float] = (0.0, 0.0)) -> list[int]:
     """(N, 2) metres as 2 N steps from ``start``, x and y in turn; zeros at the end stay: they tell its length."""
-    whole = np.rint(np.vstack([np.array([start]), np.asarray(points, np.float64).reshape(-1, 2)]) / unit)
-    return [int(step) for step in np.diff(whole, axis=0).ravel()]
+    steps = np.rint(np.vstack([np.array([start]), np.asarray(points, np.float64).reshape(-1, 2)]) / unit)
+    return [int(step) for step in np.diff(steps, axis=0).ravel()]

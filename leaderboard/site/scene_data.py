@@ -72,7 +72,9 @@ def scene_files(sheets: Sheets, records: Sequence[RunRecord]) -> dict[str, bytes
     for name in sorted({*ran, *sheets.scenes}):
         key, stored = scene_key(name), sheets.scenes.get(name)
         # Rows of one scene at a time: those of all would fill memory.
-        here = [_Ran(each, {row.sample_token: row for row in each.rows_of(name[2])}) for each in ran.get(name, [])]
+        here = [
+            _Ran(record, {row.sample_token: row for row in record.rows_of(name[2])}) for record in ran.get(name, [])
+        ]
         data = _scene(name, key, stored, here)
         files[f"data/scenes/{key}.js"] = data_script(f'({_SCENES})["{key}"]', data)
         if stored is not None:
@@ -88,11 +90,11 @@ def scene_files(sheets: Sheets, records: Sequence[RunRecord]) -> dict[str, bytes
 def _require_whole(stored: StoredSheet) -> None:
     """Lists that belong together must be of one length; a schema cannot say so."""
     sheet, frames = stored.sheet, len(stored.sheet.timestamps_us)
-    whole = all(len(values) == frames for values in (sheet.ego.x_m, sheet.ego.y_m, sheet.ego.yaw_rad))
-    whole &= len(sheet.sample_tokens) == len(sheet.keyframes) and all(0 <= at < frames for at in sheet.keyframes)
+    is_whole = all(len(values) == frames for values in (sheet.ego.x_m, sheet.ego.y_m, sheet.ego.yaw_rad))
+    is_whole &= len(sheet.sample_tokens) == len(sheet.keyframes) and all(0 <= at < frames for at in sheet.keyframes)
     for agent in sheet.agents:
-        whole &= len(agent.x_m) == len(agent.y_m) == len(agent.yaw_rad) <= frames - agent.first
-    if not whole:
+        is_whole &= len(agent.x_m) == len(agent.y_m) == len(agent.yaw_rad) <= frames - agent.first
+    if not is_whole:
         raise InputError(
             f"the sheet of {sheet.scene} in {stored.directory} has lists of different lengths; run challenger-bench "
             "sheets again"
@@ -100,17 +102,18 @@ def _require_whole(stored: StoredSheet) -> None:
 
 
 def _by_scene(records: Sequence[RunRecord]) -> dict[SceneName, list[RunRecord]]:
-    found: dict[SceneName, list[RunRecord]] = defaultdict(list)
+    records_by_scene: dict[SceneName, list[RunRecord]] = defaultdict(list)
     for record in sorted(records, key=lambda record: record.planner):
         for scene in dict.fromkeys([*record.run.scenes, *record.columns.places_of_scenes]):
-            found[record.run.data.name, record.run.split, scene].append(record)
-    return found
+            records_by_scene[record.run.data.name, record.run.split, scene].append(record)
+    return records_by_scene
 
 
 def _scene(name: SceneName, key: str, stored: StoredSheet | None, ran: Sequence[_Ran]) -> dict[str, Any]:
     data_name, split, scene = name
     protocols = sorted(
-        {each for one in ran for each in one.record.run.protocols}, key=lambda each: (each != EXACT, each)
+        {protocol for planner_run in ran for protocol in planner_run.record.run.protocols},
+        key=lambda each: (each != EXACT, each),
     )
     facts = {
         "key": key,
@@ -118,7 +121,7 @@ def _scene(name: SceneName, key: str, stored: StoredSheet | None, ran: Sequence[
         "split": split,
         "scene": scene,
         "hasSheet": stored is not None,
-        "adversarial": any(attributes(one.record) for one in ran),
+        "adversarial": any(attributes(planner_run.record) for planner_run in ran),
         "protocols": protocols,
         "body": {"length": EGO_LENGTH_M, "width": EGO_WIDTH_M, "ahead": EGO_BOX_FROM_LIDAR_M},
     }
@@ -126,12 +129,14 @@ def _scene(name: SceneName, key: str, stored: StoredSheet | None, ran: Sequence[
     tokens, poses = _samples_without_sheet(ran) if stored is None else _samples_of_sheet(stored, ran)
     agents = {agent.id: number for number, agent in enumerate(stored.sheet.agents)} if stored is not None else {}
     seconds, frames = drawn["frames"], range(len(tokens)) if stored is None else stored.sheet.keyframes
-    commands = {token: row.command for one in ran for token, row in one.rows.items()}
+    commands = {token: row.command for planner_run in ran for token, row in planner_run.rows.items()}
     samples = [
         {"frame": frame, "t": seconds[frame], "command": commands.get(token)}
         for token, frame in zip(tokens, frames, strict=True)
     ]
-    models = [planner_samples(one.record, one.rows, tokens, poses, protocols, agents) for one in ran]
+    models = [
+        planner_samples(planner_run.record, planner_run.rows, tokens, poses, protocols, agents) for planner_run in ran
+    ]
     return {**facts, **drawn, "samples": samples, "models": models}
 
 
@@ -163,7 +168,14 @@ def _of_sheet(sheet: Sheet, key: str) -> dict[str, Any]:
 def _without_sheet(name: SceneName, ran: Sequence[_Ran]) -> dict[str, Any]:
     """Each sample by itself in the ego's frame; its poses in the world are in no record."""
     rows = _rows_in_order(ran)
-    facts = next((one.record.run.scene_facts[name[2]] for one in ran if name[2] in one.record.run.scene_facts), None)
+    facts = next(
+        (
+            planner_run.record.run.scene_facts[name[2]]
+            for planner_run in ran
+            if name[2] in planner_run.record.run.scene_facts
+        ),
+        None,
+    )
     return {
         "source": facts.source if facts else name[2],
         "manoeuvre": facts.manoeuvre if facts else None,
@@ -184,11 +196,11 @@ def _without_sheet(name: SceneName, ran: Sequence[_Ran]) -> dict[str, Any]:
 
 def _samples_of_sheet(stored: StoredSheet, ran: Sequence[_Ran]) -> tuple[Sequence[str], Floats]:
     sheet = stored.sheet
-    for one in ran:
-        unknown = next((token for token in one.rows if token not in sheet.sample_tokens), None)
+    for planner_run in ran:
+        unknown = next((token for token in planner_run.rows if token not in sheet.sample_tokens), None)
         if unknown is not None:
             raise InputError(
-                f"{one.record.directory} has sample {unknown} of {sheet.scene}, which the scene's sheet in "
+                f"{planner_run.record.directory} has sample {unknown} of {sheet.scene}, which the scene's sheet in "
                 f"{stored.directory} lacks; run challenger-bench sheets again"
             )
     ego = np.column_stack([sheet.ego.x_m, sheet.ego.y_m, sheet.ego.yaw_rad])
@@ -202,7 +214,7 @@ def _samples_without_sheet(ran: Sequence[_Ran]) -> tuple[Sequence[str], Floats]:
 
 def _rows_in_order(ran: Sequence[_Ran]) -> list[SampleRow]:
     """One row for each sample of any planner, by time."""
-    by_token = {token: row for one in ran for token, row in one.rows.items()}
+    by_token = {token: row for planner_run in ran for token, row in planner_run.rows.items()}
     return sorted(by_token.values(), key=lambda row: (row.timestamp_us, row.index))
 
 
@@ -260,8 +272,8 @@ def thumbnail(sheet: Sheet, colours: GroundColours = ON_LIGHT) -> bytes:
     image, _ = SceneFromAbove(sheet, colours).draw(
         closest_frame(sheet), width_px=THUMBNAIL_PX, height_px=THUMBNAIL_PX, extent_m=THUMBNAIL_EXTENT_M
     )
-    done, encoded = cv2.imencode(".webp", image[:, :, ::-1], [cv2.IMWRITE_WEBP_QUALITY, _QUALITY])
-    if not done:
+    succeeded, encoded = cv2.imencode(".webp", image[:, :, ::-1], [cv2.IMWRITE_WEBP_QUALITY, _QUALITY])
+    if not succeeded:
         raise InputError(f"OpenCV cannot write the WebP picture of {sheet.scene}; install a build of it that has WebP")
     return encoded.tobytes()
 

@@ -73,18 +73,18 @@ def scene_index(
 
     ``written`` are paths of the site's files; they tell which scenes have a thumbnail.
     """
-    seen: dict[SceneName, _Seen] = {}
+    summaries: dict[SceneName, _Seen] = {}
     for record in records:
-        _add_record(seen, record)
+        _add_record(summaries, record)
     _require_same_content(records, sheets)
     qualities = _qualities(quality)
-    names = sorted({*seen, *sheets.scenes}, key=lambda name: (name[0], split_place(name[1]), name[2]))
-    return [_entry(name, seen.get(name), sheets, qualities.get(name, []), written) for name in names]
+    names = sorted({*summaries, *sheets.scenes}, key=lambda name: (name[0], split_place(name[1]), name[2]))
+    return [_entry(name, summaries.get(name), sheets, qualities.get(name, []), written) for name in names]
 
 
 def _entry(
     name: SceneName,
-    seen: _Seen | None,
+    summary: _Seen | None,
     sheets: Sheets,
     quality: list[dict[str, Any]],
     written: frozenset[str],
@@ -92,7 +92,7 @@ def _entry(
     data_name, split, scene = name
     stored = sheets.scenes.get(name)
     sheet = stored.sheet if stored else None
-    known = seen or _Seen(scene)
+    known = summary or _Seen(scene)
     key = scene_key(name)
     thumbnail, dark = f"media/{key}/thumb.webp", f"media/{key}/thumb-dark.webp"
     rounds = f"figures/{file_name(data_name)}/{file_name(f'refinement-{split}-{scene}')}.svg"
@@ -129,7 +129,7 @@ def _duration_s(sheet: Sheet) -> float:
     return (sheet.timestamps_us[-1] - sheet.timestamps_us[0]) / _MICROSECONDS if sheet.timestamps_us else 0.0
 
 
-def _add_record(seen: dict[SceneName, _Seen], record: RunRecord) -> None:
+def _add_record(summaries: dict[SceneName, _Seen], record: RunRecord) -> None:
     """Add what one record says of its scenes."""
     data_name, split, planner = record.run.data.name, record.run.split, record.planner
     columns = record.columns
@@ -137,11 +137,11 @@ def _add_record(seen: dict[SceneName, _Seen], record: RunRecord) -> None:
     sources = source_of_scenes(record)
     for scene in (*record.run.scenes, *rows_of):
         facts = record.run.scene_facts.get(scene)
-        found = seen.setdefault((data_name, split, scene), _Seen(sources.get(scene, scene)))
-        found.adversarial |= attributes(record)
+        summary = summaries.setdefault((data_name, split, scene), _Seen(sources.get(scene, scene)))
+        summary.adversarial |= attributes(record)
         if facts is not None:
-            found.source, found.manoeuvre = facts.source, facts.manoeuvre
-            found.judgement = found.judgement or judgement_entry(facts.judgement)
+            summary.source, summary.manoeuvre = facts.source, facts.manoeuvre
+            summary.judgement = summary.judgement or judgement_entry(facts.judgement)
     for protocol in sorted(record.summary.protocols):
         # A newer version's protocol cannot be asked what a failed scene is; the tables below it say so.
         if registered_version(protocol) is None:
@@ -149,39 +149,39 @@ def _add_record(seen: dict[SceneName, _Seen], record: RunRecord) -> None:
         verdicts = touched_scenes(record, protocol)
         touches = first_touches(record, protocol)
         for scene, failed in verdicts.items():
-            found = seen[data_name, split, scene]
-            found.verdicts.setdefault(planner, {})[protocol] = failed
-            for kept, samples in ((found.others, touches.others), (found.unsaid, touches.unsaid)):
+            summary = summaries[data_name, split, scene]
+            summary.verdicts.setdefault(planner, {})[protocol] = failed
+            for lists, samples in ((summary.others, touches.others), (summary.unsaid, touches.unsaid)):
                 if samples[rows_of[scene]].any():
-                    kept.setdefault(planner, []).append(protocol)
+                    lists.setdefault(planner, []).append(protocol)
     judged = columns.values("judged")
     everywhere = all(EXACT in judged[place] for place in columns.planned.tolist())
     touches_exact = first_touches(record) if everywhere else None
     for scene, places in rows_of.items():
-        _add_samples(seen[data_name, split, scene], record, places, touches_exact)
+        _add_samples(summaries[data_name, split, scene], record, places, touches_exact)
     for scene, severity in severity_entries(record).items():
-        seen[data_name, split, scene].severity[planner] = severity
+        summaries[data_name, split, scene].severity[planner] = severity
 
 
-def _add_samples(found: _Seen, record: RunRecord, places: NDArray[np.int64], touches: FirstTouches | None) -> None:
+def _add_samples(summary: _Seen, record: RunRecord, places: NDArray[np.int64], touches: FirstTouches | None) -> None:
     """Add one planner's samples of a scene."""
     rows, planner = record.columns.brief_at(places.tolist()), record.planner
     times = [row.timestamp_us for row in rows]
-    found.seconds = max(found.seconds, (max(times) - min(times)) / _MICROSECONDS)
+    summary.seconds = max(summary.seconds, (max(times) - min(times)) / _MICROSECONDS)
     failed = sum(row.status == "failed" for row in rows)
     if failed:
-        found.failed[planner] = failed
+        summary.failed[planner] = failed
     if touches is None:
-        found.colliding[planner] = found.bystanders[planner] = None
+        summary.colliding[planner] = summary.bystanders[planner] = None
         return
     attributed = (touches.adversary | touches.unsaid)[places].tolist()
     causes: Counter[str] = Counter(
         row.diagnosis.cause for row, own in zip(rows, attributed) if own and row.diagnosis is not None
     )
     if causes:
-        found.causes[planner] = dict(causes)
+        summary.causes[planner] = dict(causes)
     unsaid = bool(touches.unsaid[places].any())
-    for counts, samples in ((found.colliding, touches.adversary), (found.bystanders, touches.others)):
+    for counts, samples in ((summary.colliding, touches.adversary), (summary.bystanders, touches.others)):
         if unsaid or samples[places].any():
             counts[planner] = None if unsaid else int(samples[places].sum())
 
@@ -198,7 +198,11 @@ def label_words(label: Mapping[str, Any]) -> str:
         words.append(_approach(closest))
     occurred = label.get("occurred")
     if isinstance(occurred, list | tuple):
-        kinds = [str(each["kind"]) for each in occurred if isinstance(each, Mapping) and "kind" in each]
+        kinds = [
+            str(occurrence["kind"])
+            for occurrence in occurred
+            if isinstance(occurrence, Mapping) and "kind" in occurrence
+        ]
         others = [kind for kind in dict.fromkeys(kinds) if kind != manoeuvre]
         words.append(f"also {', '.join(others)}" if others else "")
     return "; ".join(word for word in words if word)
@@ -215,17 +219,17 @@ def _approach(closest: Mapping[str, Any]) -> str:
 
 
 def _qualities(records: Sequence[QualityRecord]) -> dict[SceneName, list[dict[str, Any]]]:
-    found: dict[SceneName, list[dict[str, Any]]] = defaultdict(list)
+    quality_rows: dict[SceneName, list[dict[str, Any]]] = defaultdict(list)
     for record in sorted(records, key=lambda record: (record.masks, record.directory.as_posix())):
         for scene, summary in record.facts.summary.scenes.items():
-            found[record.facts.data.name, record.facts.split, scene].append(
+            quality_rows[record.facts.data.name, record.facts.split, scene].append(
                 {
                     "masks": record.masks,
                     "consistency": _rounded(summary.consistency),
                     "imaging": _rounded(summary.imaging),
                 }
             )
-    return found
+    return quality_rows
 
 
 def _rounded(value: float | None) -> float | None:
@@ -288,18 +292,18 @@ def severity_entries(record: RunRecord) -> dict[str, dict[str, Any]]:
 
 
 def _rows_of(record: RunRecord) -> dict[str, list[BriefRow]]:
-    found: dict[str, list[BriefRow]] = {}
+    rows_by_scene: dict[str, list[BriefRow]] = {}
     for row in record.columns.brief:
         if row.status == "ok" and row.complete and row.severity is not None:
-            found.setdefault(row.scene, []).append(row)
-    return found
+            rows_by_scene.setdefault(row.scene, []).append(row)
+    return rows_by_scene
 
 
 def _severity_entry(rows: Sequence[BriefRow], attack: SceneAttack, adversarial: bool) -> dict[str, Any]:
-    said = [row.severity for row in rows if row.severity is not None]
-    touched = [each.contact for each in said if each.contact is not None]
-    contacts = [each for each in touched if each.adversary or not adversarial]
-    near = [each.near for each in said if each.near is not None]
+    severities = [row.severity for row in rows if row.severity is not None]
+    touched = [item.contact for item in severities if item.contact is not None]
+    contacts = [item for item in touched if item.adversary or not adversarial]
+    near = [item.near for item in severities if item.near is not None]
     worst = max(contacts, key=lambda contact: (contact.delta_v_ego_m_s, contact.impact_speed_m_s), default=None)
     return {
         "contacts": len(contacts),
@@ -310,8 +314,8 @@ def _severity_entry(rows: Sequence[BriefRow], attack: SceneAttack, adversarial: 
         "speed": None if worst is None else _short(worst.impact_speed_m_s),
         "deltaV": None if worst is None else _short(worst.delta_v_ego_m_s),
         "fatal": None if worst is None else float(f"{worst.fatal_probability:.3g}"),
-        "ttc": _short(min((each.least_ttc_s for each in near if each.least_ttc_s is not None), default=None)),
-        "gap": _short(min((each.least_gap_m for each in near), default=None)),
+        "ttc": _short(min((item.least_ttc_s for item in near if item.least_ttc_s is not None), default=None)),
+        "gap": _short(min((item.least_gap_m for item in near), default=None)),
     }
 
 

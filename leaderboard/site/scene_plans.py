@@ -52,7 +52,7 @@ def planner_samples(
         InputError: If a plan has lists of the wrong lengths.
     """
     known = knows_adversaries(record) if attributes(record) else None
-    found = [
+    entries = [
         None if token not in rows else sample_entry(rows[token], pose, protocols, agents, known=known)
         for token, pose in zip(tokens, poses, strict=True)
     ]
@@ -61,7 +61,7 @@ def planner_samples(
         "privileged": record.run.planner.privileged,
         "miniature": record.run.planner.miniature,
         "native": record.native_protocol,
-        "samples": found,
+        "samples": entries,
     }
 
 
@@ -108,7 +108,7 @@ def sample_entry(
         "forecasts": [] if placed.forecasts is None else _forecasts(placed.forecasts, axle),
         "l2": _displacements(judged),
     }
-    if known is not None and any(each is not None for each in always["contact"]):
+    if known is not None and any(contact is not None for contact in always["contact"]):
         sometimes["whom"] = [_whom(outcome) if known else None for outcome in judged]
     if row.diagnosis is not None:
         sometimes |= {"cause": row.diagnosis.cause, "reason": row.diagnosis.reason}
@@ -132,7 +132,7 @@ def _most_likely_first(row: SampleRow) -> SampleRow:
 
 def _forecasts(forecasts: PlacedForecasts, axle: Floats) -> list[list[Any]]:
     distance = np.hypot(forecasts.boxes[:, 0] - axle[0], forecasts.boxes[:, 1] - axle[1])
-    shown = []
+    packed = []
     for index in np.argsort(distance, kind="stable")[:FORECASTS_SHOWN].tolist():
         x, y, length, width, yaw = forecasts.boxes[index].tolist()
         path = forecasts.paths[index]
@@ -141,8 +141,8 @@ def _forecasts(forecasts: PlacedForecasts, axle: Floats) -> list[list[Any]]:
         forecast.append(round(turned / _CENTIRADIAN))
         if np.hypot(path[:, 0] - x, path[:, 1] - y).max() >= STANDING_M:
             forecast.append(packed_path(path, DECIMETRE, (x, y)))
-        shown.append(forecast)
-    return shown
+        packed.append(forecast)
+    return packed
 
 
 def _bits(protocol: str, outcome: OutcomeRow | None) -> int | None:

@@ -20,12 +20,12 @@ def ablation_tables(ablations: Sequence[AblationReport]) -> dict[str, tuple[Tabl
     by_id = {study.content_id: study for study in ablations}
     ordered = sorted(by_id.values(), key=lambda study: (study.data.name, study.planner.name, study.content_id))
     same = Counter((study.data.name, study.planner.name) for study in ordered)
-    found: dict[str, tuple[Table, ...]] = {}
+    tables_by_name: dict[str, tuple[Table, ...]] = {}
     for study in ordered:
         several = same[study.data.name, study.planner.name] > 1
         table = _table(study, f"-{study.content_id[:8]}" if several else "")
-        found[study.data.name] = (*found.get(study.data.name, ()), table)
-    return found
+        tables_by_name[study.data.name] = (*tables_by_name.get(study.data.name, ()), table)
+    return tables_by_name
 
 
 def _table(study: AblationReport, suffix: str) -> Table:

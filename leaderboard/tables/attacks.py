@@ -138,38 +138,38 @@ def _success_values(row: Row[AttackRates]) -> Values:
 
 def _unknown_notes(rows: Sequence[Row[AttackRates]]) -> list[str]:
     """Runs of which something is unknown; what concerns all planners of a split is said once."""
-    said: dict[str, None] = {}
+    sentences: dict[str, None] = {}
     for row in rows:
         scenes, judged = len(row.record.run.scenes), row.found.judged
         if judged < scenes:
             some = f"{judged} of {counted(scenes, 'scene')} were judged: attributable is of these alone"
-            said[f"{row.split}: {some if judged else 'nobody judged its scenes: attributable is unknown'}."] = None
+            sentences[f"{row.split}: {some if judged else 'nobody judged its scenes: attributable is unknown'}."] = None
     for row in rows:
         if row.found.unknown_blame:
-            said[
+            sentences[
                 f"{row.who}: {counted(row.found.unknown_blame, 'contact')} at the ego's sides "
                 "without a map of lanes, so that nobody can tell whose fault they are."
             ] = None
-    return list(said)
+    return list(sentences)
 
 
 def _contact_values(row: Row[AttackRates]) -> Values:
-    origin, found, others = row.origin, contacts_of(row.record), contacts_of(row.record, bystanders=True)
-    kinds = found.kinds
+    origin, severity, others = row.origin, contacts_of(row.record), contacts_of(row.record, bystanders=True)
+    kinds = severity.kinds
     # A contact with what stands, or while the ego itself stands.
     standing = kinds.get("stopped_track", 0) + kinds.get("stopped_ego", 0)
-    parts = {"at fault": found.at_fault, "front": kinds.get("front", 0), "side": kinds.get("lateral", 0)}
+    parts = {"at fault": severity.at_fault, "front": kinds.get("front", 0), "side": kinds.get("lateral", 0)}
     parts |= {"rear": kinds.get("rear", 0), "standing": standing}
-    fatal = {"mean": found.mean_fatal, "most": found.most_fatal}
+    fatal = {"mean": severity.mean_fatal, "most": severity.most_fatal}
     return {
         **_who(row),
-        "samples": row.samples(found.samples),
-        **{f"{name} %": share(origin, count, found.samples, _SAMPLES) for name, count in parts.items()},
-        **_cells(origin, "impact speed", "m/s", found.impact_speed),
-        **_cells(origin, "delta-v ego", "m/s", found.delta_v_ego),
-        **_cells(origin, "delta-v other", "m/s", found.delta_v_other),
+        "samples": row.samples(severity.samples),
+        **{f"{name} %": share(origin, count, severity.samples, _SAMPLES) for name, count in parts.items()},
+        **_cells(origin, "impact speed", "m/s", severity.impact_speed),
+        **_cells(origin, "delta-v ego", "m/s", severity.delta_v_ego),
+        **_cells(origin, "delta-v other", "m/s", severity.delta_v_other),
         **{
-            f"P(fatal) {name}": origin.cell(value, PERCENT, found.samples, _SAMPLES, scale=100.0)
+            f"P(fatal) {name}": origin.cell(value, PERCENT, severity.samples, _SAMPLES, scale=100.0)
             for name, value in fatal.items()
         },
         "samples, bystander": row.samples(others.samples),
@@ -181,17 +181,17 @@ def _contact_values(row: Row[AttackRates]) -> Values:
 
 
 def _near_values(row: Row[AttackRates]) -> Values:
-    found = near_passes_of(row.record)
-    spreads = {"gap": found.gap, "TTC": found.ttc, "TET": found.tet, "TIT": found.tit, "PET": found.pet}
+    passes = near_passes_of(row.record)
+    spreads = {"gap": passes.gap, "TTC": passes.ttc, "TET": passes.tet, "TIT": passes.tit, "PET": passes.pet}
     cells: dict[str, Cell] = {}
     for name, spread in spreads.items():
         cells |= _cells(row.origin, name, _UNITS[name], spread, f", {_UNITS[name]}")
     return {
         **_who(row),
-        "samples": row.samples(found.samples),
+        "samples": row.samples(passes.samples),
         **cells,
-        **_cells(row.origin, "BTN", "BTN", found.btn),
-        "BTN >= 1, %": share(row.origin, found.critical, found.samples, "samples without contact"),
+        **_cells(row.origin, "BTN", "BTN", passes.btn),
+        "BTN >= 1, %": share(row.origin, passes.critical, passes.samples, "samples without contact"),
     }
 
 

@@ -64,10 +64,10 @@ def collision_table(frame: Frame, protocol: str) -> Table:
 
 def _native_notes(runs: Sequence[RunRecord], maxima: Sequence[RunRecord]) -> list[str]:
     without = any(record.run.planner.native_protocol is None for record in runs)
-    said = " The last rows, under exact, are planners without a repository of their own." if without else ""
+    exact_note = " The last rows, under exact, are planners without a repository of their own." if without else ""
     return [
         "As in the paper, each row quotes the protocol of the planner's own repository: rows of different "
-        f"protocols are not comparable.{said}",
+        f"protocols are not comparable.{exact_note}",
         *(
             f"{record.planner} on {record.run.split}: {record.native_protocol} says whether there is any contact "
             "up to the horizon, which shares no column with values at a step or means; see its own table."
@@ -99,35 +99,43 @@ def run_tables(
         further rates where it has some, and unasked one for plans that go on beyond 3 s and one for attack success
         where there are adversaries; none if there are no runs to show.
     """
-    shown = Frame(data_name, [record for record in records if allow_partial or record.complete], against)
+    chosen_runs = Frame(data_name, [record for record in records if allow_partial or record.complete], against)
     unasked = protocols is None
-    tables: list[Table | None] = [effect_table(shown)] if unasked else []
-    for name in shown_protocols(shown, protocols) if shown.runs else ():
-        tables += [driving_table(shown)] if name == PDM else [collision_table(shown, name), further_table(shown, name)]
-    tables += [longer_table(shown), success_table(shown)] if unasked else []
+    tables: list[Table | None] = [effect_table(chosen_runs)] if unasked else []
+    for name in shown_protocols(chosen_runs, protocols) if chosen_runs.runs else ():
+        tables += (
+            [driving_table(chosen_runs)]
+            if name == PDM
+            else [collision_table(chosen_runs, name), further_table(chosen_runs, name)]
+        )
+    tables += [longer_table(chosen_runs), success_table(chosen_runs)] if unasked else []
     return [table for table in tables if table is not None]
 
 
 def _table(runs: Sequence[RunRecord], protocol: str, title: str, notes: Sequence[str]) -> Table:
-    rows, who, own = judged(runs, protocol), whose(protocol), protocol == NATIVE
+    rows, judge_words, own = judged(runs, protocol), whose(protocol), protocol == NATIVE
     has_mask = any(map(_is_masked, rows))
     has_paper = any(published_rate(row.record, row.judge) is not None for row in rows)
     columns = [
         *texts("planner", "split", *(("protocol",) if own else ())),
         *under(
-            f"collision rate in %, {who}",
+            f"collision rate in %, {judge_words}",
             numbers(*(f"col. {horizon}" for horizon in HORIZONS), digits=2),
             intervals({"95 % of avg": "col. avg"}),
         ),
-        *(under(f"mask, {who}", numbers(MASK_COLUMNS[0], digits=2), numbers(*MASK_COLUMNS[1:])) if has_mask else ()),
-        *under(f"L2 in m, {who}", numbers(*(f"L2 {horizon}" for horizon in HORIZONS), digits=2)),
-        *under(f"counted, {who}", numbers("samples", "scenes", "scenes failed"), numbers("coverage", digits=1)),
+        *(
+            under(f"mask, {judge_words}", numbers(MASK_COLUMNS[0], digits=2), numbers(*MASK_COLUMNS[1:]))
+            if has_mask
+            else ()
+        ),
+        *under(f"L2 in m, {judge_words}", numbers(*(f"L2 {horizon}" for horizon in HORIZONS), digits=2)),
+        *under(f"counted, {judge_words}", numbers("samples", "scenes", "scenes failed"), numbers("coverage", digits=1)),
         *under(
-            f"paper, collision rate in %, {who}",
+            f"paper, collision rate in %, {judge_words}",
             numbers(*(f"paper {horizon}" for horizon in HORIZONS if has_paper)),
         ),
     ]
-    said = _run_notes(runs, protocol)
+    further_notes = _run_notes(runs, protocol)
     of_columns = [
         *([_PAPER_NOTE] if has_paper else []),
         *_variants(runs, protocol),
@@ -138,9 +146,9 @@ def _table(runs: Sequence[RunRecord], protocol: str, title: str, notes: Sequence
         title,
         columns,
         map(_values, rows),
-        (*notes, BRIEF_NOTE, *of_columns, *said),
+        (*notes, BRIEF_NOTE, *of_columns, *further_notes),
         brief=_BRIEF,
-        brief_notes=(*notes, BRIEF_NOTE, *_masked_in_words(rows), *said),
+        brief_notes=(*notes, BRIEF_NOTE, *_masked_in_words(rows), *further_notes),
         sources=(TABLE_1_SOURCE,) if has_paper else (),
     )
 
@@ -185,31 +193,31 @@ def _masked_for_others(summary: ProtocolSummary) -> int | None:
 
 def _masked_in_words(rows: Sequence[Row[ProtocolSummary]]) -> list[str]:
     """Notes on masked steps for a terminal, which does not show the columns."""
-    told = [
+    mask_texts = [
         f"{row.who} {row.found.mask_removed_for_adversary} / {_masked_for_others(row.found)}"
         if row.found.mask_removed_for_adversary is not None
         else f"{row.who} {row.found.mask_removed_steps} in all"
         for row in rows
         if row.found.mask_removed_steps
     ]
-    said = (
+    sentence = (
         "Colliding steps masked because the recorded ego touches an adversary / something else under the same protocol"
     )
-    return [f"{said}: {', '.join(told)}."] if told else []
+    return [f"{sentence}: {', '.join(mask_texts)}."] if mask_texts else []
 
 
 def _run_notes(runs: Sequence[RunRecord], protocol: str) -> list[str]:
-    told = []
+    sentences = []
     for record in runs:
-        judge, who = protocol_of(record, protocol), f"{record.planner} on {record.run.split}"
+        judge, run_name = protocol_of(record, protocol), f"{record.planner} on {record.run.split}"
         if judge not in record.summary.protocols:
-            told.append(f"{who}: no verdicts under protocol {judge}; run challenger-bench rescore.")
-        told += stale_notes(record, (judge,))
-    return run_notes(runs, told)
+            sentences.append(f"{run_name}: no verdicts under protocol {judge}; run challenger-bench rescore.")
+        sentences += stale_notes(record, (judge,))
+    return run_notes(runs, sentences)
 
 
 def _variants(runs: Sequence[RunRecord], protocol: str) -> list[str]:
     """Beside whom the paper's numbers do not stand."""
-    variants = {each.run.planner.name for each in runs if is_variant(each, protocol_of(each, protocol))}
+    variants = {run.run.planner.name for run in runs if is_variant(run, protocol_of(run, protocol))}
     some = f"No published row stands beside {', '.join(sorted(variants))}"
     return [f"{some}: a miniature or a variant is not the model that the paper ran."] if variants else []

@@ -56,25 +56,29 @@ def split_table(frame: Frame, protocol: str) -> Table | None:
     if not pairs:
         return None
     compared, refused = _compared(frame, pairs, protocol, partial(compare_splits, horizons=(AVERAGE,)))
-    found, who = [one for _, one in compared], whose(protocol)
+    comparisons, judge_words = [comparison for _, comparison in compared], whose(protocol)
     columns = [
         *texts("planner", "splits", "protocol"),
-        *under(f"average collision rate in %, {who}", numbers("from (%)", "to (%)", digits=2)),
-        *under(f"paired difference in points, {who}", _difference("paired difference (points)")),
-        *under(f"counted, {who}", numbers("scenes paired", "not paired", "failed samples")),
+        *under(f"average collision rate in %, {judge_words}", numbers("from (%)", "to (%)", digits=2)),
+        *under(f"paired difference in points, {judge_words}", _difference("paired difference (points)")),
+        *under(f"counted, {judge_words}", numbers("scenes paired", "not paired", "failed samples")),
     ]
     return tabulate(
         f"changes-{protocol}",
         f"{frame.data_name}: change of the average collision rate between splits, {judges(protocol)}",
         columns,
-        [_split_row(pair, one) for pair, one in compared],
+        [_split_row(pair, comparison) for pair, comparison in compared],
         (
             "Rates: over all scenes of each split. Paired difference: over the recorded scenes that both have, in "
             "points of per cent.",
             DRAWN_NOTE,
-            *([REDRAWN_NOTE] if any((one.baseline_split, one.split) == SPLIT_PAIRS[-1] for one in found) else []),
-            *_unpaired(found),
-            *_notes(frame.runs, min((len(one.sources) for one in found), default=FEW_SCENES)),
+            *(
+                [REDRAWN_NOTE]
+                if any((comparison.baseline_split, comparison.split) == SPLIT_PAIRS[-1] for comparison in comparisons)
+                else []
+            ),
+            *_unpaired(comparisons),
+            *_notes(frame.runs, min((len(comparison.sources) for comparison in comparisons), default=FEW_SCENES)),
             *refused,
         ),
     )
@@ -101,7 +105,7 @@ def planner_table(frame: Frame, protocol: str, split: str) -> Table | None:
         f"planners-{split}-{protocol}",
         f"{title}, {judges(protocol)}",
         columns,
-        [_planner_row(pair, one) for pair, one in compared],
+        [_planner_row(pair, comparison) for pair, comparison in compared],
         (
             "Both rates are over the samples that both planners planned; samples that one of them failed on are left "
             "out of both.",
@@ -120,48 +124,48 @@ def _compared(
     frame: Frame, pairs: Sequence[Pair], protocol: str, compare: Callable[[Scored, Scored], Found]
 ) -> tuple[list[tuple[Pair, Found]], tuple[str, ...]]:
     """Pairs that can be compared, and one sentence for each reason why a pair is left out."""
-    found, refused = [], []
+    comparisons, refused = [], []
     for pair in pairs:
         try:
-            found.append((pair, compare(*(frame.scored(record, protocol) for record in pair))))
+            comparisons.append((pair, compare(*(frame.scored(record, protocol) for record in pair))))
         except InputError as refusal:
             refused.append(f"Left out: {refusal}.")
-    return found, tuple(dict.fromkeys(refused))
+    return comparisons, tuple(dict.fromkeys(refused))
 
 
-def _split_row(runs: Pair, found: SplitComparison) -> Values:
-    everything, both = found.everything[AVERAGE], Origin(found.protocol, record_name(*runs))
+def _split_row(runs: Pair, comparison: SplitComparison) -> Values:
+    everything, both = comparison.everything[AVERAGE], Origin(comparison.protocol, record_name(*runs))
     samples = sum(run.summary.samples for run in runs)
     return {
         "planner": _name(runs[0]),
-        "splits": f"{found.baseline_split} → {found.split}",
-        "protocol": found.protocol,
+        "splits": f"{comparison.baseline_split} → {comparison.split}",
+        "protocol": comparison.protocol,
         **{
-            head: Origin(found.protocol, record_name(run)).cell(
-                rate, "%", run.summary.protocols[found.protocol].counted, scale=100.0
+            head: Origin(comparison.protocol, record_name(run)).cell(
+                rate, "%", run.summary.protocols[comparison.protocol].counted, scale=100.0
             )
             for head, run, rate in zip(("from (%)", "to (%)"), runs, (everything.first, everything.second))
         },
-        "paired difference (points)": _points(both, found.paired[AVERAGE].difference, len(found.sources)),
-        "scenes paired": both.count(len(found.sources), "recorded scenes"),
-        "not paired": both.count(len(found.only_baseline) + len(found.only_split), "scenes"),
-        "failed samples": both.count(found.failed, "samples", samples),
+        "paired difference (points)": _points(both, comparison.paired[AVERAGE].difference, len(comparison.sources)),
+        "scenes paired": both.count(len(comparison.sources), "recorded scenes"),
+        "not paired": both.count(len(comparison.only_baseline) + len(comparison.only_split), "scenes"),
+        "failed samples": both.count(comparison.failed, "samples", samples),
     }
 
 
-def _planner_row(runs: Pair, found: PlannerComparison) -> Values:
-    rates, both = found.by_horizon[AVERAGE], Origin(found.protocol, record_name(*runs))
+def _planner_row(runs: Pair, comparison: PlannerComparison) -> Values:
+    rates, both = comparison.by_horizon[AVERAGE], Origin(comparison.protocol, record_name(*runs))
     return {
         "first": _name(runs[0]),
         "second": _name(runs[1]),
         **{
-            head: Origin(found.protocol, record_name(run)).cell(rate, "%", found.samples, scale=100.0)
+            head: Origin(comparison.protocol, record_name(run)).cell(rate, "%", comparison.samples, scale=100.0)
             for head, run, rate in zip(("first (%)", "second (%)"), runs, (rates.first, rates.second))
         },
-        "second − first (points)": _points(both, rates.difference, found.samples, "samples"),
-        "samples": both.count(found.samples, "samples"),
-        "failed samples": both.count(found.failed, "samples"),
-        "scenes not shared": both.count(len(found.unshared), "scenes"),
+        "second − first (points)": _points(both, rates.difference, comparison.samples, "samples"),
+        "samples": both.count(comparison.samples, "samples"),
+        "failed samples": both.count(comparison.failed, "samples"),
+        "scenes not shared": both.count(len(comparison.unshared), "scenes"),
     }
 
 

@@ -73,14 +73,14 @@ def drawn_seeds_table(frame: Frame, protocol: str) -> Table | None:
     is the protocol of the planner's own repository; what does not belong to the others is named below.
     """
     rows: list[Values] = []
-    notes, shown = [_RULE], []
+    notes, shown_runs = [_RULE], []
     for runs in _by_planner(frame.runs):
-        kept, refused = _comparable(runs, protocol)
-        if len(kept) < 2:
+        comparable, refused = _comparable(runs, protocol)
+        if len(comparable) < 2:
             continue
         notes += refused
-        rows += _rows(kept, protocol)
-        shown += list(kept.values())
+        rows += _rows(comparable, protocol)
+        shown_runs += list(comparable.values())
     if not rows:
         return None
     columns = [
@@ -98,40 +98,40 @@ def drawn_seeds_table(frame: Frame, protocol: str) -> Table | None:
         f"{frame.data_name}: average collision rate (%) over seeds of the search, {judges(protocol)}",
         columns,
         rows,
-        (*notes, *run_notes(shown, ())),
+        (*notes, *run_notes(shown_runs, ())),
     )
 
 
 def _by_planner(records: Sequence[RunRecord]) -> list[dict[int, RunRecord]]:
     """Runs on splits of seeds, by planner and then by seed."""
-    found: dict[str, dict[int, RunRecord]] = {}
+    runs_by_planner: dict[str, dict[int, RunRecord]] = {}
     for record in records:
         seed = seed_of(record.run.split)
         if seed is not None:
-            found.setdefault(record.planner, {})[seed] = record
-    return [dict(sorted(runs.items())) for runs in found.values()]
+            runs_by_planner.setdefault(record.planner, {})[seed] = record
+    return [dict(sorted(runs.items())) for runs in runs_by_planner.values()]
 
 
 def _comparable(runs: dict[int, RunRecord], protocol: str) -> tuple[dict[int, RunRecord], list[str]]:
     """Runs that differ in the seed of the search alone, and why the others do not count."""
-    kept: dict[int, RunRecord] = {}
+    comparable: dict[int, RunRecord] = {}
     refused = []
     for seed, run in runs.items():
-        reason = _refusal(seed, run, next(iter(kept.values()), None), protocol)
+        reason = _refusal(seed, run, next(iter(comparable.values()), None), protocol)
         if reason is None:
-            kept[seed] = run
+            comparable[seed] = run
         else:
             refused.append(f"Left out: {run.planner} on {run.run.split}: {reason}.")
-    return kept, refused
+    return comparable, refused
 
 
 def _refusal(seed: int, run: RunRecord, first: RunRecord | None, protocol: str) -> str | None:
-    made = run.run.generated
-    if made is None or made.seed != seed:
+    generated = run.run.generated
+    if generated is None or generated.seed != seed:
         return "its data set does not say that it was searched with this seed"
     if not (run.covers_split and run.complete):
         return "it has no plan for some samples of the split"
-    if first is not None and first.run.generated is not None and first.run.generated.search != made.search:
+    if first is not None and first.run.generated is not None and first.run.generated.search != generated.search:
         return f"it comes from another search than {first.run.split}, not from another seed alone"
     weights = None if first is None else first.run.planner
     if weights is not None and weights != run.run.planner:
@@ -145,26 +145,29 @@ def _refusal(seed: int, run: RunRecord, first: RunRecord | None, protocol: str) 
 
 def _rows(runs: dict[int, RunRecord], protocol: str) -> list[Values]:
     """A row a seed, and one of all, which alone has a deviation and an interval over seeds."""
-    found = over_seeds({seed: _sums(run, protocol) for seed, run in runs.items()})
+    spread = over_seeds({seed: _sums(run, protocol) for seed, run in runs.items()})
     first = next(iter(runs.values()))
     judge = protocol_of(first, protocol)
-    who: Values = {"planner": name_cell(first.planner, first.run.planner), "protocol": judge}
+    identity: Values = {"planner": name_cell(first.planner, first.run.planner), "protocol": judge}
 
     def row(seed: str, of: Sequence[RunRecord], recordings: int, rate: AnyRate) -> Values:
         origin = Origin(judge, record_name(*of))
         scenes = origin.count(sum(len(run.run.scenes) for run in of), "scenes")
         counted = {"scenes": scenes, "recordings": origin.count(recordings, "recorded scenes")}
-        return {**who, "seed": seed, **counted, "avg": origin.percent(rate)}
+        return {**identity, "seed": seed, **counted, "avg": origin.percent(rate)}
 
-    of_each = [(one, run, len(set(source_of_scenes(run).values()))) for one, run in zip(found.seeds, runs.values())]
-    rows = [row(str(one.seed), [run], recordings, one.rate) for one, run, recordings in of_each]
-    origin, count = Origin(judge, record_name(*runs.values())), len(found.seeds)
+    of_each = [
+        (seed_rate, run, len(set(source_of_scenes(run).values())))
+        for seed_rate, run in zip(spread.seeds, runs.values())
+    ]
+    rows = [row(str(seed_rate.seed), [run], recordings, seed_rate.rate) for seed_rate, run, recordings in of_each]
+    origin, count = Origin(judge, record_name(*runs.values())), len(spread.seeds)
     of_seeds = f"seeds {seeds_in_words(list(runs))}"
     every = {
-        **row("all", list(runs.values()), found.recordings, found.mean),
-        "deviation": origin.cell(found.deviation, PERCENT, count, of_seeds, scale=100.0),
+        **row("all", list(runs.values()), spread.recordings, spread.mean),
+        "deviation": origin.cell(spread.deviation, PERCENT, count, of_seeds, scale=100.0),
         "over seeds": origin.cell(
-            found.mean.value, PERCENT, count, "seeds", low=found.low, high=found.high, scale=100.0
+            spread.mean.value, PERCENT, count, "seeds", low=spread.low, high=spread.high, scale=100.0
         ),
     }
     return [*rows, every]
@@ -172,9 +175,9 @@ def _rows(runs: dict[int, RunRecord], protocol: str) -> list[Values]:
 
 def _sums(run: RunRecord, protocol: str) -> SceneSums:
     """Sums that each recording adds to the average rate."""
-    whole = scored(run, protocol=protocol).sums(source_of_scenes(run))
+    scene_sums = scored(run, protocol=protocol).sums(source_of_scenes(run))
     column = slice(_AVERAGE, _AVERAGE + 1)
-    return SceneSums(whole.names, whole.numerators[:, column], whole.denominators[:, column])
+    return SceneSums(scene_sums.names, scene_sums.numerators[:, column], scene_sums.denominators[:, column])
 
 
 _AFTER = {instant: f"after {instant}" for instant in INSTANTS}
@@ -197,18 +200,20 @@ def consistency_table(frame: Frame) -> Table | None:
         return None
     title = f"{frame.data_name}: how far consecutive plans disagree about the same place and time (m)"
     without = [(row.who, row.found.without) for row in rows if row.found.without]
-    told = [f"{who}: {count} pairs are left out because a plan is missing." for who, count in without]
+    sentences = [f"{run_name}: {count} pairs are left out because a plan is missing." for run_name, count in without]
     brief = ("planner", "split", MEAN, f"95 % of {MEAN}", "pairs")
-    return tabulate("consistency", title, _COLUMNS, map(_values, rows), (_NOTE, *row_notes(rows, told)), brief=brief)
+    return tabulate(
+        "consistency", title, _COLUMNS, map(_values, rows), (_NOTE, *row_notes(rows, sentences)), brief=brief
+    )
 
 
 def _values(row: Row[Consistency]) -> Values:
-    found, origin = row.found, row.origin
+    consistency, origin = row.found, row.origin
     return {
         "planner": row.planner,
         "split": row.split,
-        **{_AFTER.get(at, at): origin.amount(rate, "m", "pairs") for at, rate in found.distances.items()},
-        "pairs": origin.count(found.pairs, "pairs", found.pairs + found.without),
+        **{_AFTER.get(at, at): origin.amount(rate, "m", "pairs") for at, rate in consistency.distances.items()},
+        "pairs": origin.count(consistency.pairs, "pairs", consistency.pairs + consistency.without),
     }
 
 
@@ -284,9 +289,9 @@ def _under(frame: Frame, judges: Sequence[str]) -> Iterable[Made]:
     yield from (make(frame, judge, split) for split in frame.splits for make in ON for judge in judges)
 
 
-def _flat(made: Iterable[Made]) -> tuple[Table, ...]:
+def _flat(table_groups: Iterable[Made]) -> tuple[Table, ...]:
     """Tables, one after the other."""
-    parts = ([part] if isinstance(part, Table) else part or () for part in made)
+    parts = ([part] if isinstance(part, Table) else part or () for part in table_groups)
     return tuple(table for part in parts for table in part)
 
 
@@ -297,8 +302,13 @@ def _slices(frame: Frame, *asked: str) -> tuple[Table, ...]:
 
 def closed_loop_tables(data_name: str, drives: Sequence[DriveRecord], runs: Sequence[RunRecord]) -> tuple[Table, ...]:
     """Every table of drives through one data set, beside open loop where the planners ran there too."""
-    made = drive_tables(drives), loop_tables(drives, runs), pressure_tables(drives), drive_cost_table(data_name, drives)
-    return _flat(made)
+    table_groups = (
+        drive_tables(drives),
+        loop_tables(drives, runs),
+        pressure_tables(drives),
+        drive_cost_table(data_name, drives),
+    )
+    return _flat(table_groups)
 
 
 def generation_tables(sheets: Sheets, ablations: Sequence[AblationReport]) -> dict[str, tuple[Table, ...]]:
@@ -310,22 +320,24 @@ def missing_notes(frame: Frame) -> list[str]:
     """Sentences on what old records do not say."""
     notes = []
     for record in frame.runs:
-        who = f"{record.planner} on {record.run.split}"
+        run_name = f"{record.planner} on {record.run.split}"
         if record.missing_protocols:
-            notes.append(f"{who}: not judged by {', '.join(record.missing_protocols)}; run challenger-bench rescore.")
+            notes.append(
+                f"{run_name}: not judged by {', '.join(record.missing_protocols)}; run challenger-bench rescore."
+            )
         if any(None in record.columns.values(field) for field in ("place", "speed_m_s")):
             notes.append(
-                f"{who}: the record does not say where its samples are, in what light and how fast, so that it is in "
+                f"{run_name}: the record does not say where its samples are, in what light and how fast, so that it is in "
                 "no table by place, light or speed; run challenger-bench rescore."
             )
         if has_adversaries(record) and not says_severity(record):
             notes.append(
-                f"{who}: the record does not say how severe its plans are, so that it is in no table of attack success "
+                f"{run_name}: the record does not say how severe its plans are, so that it is in no table of attack success "
                 "or severity; run challenger-bench rescore."
             )
         if record.run.split == "adv" and not record.run.scene_facts:
             notes.append(
-                f"{who}: the record does not say which recordings its scenes come from, so that intervals take scenes "
+                f"{run_name}: the record does not say which recordings its scenes come from, so that intervals take scenes "
                 "of one recording for independent; run challenger-bench rescore."
             )
     return notes

@@ -102,7 +102,7 @@ def diagnosis_tables(frame: Frame) -> list[Table]:
 def _values(run: Row[_Samples]) -> dict[str, Any]:
     """Counts, and the share of each cause among the colliding samples."""
     rows, colliding = run.found.rows, run.found.colliding
-    shares = _rates(run, colliding, [[_cause(said) == cause for cause in CAUSES] for _, said in colliding])
+    shares = _rates(run, colliding, [[_cause(diagnosis) == cause for cause in CAUSES] for _, diagnosis in colliding])
     return {
         "samples": run.origin.count(len(rows), "samples"),
         "colliding": run.origin.count(len(colliding), "samples", len(rows)),
@@ -110,17 +110,19 @@ def _values(run: Row[_Samples]) -> dict[str, Any]:
     }
 
 
-def _rates(run: Row[_Samples], rows: Sequence[tuple[str, Any]], told: Sequence[Sequence[bool]]) -> list[Rate]:
+def _rates(run: Row[_Samples], rows: Sequence[tuple[str, Any]], outcomes: Sequence[Sequence[bool]]) -> list[Rate]:
     """Share of the rows of which each thing is told."""
     sources = source_of_scenes(run.record)
-    values = np.array(told, dtype=np.float64).reshape(len(rows), -1 if rows else len(CAUSES))
+    values = np.array(outcomes, dtype=np.float64).reshape(len(rows), -1 if rows else len(CAUSES))
     scenes = [sources[scene] for scene, _ in rows]
     return ratios_over_scenes(values, np.ones_like(values), scenes, seed=run.record.run.seed)
 
 
 def _cases(run: Row[_Samples]) -> Iterable[Values]:
     among = len(run.found.colliding)
-    cases = Counter((_cause(said), said.reason) for _, said in run.found.colliding if said is not None)
+    cases = Counter(
+        (_cause(diagnosis), diagnosis.reason) for _, diagnosis in run.found.colliding if diagnosis is not None
+    )
     for (cause, reason), count in sorted(cases.items(), key=lambda case: (CAUSES.index(case[0][0]), case[0][1])):
         counted = run.origin.count(count, "samples", among)
         part = share(run.origin, count, among, "colliding samples")
@@ -154,19 +156,19 @@ def _cause(diagnosis: DiagnosisRow | None) -> str:
 
 def _manoeuvres(record: RunRecord) -> dict[str, set[str]]:
     """Scenes that ran by the manoeuvre of their first adversary."""
-    found: dict[str, set[str]] = {}
+    scenes_by_manoeuvre: dict[str, set[str]] = {}
     for name in record.run.scenes:
         facts = record.run.scene_facts.get(name)
         if facts is not None and facts.manoeuvre is not None:
-            found.setdefault(facts.manoeuvre, set()).add(name)
-    return found
+            scenes_by_manoeuvre.setdefault(facts.manoeuvre, set()).add(name)
+    return scenes_by_manoeuvre
 
 
 def _notes(runs: Sequence[Row[_Samples]]) -> tuple[str, ...]:
-    told = []
+    sentences = []
     for run in runs:
         if not run.found.diagnosed:
-            told.append(f"{run.who}: no diagnoses in this record; run challenger-bench rescore.")
-        told += stale_notes(run.record, (EXACT,))
+            sentences.append(f"{run.who}: no diagnoses in this record; run challenger-bench rescore.")
+        sentences += stale_notes(run.record, (EXACT,))
     brackets = "Brackets: 95 % bootstrap interval over recorded scenes with collisions."
-    return (_RULE, brackets, *run_notes([run.record for run in runs], told))
+    return (_RULE, brackets, *run_notes([run.record for run in runs], sentences))

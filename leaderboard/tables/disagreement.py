@@ -54,15 +54,15 @@ def disagreement_table(data_name: str, split: str, records: Sequence[RunRecord])
         for record in in_table_order(records)
         if record.run.data.name == data_name and record.run.split == split and EXACT in record.run.protocols
     ]
-    rows = [Row(record, protocol, one) for record in runs for protocol, one in comparisons(record).items()]
-    shown = [cause for cause in CAUSES if any(row.found.causes and row.found.causes[cause] for row in rows)]
+    rows = [Row(record, protocol, confusion) for record in runs for protocol, confusion in comparisons(record).items()]
+    shown_causes = [cause for cause in CAUSES if any(row.found.causes and row.found.causes[cause] for row in rows)]
     columns = [
         *texts("planner", "protocol"),
         *under(
             "samples, exact and the row's protocol",
             numbers("samples", "exact +", "official +", "misses", "false alarms"),
         ),
-        *under("causes, the row's protocol against exact", numbers(*(_short(cause) for cause in shown))),
+        *under("causes, the row's protocol against exact", numbers(*(_short(cause) for cause in shown_causes))),
         *under("steps, exact and the row's protocol", numbers("mask took", "step misses", "step false alarms")),
     ]
     title = f"{titled(data_name, split)}: what each protocol misses and invents, measured by exact"
@@ -77,27 +77,27 @@ def disagreement_tables(frame: Frame) -> list[Table]:
 
 
 def _values(row: _Found) -> Values:
-    origin, one = Origin(f"{row.judge} against {EXACT}", record_name(row.record)), row.found
-    samples, removed = one.samples, origin.count(one.mask_removed_steps, "steps", one.steps.compared)
+    origin, confusion = Origin(f"{row.judge} against {EXACT}", record_name(row.record)), row.found
+    samples, removed = confusion.samples, origin.count(confusion.mask_removed_steps, "steps", confusion.steps.compared)
     both = {"samples": samples.compared, "exact +": samples.exact, "official +": samples.official}
-    counts = both | {_short(cause): None if one.causes is None else one.causes[cause] for cause in CAUSES}
+    counts = both | {_short(cause): None if confusion.causes is None else confusion.causes[cause] for cause in CAUSES}
     return {
         "planner": row_name(row.record, EXACT),
         "protocol": f"{row.judge} {STALE_MARK}" if row.judge in row.record.stale_protocols else row.judge,
         **{head: origin.count(count, "samples", samples.compared) for head, count in counts.items()},
         **_wrong(origin, samples, "samples", ""),
-        "mask took": removed.shown(after=f" ({one.samples_with_removed_steps})"),
-        **_wrong(origin, one.steps, "steps", "step "),
+        "mask took": removed.shown(after=f" ({confusion.samples_with_removed_steps})"),
+        **_wrong(origin, confusion.steps, "steps", "step "),
     }
 
 
-def _wrong(origin: Origin, found: Confusion, of: str, before: str) -> dict[str, Shown]:
+def _wrong(origin: Origin, confusion: Confusion, of: str, before: str) -> dict[str, Shown]:
     """Misses and false alarms with their shares."""
-    missed = origin.count(found.missed, of, found.exact)
-    false_alarms = origin.count(found.false_alarms, of, found.official)
+    missed = origin.count(confusion.missed, of, confusion.exact)
+    false_alarms = origin.count(confusion.false_alarms, of, confusion.official)
     return {
-        f"{before}misses": missed.shown(after=_share(found.missed_share)),
-        f"{before}false alarms": false_alarms.shown(after=_share(found.false_share)),
+        f"{before}misses": missed.shown(after=_share(confusion.missed_share)),
+        f"{before}false alarms": false_alarms.shown(after=_share(confusion.false_share)),
     }
 
 
@@ -106,8 +106,8 @@ def _share(share: float | None) -> str:
 
 
 def _short(cause: str) -> str:
-    kind, _, rung = cause.partition(": ")
-    return f"{kind.partition(' ')[0]}: {_SHORT[rung]}"
+    kind, _, counterfactual = cause.partition(": ")
+    return f"{kind.partition(' ')[0]}: {_SHORT[counterfactual]}"
 
 
 def _notes(runs: Sequence[RunRecord], rows: Sequence[_Found]) -> tuple[str, ...]:
@@ -115,7 +115,7 @@ def _notes(runs: Sequence[RunRecord], rows: Sequence[_Found]) -> tuple[str, ...]
         "A sample is positive if the plan collides at any time within 3 s; exact looks at all objects all the time, "
         "the official verdict is the one after the protocol's mask. Only samples count that both count. Brackets: % of "
         "exact + for misses, of official + for false alarms.",
-        f"Causes (docs/footguns.md): {', '.join(f'{_SHORT[rung]} = {rung}' for rung in RUNGS[:5])}.",
+        f"Causes (docs/footguns.md): {', '.join(f'{_SHORT[counterfactual]} = {counterfactual}' for counterfactual in RUNGS[:5])}.",
         "Mask took: steps (and samples with such steps) that a protocol drops because, in its eyes, the recorded ego "
         "collides there too. Steps: the verdicts at the six waypoints, where exact looks at the waypoint alone.",
     ]

@@ -57,39 +57,39 @@ def loop_tables(drives: Sequence[DriveRecord], runs: Sequence[RunRecord]) -> lis
     """Rates of every world in which a planner drove that ran in open loop, then scenes of those with disagreements."""
     rates, scenes = [], []
     # Scenarios put actors into scenes that the recording, and so open loop, does not have.
-    for one in worlds([each for each in drives if each.facts.measured.scenarios == "recorded"]):
-        found, missing = _loops_of(one, runs)
-        if found:
-            rates.append(_rates_table(one, found, missing))
-        if any(scene.disagrees for _, loops in found for scene in loops.scenes):
-            scenes.append(_scenes_table(one, found))
+    for group in worlds([record for record in drives if record.facts.measured.scenarios == "recorded"]):
+        loop_pairs, missing = _loops_of(group, runs)
+        if loop_pairs:
+            rates.append(_rates_table(group, loop_pairs, missing))
+        if any(scene.disagrees for _, loops in loop_pairs for scene in loops.scenes):
+            scenes.append(_scenes_table(group, loop_pairs))
     return [*rates, *scenes]
 
 
-def _loops_of(one: World, runs: Sequence[RunRecord]) -> tuple[list[_Both], list[str]]:
+def _loops_of(group: World, runs: Sequence[RunRecord]) -> tuple[list[_Both], list[str]]:
     """Planners of a world in both loops, and names of those without an open loop."""
-    found, missing = [], []
-    for row in one.rows:
+    loop_pairs, missing = [], []
+    for row in group.rows:
         run = run_of(row.record, runs)
         if run is None:
             missing.append(row.name)
         else:
-            found.append((row, planner_loops(row.record, run)))
-    return found, missing
+            loop_pairs.append((row, planner_loops(row.record, run)))
+    return loop_pairs, missing
 
 
-def _rates_table(one: World, found: Sequence[_Both], missing: Sequence[str]) -> Table:
-    loops = [each for _, each in found]
+def _rates_table(group: World, loop_pairs: Sequence[_Both], missing: Sequence[str]) -> Table:
+    loops = [loops_of_planner for _, loops_of_planner in loop_pairs]
     ranks = rank_correlation(loops), rank_correlation(loops, at_fault=True)
     left_out = [
-        f"{row.name}: {counted(len(each.without), 'scene')} left out because a drive or a sample failed."
-        for row, each in found
-        if each.without
+        f"{row.name}: {counted(len(loops_of_planner.without), 'scene')} left out because a drive or a sample failed."
+        for row, loops_of_planner in loop_pairs
+        if loops_of_planner.without
     ]
     absent = [f"Without a run record of the same planner and scenes: {', '.join(missing)}."] if missing else []
-    notes = (_RATES_NOTE, *_ranked(*ranks), *left_out, *absent, *one.notes)
-    rows = [_rates_values(row, each) for row, each in found]
-    return tabulate(f"loops-{one.name}", f"{one.title}: beside open loop", _RATES, rows, notes, brief=_BRIEF_RATES)
+    notes = (_RATES_NOTE, *_ranked(*ranks), *left_out, *absent, *group.notes)
+    rows = [_rates_values(row, loops_of_planner) for row, loops_of_planner in loop_pairs]
+    return tabulate(f"loops-{group.name}", f"{group.title}: beside open loop", _RATES, rows, notes, brief=_BRIEF_RATES)
 
 
 def _ranked(contact: RankCorrelation, at_fault: RankCorrelation) -> list[str]:
@@ -97,44 +97,44 @@ def _ranked(contact: RankCorrelation, at_fault: RankCorrelation) -> list[str]:
     where = f"{contact.planners} planners on the {counted(contact.scenes, 'scene')} that all of them have"
     if contact.planners and not contact.scenes:
         where = f"{contact.planners} planners, which have no scene in common"
-    said = ", ".join(
-        f"{words} {'–' if found.tau is None else f'{found.tau:.2f}'}"
-        for words, found in (("contact", contact), ("at fault", at_fault))
+    correlations = ", ".join(
+        f"{words} {'–' if correlation.tau is None else f'{correlation.tau:.2f}'}"
+        for words, correlation in (("contact", contact), ("at fault", at_fault))
     )
     miniatures = "; miniatures are not ranked"
-    return [f"Kendall's tau-b between open loop and closed loop: {said} (over {where}{miniatures})."]
+    return [f"Kendall's tau-b between open loop and closed loop: {correlations} (over {where}{miniatures})."]
 
 
-def _rates_values(row: Driven, each: PlannerLoops) -> Values:
-    here, count = row.origin, len(each.scenes)
-    opened = Origin(OPEN_LOOP, record_name(each.run))
-    closed = Origin(here.protocol, f"{record_name(each.run)}; {here.record}")
-    only_open = sum(scene.open_fails and not scene.closed_fails for scene in each.scenes)
-    only_closed = sum(scene.closed_fails and not scene.open_fails for scene in each.scenes)
+def _rates_values(row: Driven, loops: PlannerLoops) -> Values:
+    here, count = row.origin, len(loops.scenes)
+    opened = Origin(OPEN_LOOP, record_name(loops.run))
+    closed = Origin(here.protocol, f"{record_name(loops.run)}; {here.record}")
+    only_open = sum(scene.open_fails and not scene.closed_fails for scene in loops.scenes)
+    only_closed = sum(scene.closed_fails and not scene.open_fails for scene in loops.scenes)
     agree = None if not count else 100.0 * (count - only_open - only_closed) / count
     return {
         "planner": row.planner,
         "sensor": row.record.facts.measured.sensor,
-        "open loop %": opened.percent(each.open_rate, "scenes"),
-        "contact %": closed.percent(each.contact, "scenes"),
-        "at fault %": closed.percent(each.at_fault, "scenes"),
+        "open loop %": opened.percent(loops.open_rate, "scenes"),
+        "contact %": closed.percent(loops.contact, "scenes"),
+        "at fault %": closed.percent(loops.at_fault, "scenes"),
         "only open": closed.count(only_open, "scenes", count),
         "only closed": closed.count(only_closed, "scenes", count),
         "agree %": Cell(agree, "%", count, "scenes"),
-        "scenes": closed.count(count, "scenes", count + len(each.without)),
+        "scenes": closed.count(count, "scenes", count + len(loops.without)),
     }
 
 
-def _scenes_table(one: World, found: Sequence[_Both]) -> Table:
+def _scenes_table(group: World, loop_pairs: Sequence[_Both]) -> Table:
     rows = [
-        {"planner": row.planner, "recording": source_of_scenes(each.run)[scene.scene], **_scene_values(scene)}
-        for row, each in found
-        for scene in each.scenes
+        {"planner": row.planner, "recording": source_of_scenes(loops.run)[scene.scene], **_scene_values(scene)}
+        for row, loops in loop_pairs
+        for scene in loops.scenes
         if scene.disagrees
     ]
-    title = f"{one.title}: scenes on which open loop and closed loop disagree"
-    notes = (_SCENES_NOTE, *one.notes)
-    return tabulate(f"{DISAGREEMENTS}-{one.name}", title, _SCENES, rows, notes, brief=_BRIEF_SCENES)
+    title = f"{group.title}: scenes on which open loop and closed loop disagree"
+    notes = (_SCENES_NOTE, *group.notes)
+    return tabulate(f"{DISAGREEMENTS}-{group.name}", title, _SCENES, rows, notes, brief=_BRIEF_SCENES)
 
 
 def _scene_values(scene: SceneLoops) -> dict[str, Value]:
@@ -235,27 +235,27 @@ def drive_tables(records: Sequence[DriveRecord]) -> list[Table]:
     Raises:
         InputError: If two records would share a row.
     """
-    return [_table(one) for one in worlds(records)]
+    return [_table(group) for group in worlds(records)]
 
 
-def _table(one: World) -> Table:
-    first, own = one.records[0].facts, one.records[0].facts.measured.engine == "default"
-    fair = any("survives_cc" in record.summary.columns for record in one.records)
-    measured = (*_DEFAULT[:2], *(_FAIRNESS if fair else ()), *_DEFAULT[2:]) if own else _of_neuroncap(one.records)
-    published = any(record.summary.published is not None for record in one.records)
+def _table(group: World) -> Table:
+    first, own = group.records[0].facts, group.records[0].facts.measured.engine == "default"
+    fair = any("survives_cc" in record.summary.columns for record in group.records)
+    measured = (*_DEFAULT[:2], *(_FAIRNESS if fair else ()), *_DEFAULT[2:]) if own else _of_neuroncap(group.records)
+    published = any(record.summary.published is not None for record in group.records)
     columns = [
         *texts("planner", "sensor"),
-        *(column for each in measured for column in _columns(*each)),
+        *(column for column_values in measured for column in _columns(*column_values)),
         *(numbers(_PUBLISHED[0], digits=3) if published else ()),
         *(numbers(_PUBLISHED[1], digits=1) if published else ()),
         *numbers("failed", "drives"),
     ]
-    said = (_NOTE_CONTACT + _NOTE_UNTIL[first.measured.until], _NOTE_SCORES)
-    notes = (*(said if own else _NOTES_NEURONCAP), *([_PUBLISHED_NOTE] if published else ()))
-    notes = (*notes, *([_NOTE_FAIRNESS] if fair else []), _FAILED_NOTE, *one.notes)
-    rows = [_values(row, {name: unit for name, _, unit, _ in measured}) for row in one.rows]
+    own_notes = (_NOTE_CONTACT + _NOTE_UNTIL[first.measured.until], _NOTE_SCORES)
+    notes = (*(own_notes if own else _NOTES_NEURONCAP), *([_PUBLISHED_NOTE] if published else ()))
+    notes = (*notes, *([_NOTE_FAIRNESS] if fair else []), _FAILED_NOTE, *group.notes)
+    rows = [_values(row, {name: unit for name, _, unit, _ in measured}) for row in group.rows]
     brief = _BRIEF if own else [column.key for column in columns]
-    return tabulate(f"drives-{one.name}", one.title, columns, rows, notes, brief=brief)
+    return tabulate(f"drives-{group.name}", group.title, columns, rows, notes, brief=brief)
 
 
 def _of_neuroncap(records: Sequence[DriveRecord]) -> Sequence[_Measured]:
@@ -281,8 +281,8 @@ def _values(row: Driven, units: Mapping[str, str]) -> Values:
         cells[_PUBLISHED[0]] = origin.cell(summary.published.nns, "points", count, "drives")
         cells[_PUBLISHED[1]] = origin.cell(summary.published.collision, PERCENT, count, "drives", scale=100.0)
     failed = origin.count(summary.failed, "drives", summary.drives)
-    who: Values = {"planner": row.planner, "sensor": row.record.facts.measured.sensor}
-    return {**cells, **who, "failed": failed, "drives": row.drives()}
+    identity: Values = {"planner": row.planner, "sensor": row.record.facts.measured.sensor}
+    return {**cells, **identity, "failed": failed, "drives": row.drives()}
 
 
 def said_of_failures(record: DriveRecord) -> str:

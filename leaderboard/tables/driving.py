@@ -43,15 +43,15 @@ def driving_table(frame: Frame) -> Table:
     rows = frame.rows(DEFINITION, _driving)
     versions = ", ".join(str(version) for version in sorted({row.found.version for row in rows} or {VERSION}))
     title = f"{frame.data_name}: driving scores (%), {DEFINITION} (version {versions})"
-    said = _notes(frame)
+    run_notes = _notes(frame)
     return tabulate(
         PDM,
         title,
         _COLUMNS,
         map(_values, rows),
-        (f"{NOTE}.", WORDS_NOTE, FULL_NOTE, *said),
+        (f"{NOTE}.", WORDS_NOTE, FULL_NOTE, *run_notes),
         brief=("planner", "split", "score", "95 % of score", *_SUB_HEADS),
-        brief_notes=(f"{NOTE}.", WORDS_NOTE, *said),
+        brief_notes=(f"{NOTE}.", WORDS_NOTE, *run_notes),
     )
 
 
@@ -85,17 +85,17 @@ def _driving(record: RunRecord) -> DrivingSummary | None:
 
 
 def _notes(frame: Frame) -> list[str]:
-    told = []
+    sentences = []
     for record in frame.runs:
-        who, summary = f"{record.planner} on {record.run.split}", record.summary.driving
+        run_name, summary = f"{record.planner} on {record.run.split}", record.summary.driving
         if summary is None:
-            told.append(
-                f"{who}: no driving scores; challenger-bench rescore computes them where the data set has a map and "
+            sentences.append(
+                f"{run_name}: no driving scores; challenger-bench rescore computes them where the data set has a map and "
                 "nuScenes' categories."
             )
         elif summary.version != VERSION:
-            told.append(
-                f"{STALE_MARK} {who}: judged by version {summary.version} of {DEFINITION}, now {VERSION}; run "
+            sentences.append(
+                f"{STALE_MARK} {run_name}: judged by version {summary.version} of {DEFINITION}, now {VERSION}; run "
                 "challenger-bench rescore."
             )
-    return run_notes(frame.given, told)
+    return run_notes(frame.given, sentences)

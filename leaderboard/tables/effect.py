@@ -59,7 +59,7 @@ def effect_table(frame: Frame) -> Table | None:
     if not runs:
         return None
     rows: list[Values] = []
-    found: list[AdversaryEffect] = []
+    effects: list[AdversaryEffect] = []
     refused: dict[str, None] = {}
     for record in runs:
         effect = None
@@ -67,17 +67,17 @@ def effect_table(frame: Frame) -> Table | None:
             effect = effect_of(record, unchanged_record(record, (*frame.against, *frame.given)))
         except InputError as refusal:
             refused[f"Left out: {refusal}."] = None
-        found += [] if effect is None else [effect]
+        effects += [] if effect is None else [effect]
         rows.append({"planner": row_name(record, EXACT), "split": record.run.split, **_values(effect)})
-    lacking = (*_missing(runs, found), *refused)
+    lacking = (*_missing(runs, effects), *refused)
     # Of other tables' intervals: this one's hold over few recordings, or are not given.
-    told = [note for note in run_notes(runs, ()) if note != FEW_NOTE]
+    run_sentences = [note for note in run_notes(runs, ()) if note != FEW_NOTE]
     return tabulate(
         "effect",
         f"{frame.data_name}: effect of the adversary (%, samples), protocol {EXACT}",
         _COLUMNS,
         rows,
-        (_NOTE, _OTHERS_NOTE, *lacking, *told),
+        (_NOTE, _OTHERS_NOTE, *lacking, *run_sentences),
         brief=_BRIEF,
         # The rest of what has to be said of the runs stands below the rates already.
         brief_notes=(_NOTE, *lacking, *notes_of_marks(runs)),
@@ -100,7 +100,7 @@ def _values(effect: AdversaryEffect | None) -> Values:
     }
     if paired is None or unchanged is None:
         return touched
-    found = paired.difference
+    difference = paired.difference
     rates = {
         "any, adv": paired.adversarial,
         "any, unchanged": paired.unchanged,
@@ -111,28 +111,34 @@ def _values(effect: AdversaryEffect | None) -> Values:
         **touched,
         **{name: percent(rate, paired.pairs) for name, rate in rates.items()},
         "difference": origin.cell(
-            found.value, "points", found.recordings, "recordings", low=found.low, high=found.high, scale=100.0
+            difference.value,
+            "points",
+            difference.recordings,
+            "recordings",
+            low=difference.low,
+            high=difference.high,
+            scale=100.0,
         ),
         "ratio": origin.cell(paired.ratio, "times", paired.pairs),
         "pairs": origin.count(paired.pairs, "samples"),
-        "recordings": origin.count(found.recordings, "recordings"),
-        "differing": origin.count(found.differing, "recordings", found.recordings),
+        "recordings": origin.count(difference.recordings, "recordings"),
+        "differing": origin.count(difference.differing, "recordings", difference.recordings),
         "compared with": unchanged.run.split,
     }
 
 
-def _missing(runs: Sequence[RunRecord], found: Sequence[AdversaryEffect]) -> list[str]:
+def _missing(runs: Sequence[RunRecord], effects: Sequence[AdversaryEffect]) -> list[str]:
     """Sentences on what cannot be said and what would help, each once."""
     notes: dict[str, None] = {}
     for record in runs:
         if not says_whom(record):
             notes[unsaid_whom(record)] = None
-    for effect in found:
+    for effect in effects:
         record, paired = effect.record, effect.paired
         split = record.run.split
         if paired is None:
             notes[
-                f"{split}: not run by the same planner on the unchanged recordings: {_who(found, split)}; "
+                f"{split}: not run by the same planner on the unchanged recordings: {_who(effects, split)}; "
                 f"{_how(record)}."
             ] = None
             continue
@@ -153,8 +159,10 @@ def _how(record: RunRecord) -> str:
     )
 
 
-def _who(found: Sequence[AdversaryEffect], split: str) -> str:
-    return ", ".join(one.record.planner for one in found if one.paired is None and one.record.run.split == split)
+def _who(effects: Sequence[AdversaryEffect], split: str) -> str:
+    return ", ".join(
+        effect.record.planner for effect in effects if effect.paired is None and effect.record.run.split == split
+    )
 
 
 def unsaid_whom(record: RunRecord) -> str:
@@ -174,14 +182,14 @@ def _said_of_pairs(record: RunRecord, paired: PairedEffect) -> list[str]:
             f"{record.planner} on {record.run.split}: {counted(paired.unpaired, 'sample')} without a partner on the "
             f"unchanged recordings{some}: in no pair."
         )
-    if (said := _too_few(paired.difference)) is not None:
-        notes.append(f"{record.planner} on {record.run.split}: {said}.")
+    if (reason := _too_few(paired.difference)) is not None:
+        notes.append(f"{record.planner} on {record.run.split}: {reason}.")
     return notes
 
 
-def _too_few(found: PairedDifference) -> str | None:
-    if found.value is None or found.low is not None:
+def _too_few(difference: PairedDifference) -> str | None:
+    if difference.value is None or difference.low is not None:
         return None
-    verb = "differs" if found.differing == 1 else "differ"
-    told = f"only {found.differing} of {found.recordings} recordings {verb}, too few for an interval"
-    return told if found.enough is None else f"{told}; about {found.enough} recordings would do"
+    verb = "differs" if difference.differing == 1 else "differ"
+    sentence = f"only {difference.differing} of {difference.recordings} recordings {verb}, too few for an interval"
+    return sentence if difference.enough is None else f"{sentence}; about {difference.enough} recordings would do"

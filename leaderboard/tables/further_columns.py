@@ -70,5 +70,5 @@ def further_values(
     row: Row[Any], further: Sequence[FurtherColumn], rates: Mapping[str, Mapping[str, AnyRate]]
 ) -> dict[str, Value]:
     """Values of a row in some of the columns, at every horizon."""
-    found = [row.by_horizon(f"{column.head} {{}}", column.name, rates[column.name]) for column in further]
-    return dict(item for values in found for item in values.items())
+    column_values = [row.by_horizon(f"{column.head} {{}}", column.name, rates[column.name]) for column in further]
+    return dict(item for values in column_values for item in values.items())

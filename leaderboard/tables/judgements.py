@@ -101,73 +101,84 @@ def judgement_tables(frame: Frame) -> list[Table]:
     The ladder, a row a split; what is wrong with adversaries; their worst feature, and a table of all features a split
     with recordings to compare with. None of what no record says.
     """
-    name, ladders, real = frame.data_name, split_ladders(frame.runs), split_realism(frame.runs)
-    tables = [_ladder_table(name, [ladders[split] for split in sorted(ladders, key=split_place)])] if ladders else []
-    told = [_told(record, said) for record, said in real]
-    told += [_told_by_scenes(each) for split, each in ladders.items() if split not in {one.split for one in told}]
-    told.sort(key=lambda each: split_place(each.split))
-    if told:
-        rows = [row for each in told for row in each.values()]
-        notes = (_VALIDITY_NOTE, *dict.fromkeys(note for each in told for note in each.notes))
+    name, drivers_by_split, real = frame.data_name, split_ladders(frame.runs), split_realism(frame.runs)
+    tables = (
+        [_ladder_table(name, [drivers_by_split[split] for split in sorted(drivers_by_split, key=split_place)])]
+        if drivers_by_split
+        else []
+    )
+    split_fault_counts = [_told(record, realism) for record, realism in real]
+    split_fault_counts += [
+        _told_by_scenes(fault_counts)
+        for split, fault_counts in drivers_by_split.items()
+        if split not in {counts.split for counts in split_fault_counts}
+    ]
+    split_fault_counts.sort(key=lambda each: split_place(each.split))
+    if split_fault_counts:
+        rows = [row for fault_counts in split_fault_counts for row in fault_counts.values()]
+        notes = (
+            _VALIDITY_NOTE,
+            *dict.fromkeys(note for fault_counts in split_fault_counts for note in fault_counts.notes),
+        )
         tables.append(tabulate("validity", f"{name}: what is wrong with adversaries", _FAULTS, rows, notes))
-    compared = [(record, said, said.headline) for record, said in real if said.headline is not None]
+    compared = [(record, realism, realism.headline) for record, realism in real if realism.headline is not None]
     tables += [_headline_table(name, compared)] if compared else []
-    return [*tables, *(_realism_table(name, record, said) for record, said, _ in compared)]
+    return [*tables, *(_realism_table(name, record, realism) for record, realism, _ in compared)]
 
 
 def split_realism(records: Sequence[RunRecord]) -> list[tuple[RunRecord, SplitRealism]]:
     """Realism of each split that was looked at, of the first record that says so, in the order of tables."""
-    found: dict[str, tuple[RunRecord, SplitRealism]] = {}
+    realism_by_split: dict[str, tuple[RunRecord, SplitRealism]] = {}
     for record in records:
         if record.run.realism is not None:
-            found.setdefault(record.run.split, (record, record.run.realism))
-    return [found[split] for split in sorted(found, key=split_place)]
+            realism_by_split.setdefault(record.run.split, (record, record.run.realism))
+    return [realism_by_split[split] for split in sorted(realism_by_split, key=split_place)]
 
 
-def _ladder_table(data_name: str, found: Sequence[SplitLadder]) -> Table:
-    records = [each.record for each in found]
+def _ladder_table(data_name: str, split_drivers: Sequence[SplitLadder]) -> Table:
+    records = [drivers.record for drivers in split_drivers]
     few = [FEW_NOTE] if any(recordings(record) < FEW_SCENES for record in records) else []
     title = f"{data_name}: who survives the adversarial scenes (%)"
-    notes = (LADDER_NOTE, _CAUTION_NOTE, _MARGIN_NOTE, *few, *review_notes(records), *_ladder_notes(found))
-    return tabulate("ladder", title, _LADDER, map(_ladder_values, found), notes)
+    notes = (LADDER_NOTE, _CAUTION_NOTE, _MARGIN_NOTE, *few, *review_notes(records), *_ladder_notes(split_drivers))
+    return tabulate("ladder", title, _LADDER, map(_ladder_values, split_drivers), notes)
 
 
-def _ladder_values(ladder: SplitLadder) -> Values:
-    record, count = ladder.record, ladder.scenes
-    origin, margin = origin_of(record, LADDER), ladder.margin
+def _ladder_values(drivers: SplitLadder) -> Values:
+    record, count = drivers.record, drivers.scenes
+    origin, margin = origin_of(record, LADDER), drivers.margin
     return {
         "split": record.run.split,
-        **{DRIVER_HEADS[name]: origin.percent(rate, "scenes") for name, rate in ladder.survives.items()},
-        "unsolvable": origin.count(ladder.unsolvable, "scenes", count),
+        **{DRIVER_HEADS[name]: origin.percent(rate, "scenes") for name, rate in drivers.survives.items()},
+        "unsolvable": origin.count(drivers.unsolvable, "scenes", count),
         "margin, s": origin.cell(margin.median, "s", margin.samples, "scenes"),
         "margin, worst tenth": origin.cell(margin.worst_tenth, "s", margin.samples, "scenes"),
-        "margin < 0": origin.count(ladder.too_late, "scenes", margin.samples),
-        "ego's gap, m": origin.cell(ladder.gap.median, "m", ladder.gap.samples, "scenes"),
-        "ego's TTC, s": origin.cell(ladder.ttc.median, "s", ladder.ttc.samples, "scenes"),
-        "ego's BTN": origin.cell(ladder.btn.median, "BTN", ladder.btn.samples, "scenes"),
-        "no fault": origin_of(record, VALIDITY).percent(ladder.without_fault, "scenes"),
+        "margin < 0": origin.count(drivers.too_late, "scenes", margin.samples),
+        "ego's gap, m": origin.cell(drivers.gap.median, "m", drivers.gap.samples, "scenes"),
+        "ego's TTC, s": origin.cell(drivers.ttc.median, "s", drivers.ttc.samples, "scenes"),
+        "ego's BTN": origin.cell(drivers.btn.median, "BTN", drivers.btn.samples, "scenes"),
+        "no fault": origin_of(record, VALIDITY).percent(drivers.without_fault, "scenes"),
         "judged": origin.count(count, "scenes", len(record.run.scenes)),
         "recordings": origin.count(recordings(record), "recorded scenes"),
     }
 
 
-def _ladder_notes(found: Sequence[SplitLadder]) -> list[str]:
+def _ladder_notes(split_drivers: Sequence[SplitLadder]) -> list[str]:
     notes = []
-    for each in found:
-        split, scenes = each.record.run.split, len(each.record.run.scenes)
-        if each.scenes < scenes:
-            notes.append(f"{split}: {each.scenes} of {counted(scenes, 'scene')} were judged.")
-        if each.without_map:
-            some = counted(each.without_map, "scene")
+    for drivers in split_drivers:
+        split, scenes = drivers.record.run.split, len(drivers.record.run.scenes)
+        if drivers.scenes < scenes:
+            notes.append(f"{split}: {drivers.scenes} of {counted(scenes, 'scene')} were judged.")
+        if drivers.without_map:
+            some = counted(drivers.without_map, "scene")
             notes.append(f"{split}: no map for {some}, so that manoeuvres may have left the road there.")
-        if each.annotated:
-            some = counted(each.annotated, "scene")
+        if drivers.annotated:
+            some = counted(drivers.annotated, "scene")
             notes.append(
                 f"{split}: of {some} the generated tracks are not at hand; what lies between keyframes counts."
             )
-        if each.outdated:
+        if drivers.outdated:
             notes.append(
-                f"{split}: {counted(each.outdated, 'scene')} judged by an earlier definition: drivers take over "
+                f"{split}: {counted(drivers.outdated, 'scene')} judged by an earlier definition: drivers take over "
                 "at the first frame and not where the adversary acts; eval judges anew."
             )
     return notes
@@ -201,32 +212,44 @@ class _Told:
         ]
 
 
-def _told(record: RunRecord, said: SplitRealism) -> _Told:
-    apart = [f"not compared with recordings: {said.not_compared}"] if said.not_compared is not None else []
-    unknown = [f"{_words(row.fault)}: {why}" for row in said.validity for why in row.unknown]
+def _told(record: RunRecord, realism: SplitRealism) -> _Told:
+    apart = [f"not compared with recordings: {realism.not_compared}"] if realism.not_compared is not None else []
+    unknown = [f"{_words(row.fault)}: {why}" for row in realism.validity for why in row.unknown]
     notes = tuple(_sentence(f"{record.run.split}: {note}") for note in (*apart, *unknown))
-    rows = tuple((row.fault, row.count, row.of) for row in said.validity)
-    return _Told(record, "adversaries", said.adversaries, rows, notes)
+    rows = tuple((row.fault, row.count, row.of) for row in realism.validity)
+    return _Told(record, "adversaries", realism.adversaries, rows, notes)
 
 
-def _told_by_scenes(ladder: SplitLadder) -> _Told:
+def _told_by_scenes(drivers: SplitLadder) -> _Told:
     """Faults by scenes, where adversaries were not counted: scenes in which one of them has the fault."""
-    judged = [each for each in judged_scenes(ladder.record).values() if each.least_gap_m is not None or each.faults]
+    judged = [
+        judgement
+        for judgement in judged_scenes(drivers.record).values()
+        if judgement.least_gap_m is not None or judgement.faults
+    ]
     rows = tuple(
-        (name, sum(name in each.faults for each in judged), sum(name not in each.unknown_faults for each in judged))
+        (
+            name,
+            sum(name in judgement.faults for judgement in judged),
+            sum(name not in judgement.unknown_faults for judgement in judged),
+        )
         for name in FAULT_NAMES
     )
-    return _Told(ladder.record, "scenes", len(judged), rows, (f"{ladder.record.run.split}: scenes are counted.",))
+    return _Told(drivers.record, "scenes", len(judged), rows, (f"{drivers.record.run.split}: scenes are counted.",))
 
 
-def _headline_table(data_name: str, found: Sequence[tuple[RunRecord, SplitRealism, FeatureRealism]]) -> Table:
+def _headline_table(data_name: str, headlines: Sequence[tuple[RunRecord, SplitRealism, FeatureRealism]]) -> Table:
     rows: list[Values] = []
-    for record, said, worst in found:
-        origin, adversaries = origin_of(record, REALISM), said.adversaries
-        ctg = {} if said.ctg is None else {CTG: said.ctg.mean_real_dev, "ctg, relative": said.ctg.mean_real_dev_int}
+    for record, realism, worst in headlines:
+        origin, adversaries = origin_of(record, REALISM), realism.adversaries
+        ctg = (
+            {}
+            if realism.ctg is None
+            else {CTG: realism.ctg.mean_real_dev, "ctg, relative": realism.ctg.mean_real_dev_int}
+        )
         rows.append(
             {
-                **_feature_values(origin, worst, 0 if said.samples is None else said.samples[0]),
+                **_feature_values(origin, worst, 0 if realism.samples is None else realism.samples[0]),
                 "split": record.run.split,
                 "worst feature": _words(worst.name),
                 "W1 in halves": origin.cell(worst.w1_in_halves, "x", adversaries, "adversaries"),
@@ -237,24 +260,24 @@ def _headline_table(data_name: str, found: Sequence[tuple[RunRecord, SplitRealis
             }
         )
     versions = [
-        f"{record.run.split}: {CTG}, version {said.ctg.version}, normalised by {said.ctg.normalisation}, mask "
-        f"{said.ctg.mask}."
-        for record, said, _ in found
-        if said.ctg is not None
+        f"{record.run.split}: {CTG}, version {realism.ctg.version}, normalised by {realism.ctg.normalisation}, mask "
+        f"{realism.ctg.mask}."
+        for record, realism, _ in headlines
+        if realism.ctg is not None
     ]
     notes = (_REALISM_NOTE, *([_CTG_NOTE] if versions else []), *versions)
     title = f"{data_name}: how real adversaries move, by their worst feature"
     return tabulate(REALISM, title, _HEADLINES, rows, notes)
 
 
-def _realism_table(data_name: str, record: RunRecord, said: SplitRealism) -> Table:
-    samples, origin = 0 if said.samples is None else said.samples[0], origin_of(record, REALISM)
+def _realism_table(data_name: str, record: RunRecord, realism: SplitRealism) -> Table:
+    samples, origin = 0 if realism.samples is None else realism.samples[0], origin_of(record, REALISM)
     rows: list[Mapping[str, Value]] = []
-    for row in said.features:
+    for row in realism.features:
         name = _words(row.name)
-        feature = f"{name} {WORST_MARK}" if row.name == said.worst else name
+        feature = f"{name} {WORST_MARK}" if row.name == realism.worst else name
         rows.append({"feature": feature, **_feature_values(origin, row, samples)})
-    reference = "" if said.reference is None else f" Recordings: {said.reference}."
+    reference = "" if realism.reference is None else f" Recordings: {realism.reference}."
     title = f"{titled(data_name, record.run.split)}: how real its adversaries move"
     return tabulate(f"{REALISM}-{record.run.split}", title, _FEATURES, rows, (f"{_REALISM_NOTE}{reference}",))
 

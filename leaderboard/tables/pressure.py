@@ -74,19 +74,21 @@ def pressures(records: Sequence[DriveRecord]) -> list[tuple[str, list[Pressure]]
     """
     kinds: dict[str, list[Pressure]] = {}
     titles: dict[str, str] = {}
-    for world in worlds([each for each in records if _budget(each) is not None]):
+    for world in worlds([drive for drive in records if _budget(drive) is not None]):
         for row in world.rows:
             facts, budget = row.record.facts, _budget(row.record)
             assert budget is not None
             rest = _without(facts.measured.agents_facts, (*BUDGET, *_OF_SEARCH))
             key = json.dumps([facts.data.fingerprint, facts.split, facts.scenes, facts.runs, rest, world.sensor])
-            said = ", ".join(f"{word.replace('_', ' ')} {value}" for word, value in rest.items())
-            titles[key] = f"{facts.data.name} {facts.split}: pressure of an adversary that is planned anew ({said})"
+            measured_texts = ", ".join(f"{word.replace('_', ' ')} {value}" for word, value in rest.items())
+            titles[key] = (
+                f"{facts.data.name} {facts.split}: pressure of an adversary that is planned anew ({measured_texts})"
+            )
             kinds.setdefault(key, []).append(Pressure(row, budget))
-    several = {key: found for key, found in kinds.items() if len({each.budget for each in found}) > 1}
+    several = {key: group for key, group in kinds.items() if len({drive.budget for drive in group}) > 1}
     return [
-        (titles[key], sorted(found, key=lambda each: (each.row.name, each.candidates, each.budget)))
-        for key, found in sorted(several.items(), key=lambda item: titles[item[0]])
+        (titles[key], sorted(group, key=lambda each: (each.row.name, each.candidates, each.budget)))
+        for key, group in sorted(several.items(), key=lambda item: titles[item[0]])
     ]
 
 
@@ -97,15 +99,15 @@ def pressure_name(number: int) -> str:
 
 def pressure_tables(records: Sequence[DriveRecord]) -> list[Table]:
     """A table of every adversary that was given several budgets, then transfer between drives."""
-    found = [
+    tables = [
         tabulate(pressure_name(number), title, _COLUMNS, map(_values, rows), (_PRESSURE_NOTE,))
         for number, (title, rows) in enumerate(pressures(records))
     ]
-    return [*found, *transfer_tables(records)]
+    return [*tables, *transfer_tables(records)]
 
 
-def _values(each: Pressure) -> Values:
-    row, (every_s, rounds, candidates) = each.row, each.budget
+def _values(pressure: Pressure) -> Values:
+    row, (every_s, rounds, candidates) = pressure.row, pressure.budget
     budget: Values = {"every s": f"{every_s:g}", "rounds": str(rounds), "candidates": str(candidates)}
     rates = {name: row.cell(name) for name in _SHARES}
     impact = row.cell("impact_speed", "m/s")
@@ -162,7 +164,7 @@ def _transferred(source: DriveRecord, victim: DriveRecord, name: str) -> Cell | 
         return None
     known = source.facts.scene_facts
     scenes = [known[scene].source if scene in known else scene for scene, _ in counted]
-    hits = np.array([[float(each in also)] for each in counted])
+    hits = np.array([[float(encounter in also)] for encounter in counted])
     (rate,) = ratios_over_scenes(hits, np.ones_like(hits), scenes, seed=source.facts.seed)
     return Driven(victim, name).origin.percent(rate, "drives")
 

@@ -211,9 +211,9 @@ def same_run(value: StandingValue, records: Sequence[RunRecord]) -> RunRecord | 
 
 
 def _open_loop(records: Sequence[RunRecord]) -> Table:
-    found = [same_run(value, records) for value in STANDING]
-    used = [record for record in found if record is not None]
-    ours = tuple(f"ours {horizon}" for horizon in HORIZONS) if used else ()
+    own_runs = [same_run(value, records) for value in STANDING]
+    measured = [record for record in own_runs if record is not None]
+    ours = tuple(f"ours {horizon}" for horizon in HORIZONS) if measured else ()
     rows = [
         (
             value.planner,
@@ -222,9 +222,9 @@ def _open_loop(records: Sequence[RunRecord]) -> Table:
             f"{_COLUMNS[value.column][0]} ({_COLUMNS[value.column][1]})",
             f"[{_SOURCES.index(value.source) + 1}]",
             *_printed(value.values, _COLUMNS[value.column][1], Origin(value.protocol, source=value.source)),
-            *(_ours(value, record) if used else ()),
+            *(_ours(value, record) if measured else ()),
         )
-        for value, record in zip(STANDING, found, strict=True)
+        for value, record in zip(STANDING, own_runs, strict=True)
     ]
     return quoted_table(
         "standing-published",
@@ -237,7 +237,7 @@ def _open_loop(records: Sequence[RunRecord]) -> Table:
         "Ours stands beside a row where planner, protocol and split are the same; the split is known by its number "
         "of samples, which nobody prints of nuScenes-val-R.",
         *(f"[{number}] {source}." for number, source in enumerate(_SOURCES, start=1)),
-        *dict.fromkeys(file_notes(used)),
+        *dict.fromkeys(file_notes(measured)),
     )
 
 

@@ -35,23 +35,23 @@ _SHARED_NOTE: Final = "Several processes planned side by side; latencies are lon
 def cost_table(frame: Frame) -> Table | None:
     """Latency and memory of every planner on every split; ``None`` where nothing was noted."""
     rows = frame.rows("", _cost)
-    shown = [row.names | _cost_values(row.origin, row.found, "scenes") for row in rows]
+    cost_rows = [row.names | _cost_values(row.origin, row.found, "scenes") for row in rows]
     marks = notes_of_marks(row.record for row in rows)
-    return _cost_table(COST, f"{frame.data_name}: what planners cost", "split", shown, marks)
+    return _cost_table(COST, f"{frame.data_name}: what planners cost", "split", cost_rows, marks)
 
 
 def drive_cost_table(data_name: str, records: Sequence[DriveRecord]) -> Table | None:
     """Latency and memory of every planner while it drove; ``None`` where nothing was noted."""
-    shown: list[Values] = []
+    cost_rows: list[Values] = []
     planners = []
     for row in (row for world in worlds(records) for row in world.rows):
         facts, cost = row.record.facts, row.record.cost
         if cost is not None:
             where = f"{facts.split}, {facts.measured.world}, sensor {facts.measured.sensor}"
-            shown.append({"planner": row.planner, "driven": where, **_cost_values(row.origin, cost, "drives")})
+            cost_rows.append({"planner": row.planner, "driven": where, **_cost_values(row.origin, cost, "drives")})
             planners.append(facts.planner)
     title = f"{data_name}: what planners cost while they drive"
-    return _cost_table(f"drive-{COST}", title, "driven", shown, marks_of(planners))
+    return _cost_table(f"drive-{COST}", title, "driven", cost_rows, marks_of(planners))
 
 
 def _cost(record: RunRecord) -> PlannerCost | None:
@@ -139,6 +139,6 @@ def _values(split: SplitSheet, runtime: Runtime, stage: str) -> Values:
 def _each(runtime: Runtime, stage: str) -> float | None:
     """Seconds of one unit of a stage; of all stages, one attempt and one rendered scene together."""
     if stage == ALL:
-        each = [_each(runtime, name) for name in runtime.total_s]
-        return sum(seconds or 0.0 for seconds in each) if runtime.attempts or runtime.scenes else None
+        stage_seconds = [_each(runtime, name) for name in runtime.total_s]
+        return sum(seconds or 0.0 for seconds in stage_seconds) if runtime.attempts or runtime.scenes else None
     return runtime.each_s(stage)

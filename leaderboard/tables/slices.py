@@ -91,13 +91,13 @@ def run_slices(
             own.
         allow_partial: Whether runs count in which the planner failed on samples.
     """
-    shown = Frame(data_name, [record for record in records if allow_partial or record.complete])
-    return slices_of(shown, shown_protocols(shown, protocols), kinds)
+    chosen_runs = Frame(data_name, [record for record in records if allow_partial or record.complete])
+    return slices_of(chosen_runs, shown_protocols(chosen_runs, protocols), kinds)
 
 
 def _rates_table(frame: Frame, kind: SliceKind, protocol: str) -> Table:
     """Collision rates, L2 and the further rates of a protocol."""
-    own, who = protocol == NATIVE, whose(protocol)
+    own, judge_words = protocol == NATIVE, whose(protocol)
     # As in the whole table: maxima share no column with means, and who has no protocol stands under exact.
     runs = [run for run in frame.runs if run.run.planner.native_protocol and not takes_maxima(run.native_protocol)]
     rows, notes = _rows(runs if own else frame.runs, protocol, kind, lambda record: rates_by(record, kind, protocol))
@@ -108,22 +108,22 @@ def _rates_table(frame: Frame, kind: SliceKind, protocol: str) -> Table:
     columns = [
         *texts("planner", "split", kind, *(("protocol",) if own else ())),
         *under(
-            f"touches the adversary first, in %, {who}",
+            f"touches the adversary first, in %, {judge_words}",
             numbers(*_ADVERSARY[:2], digits=2) if pursued else [],
             intervals({_ADVERSARY[2]: _ADVERSARY[1]}) if pursued else [],
         ),
-        *under(f"{contact} in %, {who}", _at_horizons(collision, 1)),
-        *under(f"L2 in m, {who}", _at_horizons("L2", 2)),
+        *under(f"{contact} in %, {judge_words}", _at_horizons(collision, 1)),
+        *under(f"L2 in m, {judge_words}", _at_horizons("L2", 2)),
         *(
             column
-            for each in further
+            for further_column in further
             for column in under(
-                f"{each.head} in %, {who}",
-                numbers(f"{each.head} avg", digits=2),
-                intervals({f"95 % of {each.head}": f"{each.head} avg"}),
+                f"{further_column.head} in %, {judge_words}",
+                numbers(f"{further_column.head} avg", digits=2),
+                intervals({f"95 % of {further_column.head}": f"{further_column.head} avg"}),
             )
         ),
-        *under(f"counted, {who}", numbers("samples", "scenes")),
+        *under(f"counted, {judge_words}", numbers("samples", "scenes")),
     ]
     # A terminal has no room for everything, and L2 does not ask who is in the way.
     first = (
@@ -175,8 +175,8 @@ def _driving_table(frame: Frame, kind: SliceKind) -> Table:
         for row in rows
     ]
     title = f"{frame.data_name}: driving scores (%) by {kind}, {DEFINITION}"
-    shown = [head for head in HEADS.values() if head != HEADS["score_without_ec"]]
-    return _table(f"{SLICES}-{kind}-{PDM}", title, columns, values, (_SAYS[kind], _INTERVALS, *notes), shown)
+    shown_heads = [head for head in HEADS.values() if head != HEADS["score_without_ec"]]
+    return _table(f"{SLICES}-{kind}-{PDM}", title, columns, values, (_SAYS[kind], _INTERVALS, *notes), shown_heads)
 
 
 def _causes_table(frame: Frame, kind: SliceKind) -> Table:
@@ -210,18 +210,20 @@ def _rows(
 ) -> tuple[list[Row[Slice]], list[str]]:
     """A row for each slice of each run, and what has to be said of the runs."""
     rows: list[Row[Slice]] = []
-    told = []
+    sentences = []
     for record in runs:
-        who = f"{record.planner} on {record.run.split}"
+        run_name = f"{record.planner} on {record.run.split}"
         if slicing(record, kind) is None:
-            told += [f"{who}: the record {_LACKING[kind]}; run challenger-bench rescore."] if kind in _LACKING else []
+            sentences += (
+                [f"{run_name}: the record {_LACKING[kind]}; run challenger-bench rescore."] if kind in _LACKING else []
+            )
             continue
         try:
             rows += [Row(record, protocol_of(record, protocol), part) for part in sliced(record)]
         except InputError as refusal:
-            told.append(f"Left out: {refusal}.")
-    shown = {id(row.record): row.record for row in rows}
-    return rows, run_notes(list(shown.values()), told)
+            sentences.append(f"Left out: {refusal}.")
+    shown_records = {id(row.record): row.record for row in rows}
+    return rows, run_notes(list(shown_records.values()), sentences)
 
 
 def _table(

@@ -75,12 +75,12 @@ def seed_spread_table(frame: Frame, protocol: str) -> Table | None:
 
 def _versions(records: Sequence[RunRecord]) -> list[list[RunRecord]]:
     """Records of one planner with one set of weights and settings on one split, at most one a seed, by seed."""
-    found: dict[str, dict[int, RunRecord]] = {}
+    runs_by_version: dict[str, dict[int, RunRecord]] = {}
     for record in records:
         planner = record.run.planner
         facts = [planner.name, planner.weights_sha256, planner.settings, record.run.split]
-        found.setdefault(json.dumps(facts, sort_keys=True), {}).setdefault(planner.seed, record)
-    return [[runs[seed] for seed in sorted(runs)] for runs in found.values()]
+        runs_by_version.setdefault(json.dumps(facts, sort_keys=True), {}).setdefault(planner.seed, record)
+    return [[runs[seed] for seed in sorted(runs)] for runs in runs_by_version.values()]
 
 
 def _refusal(record: RunRecord, protocol: str) -> str | None:
@@ -139,7 +139,7 @@ _NOTE = (
 
 def statistics_tables(data_name: str, splits: Sequence[SplitSheet]) -> list[Table | None]:
     """The paper's overview of its data set for one of ours, closeness, and the search."""
-    return [_counts(data_name, splits), _closeness(data_name, splits), *(_search(data_name, each) for each in splits)]
+    return [_counts(data_name, splits), _closeness(data_name, splits), *(_search(data_name, split) for split in splits)]
 
 
 def _counts(data_name: str, splits: Sequence[SplitSheet]) -> Table:
@@ -171,10 +171,10 @@ def _scenes_with(adversaries: int, split: SplitSheet) -> int:
 def _closeness(data_name: str, splits: Sequence[SplitSheet]) -> Table | None:
     rows: list[Values] = []
     for split in splits:
-        found, origin = split.statistics, origin_of(split)
+        statistics, origin = split.statistics, origin_of(split)
         measured = (
-            ("smallest gap between the bodies, m", "m", found.labelled, found.gap_m, 2),
-            ("time to collision, s", "s", found.within_5_s, found.time_to_collision_s, 1),
+            ("smallest gap between the bodies, m", "m", statistics.labelled, statistics.gap_m, 2),
+            ("time to collision, s", "s", statistics.within_5_s, statistics.time_to_collision_s, 1),
         )
         for label, unit, count, quantiles, digits in measured:
             if quantiles is None:
@@ -184,7 +184,7 @@ def _closeness(data_name: str, splits: Sequence[SplitSheet]) -> Table | None:
                 {
                     "split": split.split,
                     "quantity": label,
-                    "adversaries": origin.count(count, "adversaries", found.labelled),
+                    "adversaries": origin.count(count, "adversaries", statistics.labelled),
                     **{name: level.shown(digits) for name, level in levels.items()},
                 }
             )
@@ -200,7 +200,10 @@ def _search(data_name: str, split: SplitSheet) -> Table | None:
         return None
     outcomes = Counter(_outcome(attempt) for attempt in attempts)
     order = sorted(outcomes, key=lambda outcome: (outcome != KEPT, -outcomes[outcome], outcome))
-    rows = [_tried(split, outcome, [each for each in attempts if _outcome(each) == outcome]) for outcome in order]
+    rows = [
+        _tried(split, outcome, [attempt_facts for attempt_facts in attempts if _outcome(attempt_facts) == outcome])
+        for outcome in order
+    ]
     title = f"{titled(data_name, split.split)}: what the search tried, and why it discarded it"
     note = "The paper names the reasons for which it discards scenes and counts none."
     return tabulate(f"search-{split.split}", title, _SEARCH, [*rows, _tried(split, "all", attempts)], (note,))

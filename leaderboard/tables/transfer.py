@@ -55,7 +55,7 @@ def transfer_matrices(
     of_split = [record for record in labelled(records) if record.run.split == split and record.covers_split]
     return {
         name: transfer(
-            in_table_order([each for each in of_split if each.run.data.name == name]),
+            in_table_order([run for run in of_split if run.run.data.name == name]),
             protocol=protocol,
             adversary_only=adversary_only,
         )
@@ -69,11 +69,11 @@ def both_matrices(records: Sequence[RunRecord], protocol: str) -> list[TransferM
 
     The second is of the planners whose records say whom contacts are with, if two do.
     """
-    found = [transfer(records, protocol=protocol)]
+    matrices = [transfer(records, protocol=protocol)]
     telling = [record for record in records if says_whom(record)]
     if protocol == EXACT and len(telling) > 1 and any(map(has_adversaries, telling)):
-        found.append(transfer(telling, adversary_only=True))
-    return found
+        matrices.append(transfer(telling, adversary_only=True))
+    return matrices
 
 
 def frame_matrices(frame: Frame, protocol: str, split: str) -> tuple[list[TransferMatrix], list[str]]:
@@ -81,7 +81,7 @@ def frame_matrices(frame: Frame, protocol: str, split: str) -> tuple[list[Transf
 
     No matrix where fewer than two planners remain.
     """
-    kept, refused = [], []
+    complete, refused = [], []
     for record in frame.runs:
         if record.run.split != split:
             continue
@@ -94,14 +94,14 @@ def frame_matrices(frame: Frame, protocol: str, split: str) -> tuple[list[Transf
         except InputError as refusal:
             refused.append(f"Left out: {refusal}.")
             continue
-        kept.append(record)
-    return (both_matrices(kept, protocol) if len(kept) > 1 else []), refused
+        complete.append(record)
+    return (both_matrices(complete, protocol) if len(complete) > 1 else []), refused
 
 
 def transfer_tables(frame: Frame, protocol: str, split: str) -> list[Table]:
     """Tables of each of `frame_matrices`: one of shares and one of lift and φ."""
     matrices, refused = frame.once(frame_matrices, protocol, split)
-    tables = [make(frame.data_name, each) for each in matrices for make in (transfer_table, lift_table)]
+    tables = [make(frame.data_name, matrix) for matrix in matrices for make in (transfer_table, lift_table)]
     return [replace(table, notes=(*table.notes, *refused)) for table in tables]
 
 
@@ -197,8 +197,8 @@ def lift_table(data_name: str, matrix: TransferMatrix) -> Table:
         first, second = (matrix.planners.index(name) for name in agreement.planners)
         origin, scenes = _origin(matrix, first, second), agreement.scenes
         lift = Estimate(agreement.lift, agreement.lift_low, agreement.lift_high)
-        for row, column, found, unit in ((first, second, lift, "×"), (second, first, agreement.phi, "φ")):
-            cell = origin.cell(found.value, unit, scenes, "scenes", low=found.low, high=found.high)
+        for row, column, estimate, unit in ((first, second, lift, "×"), (second, first, agreement.phi, "φ")):
+            cell = origin.cell(estimate.value, unit, scenes, "scenes", low=estimate.low, high=estimate.high)
             rows[row][f"#{column}"] = cell.shown(1, after=_ends(cell, 1))
     columns = [
         *texts("planner"),
@@ -249,8 +249,8 @@ def planner_names(matrix: TransferMatrix) -> list[str]:
     """Names as they are shown: with their marks, and the judge where judges differ."""
     judged = matrix.protocol == NATIVE
     return [
-        f"{marked(name, privileged=seen, miniature=small)}{f' ({judge})' if judged else ''}"
-        for name, seen, small, judge in zip(matrix.planners, matrix.privileged, matrix.miniatures, matrix.judges)
+        f"{marked(name, privileged=privileged, miniature=small)}{f' ({judge})' if judged else ''}"
+        for name, privileged, small, judge in zip(matrix.planners, matrix.privileged, matrix.miniatures, matrix.judges)
     ]
 
 
@@ -290,15 +290,15 @@ def _ends(cell: Cell, digits: int) -> str:
     return "" if ends == UNDEFINED else f" {ends}"
 
 
-def _agreement_values(matrix: TransferMatrix, found: Agreement) -> Values:
-    places = [matrix.planners.index(name) for name in found.planners]
+def _agreement_values(matrix: TransferMatrix, agreement: Agreement) -> Values:
+    places = [matrix.planners.index(name) for name in agreement.planners]
     names, origin = planner_names(matrix), _origin(matrix, *places)
-    counts = {"both": found.both, "only first": found.only_first, "only second": found.only_second}
-    counts |= {"neither": found.neither}
+    counts = {"both": agreement.both, "only first": agreement.only_first, "only second": agreement.only_second}
+    counts |= {"neither": agreement.neither}
     among = sum(counts.values())
     return {
         **{head: Shown(names[at], miniature=matrix.miniatures[at]) for head, at in zip(("first", "second"), places)},
         **{head: origin.count(count, "scenes", among) for head, count in counts.items()},
-        "φ": origin.cell(found.phi.value, "φ", among, "scenes", low=found.phi.low, high=found.phi.high),
-        "lift": origin.cell(found.lift, "×", among, "scenes", low=found.lift_low, high=found.lift_high),
+        "φ": origin.cell(agreement.phi.value, "φ", among, "scenes", low=agreement.phi.low, high=agreement.phi.high),
+        "lift": origin.cell(agreement.lift, "×", among, "scenes", low=agreement.lift_low, high=agreement.lift_high),
     }

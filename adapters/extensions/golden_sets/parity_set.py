@@ -86,11 +86,11 @@ def _told(check: Check, by_images: float, by_threads: float) -> Check:
     assert moved.moved is not None
     if moved.ok and moved.moved <= NOTABLE * moved.tolerance:
         return moved
-    said = (
+    sentence = (
         f"images changed by {IMAGE_NOISE:g} move it by {by_images:.3g}, another number of threads by {by_threads:.3g}"
     )
     verdict = f"{ROUNDING}: " if moved.rounding else ""
-    return replace(moved, note="; ".join(part for part in (f"{verdict}{said}", moved.note) if part))
+    return replace(moved, note="; ".join(part for part in (f"{verdict}{sentence}", moved.note) if part))
 
 
 COARSE = 32
@@ -144,13 +144,19 @@ class GoldenNetwork(Generic[S]):
         for folder in _set_folders(golden):
             golden_directory(folder, "dev", *FILES)
             with one_sentence(folder, model.name):
-                found = self.read(GoldenFolder(folder), model)
-                network = self.build(model, found).to(device)
-                if not same_names_and_shapes(comparison, network, found.shapes):
+                golden_set = self.read(GoldenFolder(folder), model)
+                network = self.build(model, golden_set).to(device)
+                if not same_names_and_shapes(comparison, network, golden_set.shapes):
                     break
-                fill(comparison, network, found.recipe, found.shapes, getattr(found.recipe, "weights_sha256", None))
+                fill(
+                    comparison,
+                    network,
+                    golden_set.recipe,
+                    golden_set.shapes,
+                    getattr(golden_set.recipe, "weights_sha256", None),
+                )
                 with single_precision(), torch.inference_mode(), run.varied(network):
-                    self.compare(comparison, network, found)
+                    self.compare(comparison, network, golden_set)
         return comparison.checks()
 
 
@@ -263,7 +269,7 @@ def compare_frame(
 
 def _compare(comparison: Comparison, golden: ParitySet, frame: int, name: str, quantity: Quantity) -> None:
     stored, values, flat = golden.outputs[frame], quantity.values, quantity.values.reshape(-1)
-    kept: slice | NDArray[np.int64] = slice(None)
+    selection: slice | NDArray[np.int64] = slice(None)
     if quantity.listed:
         numbers = stored.floats(name, None, *values.shape[1:])
         if len(numbers) != len(values):
@@ -277,15 +283,17 @@ def _compare(comparison: Comparison, golden: ParitySet, frame: int, name: str, q
             comparison.errors(f"shape of {name}", np.inf, 0.0)
             return
         sampled = f"{name}{SAMPLED}" in stored.names
-        kept = slice(None, None, layout.stride if sampled else 1)
-        numbers = stored.floats(f"{name}{SAMPLED}", len(flat[kept])) if sampled else stored.floats(name, *layout.shape)
-    whole = spread = None
+        selection = slice(None, None, layout.stride if sampled else 1)
+        numbers = (
+            stored.floats(f"{name}{SAMPLED}", len(flat[selection])) if sampled else stored.floats(name, *layout.shape)
+        )
+    whole_tensor = spread = None
     if f"{name}{STATISTICS}" in stored.names and not quantity.equal:
         statistics, all_of_it = stored.floats(f"{name}{STATISTICS}", 3), values.astype(np.float64)
-        own = np.array([all_of_it.mean(), all_of_it.std(), np.abs(all_of_it).max(initial=0.0)]) - statistics
-        few: Floats = own if quantity.tolerance.share < 1 else own[:0]
-        whole = Whole(own[:2] if len(few) else own, few, spread := float(statistics[1]) or 1.0)
+        differences = np.array([all_of_it.mean(), all_of_it.std(), np.abs(all_of_it).max(initial=0.0)]) - statistics
+        few: Floats = differences if quantity.tolerance.share < 1 else differences[:0]
+        whole_tensor = Whole(differences[:2] if len(few) else differences, few, spread := float(statistics[1]) or 1.0)
     hanging = quantity.undecided
     if hanging is not None:
-        hanging = np.repeat(hanging, values.size // len(hanging))[kept] if len(hanging) else np.zeros(0, np.bool_)
-    compare_tensor(comparison, name, quantity, (flat[kept], numbers.reshape(-1)), whole, spread, hanging)
+        hanging = np.repeat(hanging, values.size // len(hanging))[selection] if len(hanging) else np.zeros(0, np.bool_)
+    compare_tensor(comparison, name, quantity, (flat[selection], numbers.reshape(-1)), whole_tensor, spread, hanging)

@@ -37,11 +37,11 @@ def compare_made_here(comparison: Comparison) -> None:
     with tempfile.TemporaryDirectory() as folder:
         for name, write in WRITERS.items():
             imported, at = import_results([recognise(write(Path(folder) / name, dumped))], samples), comparison.at(name)
-            found = imported.found
-            wanted = np.array([dumped.waypoints(row, FileFrame.LIDAR) for row in found.rows.tolist()])
+            file_plans = imported.found
+            expected = np.array([dumped.waypoints(row, FileFrame.LIDAR) for row in file_plans.rows.tolist()])
             at.verdicts("formats", imported.format.name != name)
-            at.verdicts("samples", len(found.rows) != len(dumped.plans))
-            at.numbers(f"{name} (m)", lidar_waypoints(found, samples), wanted, PRECISION_M.get(name, SINGLE_M))
+            at.verdicts("samples", len(file_plans.rows) != len(dumped.plans))
+            at.numbers(f"{name} (m)", lidar_waypoints(file_plans, samples), expected, PRECISION_M.get(name, SINGLE_M))
 
 
 FACTS, MANIFEST, PROTOCOLS_SET = "facts.npz", "manifest.json", "protocols"
@@ -70,19 +70,19 @@ def _compare_files(comparison: Comparison, folder: GoldenFolder) -> None:
     files = folder.facts(MANIFEST)["files"]
     if not files:
         raise ValueError(f"{MANIFEST} lists no files")
-    for said in files:
-        path = _inside(folder, said["path"])
-        started, accepted, at = time.perf_counter(), said["outcome"] == "accept", comparison.at(said["name"])
+    for entry in files:
+        path = _inside(folder, entry["path"])
+        started, accepted, at = time.perf_counter(), entry["outcome"] == "accept", comparison.at(entry["name"])
         try:
-            found = import_results([recognise(path)], samples)
+            imported = import_results([recognise(path)], samples)
         except InputError as refusal:
-            _compare_refusal(at, said, refusal, time.perf_counter() - started)
+            _compare_refusal(at, entry, refusal, time.perf_counter() - started)
             continue
         if accepted:
             at.verdicts("files accepted", False)
-            _compare_plans(at, said, found, known, folder.arrays(str(said["expected"])))
+            _compare_plans(at, entry, imported, known, folder.arrays(str(entry["expected"])))
         else:
-            at.verdicts(_REFUSALS, True, where=f"{said['name']}, which was accepted")
+            at.verdicts(_REFUSALS, True, where=f"{entry['name']}, which was accepted")
     if absent := sorted(set(samples.scenes) - set(known.truths)):
         says = f"no verdicts on {', '.join(absent)}: their objects are in a set protocols beside this one"
         comparison.note("commands of samples", says)
@@ -107,15 +107,15 @@ def _samples(folder: GoldenFolder, stored: GoldenArrays) -> RecordedSamples:
 
 
 def _truths(folder: GoldenFolder, samples: RecordedSamples, index: NDArray[np.int64]) -> dict[str, list[SampleTruth]]:
-    found = {}
+    truths = {}
     for scene in sorted(set(samples.scenes)):
         path = folder.path.resolve().parent / PROTOCOLS_SET / f"{scene}.npz"
         if path.is_file():
             stored = GoldenArrays.read(path)
             count = len(stored.floats("ego_fut", None, PLAN_STEPS, 3))
             if count > index[np.array(samples.scenes) == scene].max():
-                found[scene] = truths_of(stored, count)
-    return found
+                truths[scene] = truths_of(stored, count)
+    return truths
 
 
 def _inside(folder: GoldenFolder, name: str) -> Path:
@@ -125,57 +125,57 @@ def _inside(folder: GoldenFolder, name: str) -> Path:
     return path
 
 
-def _compare_refusal(comparison: Comparison, said: dict[str, Any], refusal: InputError, seconds: float) -> None:
+def _compare_refusal(comparison: Comparison, entry: dict[str, Any], refusal: InputError, seconds: float) -> None:
     category = getattr(refusal, "category", "none")
-    where = f"{said['name']}, refused as {category}: {refusal}"
-    if said["outcome"] == "accept":
+    where = f"{entry['name']}, refused as {category}: {refusal}"
+    if entry["outcome"] == "accept":
         comparison.verdicts("files accepted", True, where=where)
         return
-    comparison.verdicts(_REFUSALS, category not in (said["category"], *said.get("also_ok", ())), where=where)
+    comparison.verdicts(_REFUSALS, category not in (entry["category"], *entry.get("also_ok", ())), where=where)
     comparison.verdicts("refusals in one line", "\n" in str(refusal))
     comparison.errors("longest refusal (s)", seconds)
 
 
 def _compare_plans(
-    comparison: Comparison, said: dict[str, Any], imported: ImportedPlans, known: _Known, expected: GoldenArrays
+    comparison: Comparison, entry: dict[str, Any], imported: ImportedPlans, known: _Known, expected: GoldenArrays
 ) -> None:
-    found, samples = imported.found, known.samples
-    tokens, golden_tokens = [samples.tokens[row] for row in found.rows.tolist()], expected.texts("tokens")
+    file_plans, samples = imported.found, known.samples
+    tokens, golden_tokens = [samples.tokens[row] for row in file_plans.rows.tolist()], expected.texts("tokens")
     facts: dict[str, tuple[Any, Any]] = {
-        "formats": (imported.format.name, said["format"]),
-        "frames": (found.frame.value, said["frame"]),
-        "numbers of plans": (len(found.rows), said["plans"]),
-        "numbers of waypoints": (found.waypoints.shape[1], said["waypoints"]),
-        "orders": (found.order, said["order"]),
-        "skipped samples": (set(found.skipped), set(said["skipped"])),
-        "duplicates dropped": (found.duplicates, said.get("duplicates_dropped", 0)),
-        "mirrored": (found.mirrored, said.get("mirrored_in_file", found.mirrored)),
+        "formats": (imported.format.name, entry["format"]),
+        "frames": (file_plans.frame.value, entry["frame"]),
+        "numbers of plans": (len(file_plans.rows), entry["plans"]),
+        "numbers of waypoints": (file_plans.waypoints.shape[1], entry["waypoints"]),
+        "orders": (file_plans.order, entry["order"]),
+        "skipped samples": (set(file_plans.skipped), set(entry["skipped"])),
+        "duplicates dropped": (file_plans.duplicates, entry.get("duplicates_dropped", 0)),
+        "mirrored": (file_plans.mirrored, entry.get("mirrored_in_file", file_plans.mirrored)),
         "tokens and their order": (tokens, golden_tokens),
     }
     for quantity, (ours, golden) in facts.items():
         comparison.verdicts(quantity, ours != golden)
     if tokens != golden_tokens:
         return
-    count = len(found.rows)
-    comparison.same("complete samples", samples.complete[found.rows], expected.verdicts("complete", count))
+    count = len(file_plans.rows)
+    comparison.same("complete samples", samples.complete[file_plans.rows], expected.verdicts("complete", count))
     tie = expected.verdicts("heading_tie", count, PLAN_STEPS)[..., None]
-    lidar, ego = lidar_waypoints(found, samples)[:, :PLAN_STEPS], ego_waypoints(found, samples)
+    lidar, ego = lidar_waypoints(file_plans, samples)[:, :PLAN_STEPS], ego_waypoints(file_plans, samples)
     golden_ego = expected.floats("plan_ego", count, PLAN_STEPS, 2)
-    plans = {"plan": found.waypoints, "plan_lidar": lidar, "plan_ego": np.where(tie, golden_ego, ego)}
+    plans = {"plan": file_plans.waypoints, "plan_lidar": lidar, "plan_ego": np.where(tie, golden_ego, ego)}
     for name, waypoints in plans.items():
-        allowed = said["compare"][name]
+        allowed = entry["compare"][name]
         allowed = float(allowed["tolerance"] if isinstance(allowed, dict) else allowed)
         comparison.numbers(f"{name} (m), to {allowed:g}", waypoints, expected.floats(name, *waypoints.shape), allowed)
     for scene, truths in known.truths.items():
-        here = np.flatnonzero(np.array([samples.scenes[row] == scene for row in found.rows.tolist()]))
-        if len(here):
-            chosen = [truths[index] for index in known.index_in_scene[found.rows[here]].tolist()]
-            at = comparison.at(f"{said['name']}, {scene}")
-            _compare_verdicts(at, lidar[here], chosen, expected, here)
+        places = np.flatnonzero(np.array([samples.scenes[row] == scene for row in file_plans.rows.tolist()]))
+        if len(places):
+            chosen = [truths[index] for index in known.index_in_scene[file_plans.rows[places]].tolist()]
+            at = comparison.at(f"{entry['name']}, {scene}")
+            _compare_verdicts(at, lidar[places], chosen, expected, places)
 
 
 def _compare_verdicts(
-    comparison: Comparison, plans: Floats, truths: list[SampleTruth], expected: GoldenArrays, here: NDArray[np.int64]
+    comparison: Comparison, plans: Floats, truths: list[SampleTruth], expected: GoldenArrays, places: NDArray[np.int64]
 ) -> None:
     """Verdicts of three protocols on the plans of one scene; two of them say nothing of incomplete samples."""
     complete = np.array([truth.complete for truth in truths])
@@ -188,14 +188,14 @@ def _compare_verdicts(
         "sparsedrive obj_box_col": (sparse.collision, "sd_obj_box_col", complete),
     }
     for quantity, (ours, name, of) in equal.items():
-        comparison.same(quantity, ours, expected.floats(name, None, ours.shape[1])[here], of)
-    near = {
+        comparison.same(quantity, ours, expected.floats(name, None, ours.shape[1])[places], of)
+    close = {
         "uniad L2 (m)": (uniad.l2, "uniad_L2", everywhere),
         "vad L2 (m)": (of_vad["l2"], "vad_L2", complete),
         "sparsedrive L2 (m)": (sparse.l2, "sd_L2", complete),
     }
-    for quantity, (ours, name, of) in near.items():
-        comparison.numbers(quantity, ours[of], expected.floats(name, None, ours.shape[1])[here][of])
+    for quantity, (ours, name, of) in close.items():
+        comparison.numbers(quantity, ours[of], expected.floats(name, None, ours.shape[1])[places][of])
 
 
 GOLDEN: Final = GoldenSet(

@@ -147,7 +147,7 @@ class SparseSet:
             raise ValueError(f"array {name}_T_global is no pose")
         noise = f"{name}_diffusion_noise"
         drawn = inputs.floats(noise, 1, config.modes, config.steps, 2)[0] if noise in inputs.names else None
-        found = SparseInputs(
+        sparse_inputs = SparseInputs(
             images=self._images(frame, cameras),
             projections=torch.from_numpy(inputs.floats(f"{name}_projection_mat", 1, cameras, 4, 4)[0]).float(),
             timestamp_s=float(inputs.floats(f"{name}_timestamp", 1)[0]),
@@ -155,7 +155,7 @@ class SparseSet:
             command=int(command.argmax()),
             scene_token=name,
         )
-        return found, None if drawn is None else torch.from_numpy(drawn).float()
+        return sparse_inputs, None if drawn is None else torch.from_numpy(drawn).float()
 
     def _images(self, frame: int, cameras: int) -> Tensor:
         """Noise of squares, and half as much of single pixels."""
@@ -165,8 +165,8 @@ class SparseSet:
         squares = np.kron(seeded_normal(f"input:image:coarse:frame{frame}", coarse, salt), np.ones((COARSE, COARSE)))
         images = (squares + 0.5 * seeded_normal(f"input:image:fine:frame{frame}", shape, salt)).astype(np.float32)
         recorded = self.manifest.image_sha256
-        wanted = recorded if isinstance(recorded, str) else recorded.get(f"frame{frame}")
-        return recorded_images(images, wanted, frame)
+        sha256 = recorded if isinstance(recorded, str) else recorded.get(f"frame{frame}")
+        return recorded_images(images, sha256, frame)
 
 
 def _by_frame(folder: GoldenFolder, name: str, adapter: TypeAdapter[dict[str, T]]) -> dict[str, T]:
@@ -177,8 +177,8 @@ def _by_frame(folder: GoldenFolder, name: str, adapter: TypeAdapter[dict[str, T]
 def _recipe(folder: GoldenFolder, salt: str, shapes: dict[str, tuple[int, ...]]) -> WeightsRecipe:
     """Recipe of the weights: of the set, or of the set beside it that has the name of the salt."""
     home = folder if folder.has("kept_buffers.npz") else GoldenFolder(folder.path.parent / salt)
-    recipe, kept = WeightsRecipe.model_validate(home.facts("manifest.json")), home.arrays("kept_buffers.npz")
-    values = {name: kept.floats(name, *shapes[name]).astype(np.float32) for name in sorted(kept.names)}
+    recipe, arrays = WeightsRecipe.model_validate(home.facts("manifest.json")), home.arrays("kept_buffers.npz")
+    values = {name: arrays.floats(name, *shapes[name]).astype(np.float32) for name in sorted(arrays.names)}
     return recipe.model_copy(update={"kept_buffers": values})
 
 
@@ -247,7 +247,7 @@ def _compare_frames(comparison: Comparison, network: SparseNetwork, golden: Spar
 
 def _compare_frame(comparison: Comparison, network: SparseNetwork, golden: SparseSet, frame: int) -> None:
     """Compute a frame and compare it."""
-    stored, before = golden.outputs[frame], network.memory
+    stored, past = golden.outputs[frame], network.memory
     inputs, noise = golden.frame(frame, network.config)
     if isinstance(network, DiffusionDrive) and noise is None:
         raise ValueError(f"no array frame{frame}_diffusion_noise")
@@ -255,40 +255,42 @@ def _compare_frame(comparison: Comparison, network: SparseNetwork, golden: Spars
     with traced(network, golden.calls[frame]) as trace:
         predictions = network.predict(replace(inputs, images=inputs.images.to(device)), noise)
     order = Order.of(network, predictions, stored)
-    fresh = before is not None and KeyframeMotion.between(before.pose, pose_of(inputs), device).fresh
-    follow(network, predictions, before if fresh else None, order, stored)
+    fresh = past is not None and KeyframeMotion.between(past.pose, pose_of(inputs), device).fresh
+    follow(network, predictions, past if fresh else None, order, stored)
     ours = map_quantities(trace.maps["img_backbone"], trace.maps["img_neck"])
-    ours |= frame_quantities(network, predictions, order, inputs.command, None if before is None else fresh)
+    ours |= frame_quantities(network, predictions, order, inputs.command, None if past is None else fresh)
     comparison.errors(MOVED, order.moved, SWAPPED)
     if "plan_reg" not in stored.names:
         raise ValueError("no array plan_reg")
-    for name, own in ours.items():
+    for name, quantity in ours.items():
         if name in stored.names:
             statistic = golden.statistics[frame].get(name)
-            whole = None if statistic is None else _whole(own, statistic)
-            compare_tensor(comparison, name, own, _stored(name, own.values, stored), whole)
+            whole_tensor = None if statistic is None else _whole(quantity, statistic)
+            compare_tensor(comparison, name, quantity, _stored(name, quantity.values, stored), whole_tensor)
     if unknown := sorted(stored.names - ours.keys()):
         comparison.note(MOVED, f"not compared in {comparison.where}: {', '.join(unknown)}")
     _compare_calls(comparison, trace, golden, frame)
 
 
-def _whole(own: Quantity, said: Statistic) -> Whole:
+def _whole(quantity: Quantity, statistic: Statistic) -> Whole:
     """Differences over the whole of an array, most of which may not be stored."""
-    values = own.values.astype(np.float64)
-    if values.size != math.prod(said.shape):
-        raise ValueError(f"an array has the shape {said.shape}, the network's {list(values.shape)}")
-    most = np.array([values.mean() - said.mean, values.std(ddof=1) - said.std])
-    first = values.reshape(-1)[: len(said.first)] - np.array(said.first)
-    return Whole(most, np.array([np.abs(values).max() - said.absmax, *first]), said.std or 1.0)
+    values = quantity.values.astype(np.float64)
+    if values.size != math.prod(statistic.shape):
+        raise ValueError(f"an array has the shape {statistic.shape}, the network's {list(values.shape)}")
+    most = np.array([values.mean() - statistic.mean, values.std(ddof=1) - statistic.std])
+    first = values.reshape(-1)[: len(statistic.first)] - np.array(statistic.first)
+    return Whole(most, np.array([np.abs(values).max() - statistic.absmax, *first]), statistic.std or 1.0)
 
 
-def _stored(name: str, own: NDArray[Any], stored: GoldenArrays) -> tuple[NDArray[Any], Floats]:
+def _stored(name: str, values: NDArray[Any], stored: GoldenArrays) -> tuple[NDArray[Any], Floats]:
     """The part of our numbers that is stored, all or every n-th along an axis, and the stored ones."""
-    numbers = stored.floats(name, *[None] * own.ndim)
-    steps = [math.ceil(have / kept) if kept else have + 1 for have, kept in zip(own.shape, numbers.shape, strict=True)]
-    part = own[tuple(slice(None, None, step) for step in steps)]
+    numbers = stored.floats(name, *[None] * values.ndim)
+    steps = [
+        math.ceil(have / want) if want else have + 1 for have, want in zip(values.shape, numbers.shape, strict=True)
+    ]
+    part = values[tuple(slice(None, None, step) for step in steps)]
     if part.shape != numbers.shape:
-        raise ValueError(f"array {name} has the shape {numbers.shape}, and the network gives {own.shape}")
+        raise ValueError(f"array {name} has the shape {numbers.shape}, and the network gives {values.shape}")
     return part, numbers
 
 
@@ -298,10 +300,10 @@ def _compare_calls(comparison: Comparison, trace: Trace, golden: SparseSet, fram
     compared = 0
     for call in golden.calls[frame]:
         number = taken[call.module] = taken.get(call.module, -1) + 1
-        own = trace.calls.get(call.module, [])
-        if number >= len(own):
+        recorded = trace.calls.get(call.module, [])
+        if number >= len(recorded):
             continue
-        mean, deviation, largest, count = own[number]
+        mean, deviation, largest, count = recorded[number]
         at = comparison.at(f"{call.module} of {comparison.where}")
         # The official code repeats plans and times for each mode and command.
         if math.prod(call.shape) % count:

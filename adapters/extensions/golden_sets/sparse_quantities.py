@@ -91,8 +91,8 @@ def follow(
         return
     count, queue = len(order.agents), memory.queue
     ids = stored.integers("det_instance_id", 1, count)[0]
-    kept = stored.integers("state_cached_instance_id", 1, count)[0, : head.det_head.remembered]
-    rows = _rows_of(kept, ids, predictions.track_ids.cpu().numpy(), order.agents)
+    cached_ids = stored.integers("state_cached_instance_id", 1, count)[0, : head.det_head.remembered]
+    rows = _rows_of(cached_ids, ids, predictions.track_ids.cpu().numpy(), order.agents)
     line_rows = _nearest(predictions.lines, stored.floats("state_map_cached_anchor", 1, *memory.lines.anchors.shape)[0])
     if rows is None or line_rows is None:
         return
@@ -107,7 +107,7 @@ def follow(
         memory,
         agents=agents,
         lines=lines,
-        tracks=Tracks(torch.from_numpy(kept).to(device), memory.tracks.next_id),
+        tracks=Tracks(torch.from_numpy(cached_ids).to(device), memory.tracks.next_id),
         queue=replace(
             queue,
             features=queue.features[:, places],
@@ -119,13 +119,13 @@ def follow(
     )
 
 
-def _rows_of(kept: Rows, ids: Rows, own: Rows, order: Rows) -> Rows | None:
+def _rows_of(cached_ids: Rows, ids: Rows, our_ids: Rows, order: Rows) -> Rows | None:
     """Our rows that have the golden numbers `kept`; nothing if numbers differ where nothing changed places."""
     settled = order == np.arange(len(order))
-    same = np.array_equal(own[settled], ids[settled]) and np.array_equal(np.sort(own), np.sort(ids))
-    if not same or not np.isin(kept, ids).all():
+    same = np.array_equal(our_ids[settled], ids[settled]) and np.array_equal(np.sort(our_ids), np.sort(ids))
+    if not same or not np.isin(cached_ids, ids).all():
         return None
-    rows: Rows = order[np.argsort(ids)[np.searchsorted(np.sort(ids), kept)]]
+    rows: Rows = order[np.argsort(ids)[np.searchsorted(np.sort(ids), cached_ids)]]
     return rows
 
 
@@ -134,9 +134,9 @@ def _order(ours: torch.Tensor, golden: Floats | None) -> Rows:
     order = np.arange(len(ours))
     if golden is None:
         return order
-    own = ours.detach().cpu().numpy().astype(np.float64)
-    differ = np.flatnonzero(~(np.abs(own - golden).max(1) <= MOVED))
-    apart = np.abs(golden[differ, None] - own[None, differ]).max(-1)
+    values = ours.detach().cpu().numpy().astype(np.float64)
+    differ = np.flatnonzero(~(np.abs(values - golden).max(1) <= MOVED))
+    apart = np.abs(golden[differ, None] - values[None, differ]).max(-1)
     # Only a pair that are each other's nearest, and near, has changed places.
     for row, column in enumerate(apart.argmin(1) if len(differ) else []):
         if apart[row, column] <= MOVED and apart[:, column].argmin() == row:
@@ -146,8 +146,8 @@ def _order(ours: torch.Tensor, golden: Floats | None) -> Rows:
 
 def _nearest(decoded: Decoded, golden: Floats) -> Rows | None:
     """Instances that golden places are of; nothing if that is not clear."""
-    own = decoded.anchors.detach().cpu().numpy().astype(np.float64)
-    apart = np.abs(golden[:, None] - own).max(-1)
+    anchors = decoded.anchors.detach().cpu().numpy().astype(np.float64)
+    apart = np.abs(golden[:, None] - anchors).max(-1)
     rows = apart.argmin(1)
     clear = len(np.unique(rows)) == len(rows) and bool((apart.min(1) <= MOVED).all())
     return rows if clear else None
@@ -179,21 +179,21 @@ def frame_quantities(
     By the names of the sets, with the axes that these have: what a head gives has one more in front. `fresh` says
     whether what was remembered was used; ``None`` where nothing was.
     """
-    found = _stages(predictions, order)
-    found |= _planner(predictions, order)
-    found |= _reported(network, predictions, order, command)
-    found |= _denoising(predictions)
+    quantities = _stages(predictions, order)
+    quantities |= _planner(predictions, order)
+    quantities |= _reported(network, predictions, order, command)
+    quantities |= _denoising(predictions)
     if network.memory is not None:
-        found |= _remembered(network.memory, len(order.agents))
+        quantities |= _remembered(network.memory, len(order.agents))
         if fresh is not None:
-            found["state_det_bank_mask"] = Quantity(np.array([fresh], np.bool_), EQUAL)
-    return found
+            quantities["state_det_bank_mask"] = Quantity(np.array([fresh], np.bool_), EQUAL)
+    return quantities
 
 
 def map_quantities(backbone: list[Tensor], pyramid: list[Tensor]) -> dict[str, Quantity]:
     """Feature maps by the names of the sets."""
-    found = {f"backbone_c{level + 2}": _numbers(features, SPREAD) for level, features in enumerate(backbone)}
-    return found | {f"fpn_p{level}": _numbers(features, SPREAD) for level, features in enumerate(pyramid)}
+    quantities = {f"backbone_c{level + 2}": _numbers(features, SPREAD) for level, features in enumerate(backbone)}
+    return quantities | {f"fpn_p{level}": _numbers(features, SPREAD) for level, features in enumerate(pyramid)}
 
 
 def _numbers(tensor: Tensor, tolerance: Tolerance, rows: Rows | None = None) -> Quantity:
@@ -202,12 +202,12 @@ def _numbers(tensor: Tensor, tolerance: Tolerance, rows: Rows | None = None) -> 
 
 
 def _batch(tensor: Tensor, tolerance: Tolerance, rows: Rows | None = None) -> Quantity:
-    return replace(found := _numbers(tensor, tolerance, rows), values=found.values[None])
+    return replace(quantity := _numbers(tensor, tolerance, rows), values=quantity.values[None])
 
 
 def _stages(predictions: SparsePredictions, order: Order) -> dict[str, Quantity]:
     agents, lines = predictions.agents, predictions.lines
-    found = {
+    quantities = {
         "det_instance_feature": _batch(agents.features, ROWS, order.agents),
         "det_anchor_embed": _batch(agents.embeddings, ROWS, order.agents),
         "map_instance_feature": _batch(lines.features, SPREAD, order.lines),
@@ -216,13 +216,13 @@ def _stages(predictions: SparsePredictions, order: Order) -> dict[str, Quantity]
     for number, (boxes, drawn) in enumerate(zip(agents.stages, lines.stages, strict=True)):
         # Rows find their order behind the first stage.
         rows, line_rows = (order.agents, order.lines) if number else (None, None)
-        found[f"det_cls_{number}"] = _batch(boxes.logits, ROWS, rows)
-        found[f"det_reg_{number}"] = _batch(boxes.anchors, ROWS, rows)
+        quantities[f"det_cls_{number}"] = _batch(boxes.logits, ROWS, rows)
+        quantities[f"det_reg_{number}"] = _batch(boxes.anchors, ROWS, rows)
         if boxes.qualities is not None:
-            found[f"det_quality_{number}"] = _batch(boxes.qualities, ROWS, rows)
-        found[f"map_cls_{number}"] = _batch(drawn.logits, SPREAD, line_rows)
-        found[f"map_reg_{number}"] = _batch(drawn.anchors, SPREAD, line_rows)
-    return found
+            quantities[f"det_quality_{number}"] = _batch(boxes.qualities, ROWS, rows)
+        quantities[f"map_cls_{number}"] = _batch(drawn.logits, SPREAD, line_rows)
+        quantities[f"map_reg_{number}"] = _batch(drawn.anchors, SPREAD, line_rows)
+    return quantities
 
 
 def _planner(predictions: SparsePredictions, order: Order) -> dict[str, Quantity]:
@@ -281,18 +281,18 @@ def _denoising(predictions: SparsePredictions) -> dict[str, Quantity]:
     steps: Mapping[str, Tensor] = predictions.planner.denoising
     if not steps:
         return {}
-    found = {
+    quantities = {
         "diff_anchor_normalised": _batch(steps["anchors"], SPREAD),
         "diff_noise": _batch(steps["noise"], SPREAD),
         "diff_noisy_start": _batch(steps["start"], SPREAD),
     }
     for step, timestep in enumerate(TIMESTEPS):
-        found[f"diff_prev_sample_step{step}"] = _numbers(steps[f"sample {step}"], SPREAD)
-        found[f"diff_timestep_step{step}"] = Quantity(np.array([timestep]), EQUAL)
+        quantities[f"diff_prev_sample_step{step}"] = _numbers(steps[f"sample {step}"], SPREAD)
+        quantities[f"diff_timestep_step{step}"] = Quantity(np.array([timestep]), EQUAL)
         for block in range(2):
-            found[f"diff_refine{block}_reg_step{step}"] = _numbers(steps[f"offsets {block} {step}"], METRES)
-            found[f"diff_refine{block}_cls_step{step}"] = _numbers(steps[f"logits {block} {step}"], SPREAD)
-    return found
+            quantities[f"diff_refine{block}_reg_step{step}"] = _numbers(steps[f"offsets {block} {step}"], METRES)
+            quantities[f"diff_refine{block}_cls_step{step}"] = _numbers(steps[f"logits {block} {step}"], SPREAD)
+    return quantities
 
 
 def _remembered(memory: Memory, agents: int) -> dict[str, Quantity]:

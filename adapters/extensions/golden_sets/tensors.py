@@ -43,7 +43,9 @@ def tapped(network: nn.Module, head: str = "", parts: Iterable[str] = ()) -> Ite
     taps: dict[str, Tensor] = {}
 
     def levels(name: str) -> tuple[str, Callable[[Any], None]]:
-        return f"img_{name}", lambda maps: taps.update({f"{name}{level}": each for level, each in enumerate(maps)})
+        return f"img_{name}", lambda maps: taps.update(
+            {f"{name}{level}": feature_map for level, feature_map in enumerate(maps)}
+        )
 
     def tokens(name: str) -> tuple[str, Callable[[Any], None]]:
         return f"{head}.{name}", lambda states: taps.update({name: states})

@@ -59,35 +59,35 @@ def frame_quantities(
     are ordered after the `stored` golden numbers.
     """
     p = predictions
-    found = {name: Quantity.of(tensor, EXACT) for name, tensor in taps.items()}
-    found["can_bus_seen_by_model"] = Quantity.of(seen, EXACT)
-    found["bev_embed"] = Quantity.of(p.bev, BEV)
+    quantities = {name: Quantity.of(tensor, EXACT) for name, tensor in taps.items()}
+    quantities["can_bus_seen_by_model"] = Quantity.of(seen, EXACT)
+    quantities["bev_embed"] = Quantity.of(p.bev, BEV)
     positions = network.pts_bbox_head.positional_encoding().T
-    found["bev_pos"] = Quantity.of(positions.reshape(-1, *network.config.grid.shape), EXACT)
-    found |= _decoder(network, p)
-    found |= _life_cycle(network, p)
+    quantities["bev_pos"] = Quantity.of(positions.reshape(-1, *network.config.grid.shape), EXACT)
+    quantities |= _decoder(network, p)
+    quantities |= _life_cycle(network, p)
     order = _places_of(p.tracks.track_ids, stored, "track_ids")
-    found |= _boxes(network, p, order, stored)
-    found |= _map(p)
-    found |= _masks(network, p, stored)
-    found |= _motion(p, order)
-    found |= _occupancy(p, order, stored)
-    found["plan_mlp_fuser"] = Quantity.of(p.plan.fused, EXACT)
-    found["plan_attn"] = Quantity.of(p.plan.attended, EXACT)
-    found["sdc_traj_before_optim"] = Quantity.of(p.plan.positions_m, PLAN)
-    return found
+    quantities |= _boxes(network, p, order, stored)
+    quantities |= _map(p)
+    quantities |= _masks(network, p, stored)
+    quantities |= _motion(p, order)
+    quantities |= _occupancy(p, order, stored)
+    quantities["plan_mlp_fuser"] = Quantity.of(p.plan.fused, EXACT)
+    quantities["plan_attn"] = Quantity.of(p.plan.attended, EXACT)
+    quantities["sdc_traj_before_optim"] = Quantity.of(p.plan.positions_m, PLAN)
+    return quantities
 
 
 def _decoder(network: UniAD, p: UniADPredictions) -> dict[str, Quantity]:
-    found, of = p.detections, Quantity.of
+    detections, of = p.detections, Quantity.of
     return {
-        "all_cls_scores": of(found.class_logits, DECODED),
-        "cls_scores_last": of(found.class_logits[-1], DECODED),
-        "all_bbox_preds": of(found.box_codes, DECODED),
-        "bbox_preds_last": of(found.box_codes[-1], DECODED),
-        "last_ref_points": of(found.reference_logits, DECODED),
-        "query_feats": of(found.states, DECODED),
-        "past_traj_preds_last": of(network.pts_bbox_head.past_offsets(found.states[-1]), DECODED),
+        "all_cls_scores": of(detections.class_logits, DECODED),
+        "cls_scores_last": of(detections.class_logits[-1], DECODED),
+        "all_bbox_preds": of(detections.box_codes, DECODED),
+        "bbox_preds_last": of(detections.box_codes[-1], DECODED),
+        "last_ref_points": of(detections.reference_logits, DECODED),
+        "query_feats": of(detections.states, DECODED),
+        "past_traj_preds_last": of(network.pts_bbox_head.past_offsets(detections.states[-1]), DECODED),
     }
 
 
@@ -112,17 +112,17 @@ def _life_cycle(network: UniAD, p: UniADPredictions) -> dict[str, Quantity]:
 
 def _places_of(ids: Tensor, stored: GoldenArrays, name: str) -> Tensor:
     """(N,) where the entries of a golden list are in ours: lists are ordered by scores, which may nearly tie."""
-    own = ids.tolist()
-    golden = stored.floats(name, None).astype(int).tolist() if name in stored.names else own
-    if sorted(golden) != sorted(own):
-        return torch.arange(len(own), device=ids.device)
-    place = {number: place for place, number in enumerate(own)}
+    our_ids = ids.tolist()
+    golden = stored.floats(name, None).astype(int).tolist() if name in stored.names else our_ids
+    if sorted(golden) != sorted(our_ids):
+        return torch.arange(len(our_ids), device=ids.device)
+    place = {number: place for place, number in enumerate(our_ids)}
     return torch.tensor([place[number] for number in golden], dtype=torch.int64, device=ids.device)
 
 
 def _boxes(network: UniAD, p: UniADPredictions, order: Tensor, stored: GoldenArrays) -> dict[str, Quantity]:
     tracks = Boxes(*(getattr(p.tracks, name)[order] for name in p.tracks.__slots__))
-    found = _listed(tracks, "track") | {"track_ids": replace(Quantity.of(tracks.track_ids, EXACT), listed=True)}
+    quantities = _listed(tracks, "track") | {"track_ids": replace(Quantity.of(tracks.track_ids, EXACT), listed=True)}
     instances = p.after
     if "track_scores" in stored.names:
         golden = torch.from_numpy(stored.floats("track_scores", None)).float()
@@ -132,8 +132,8 @@ def _boxes(network: UniAD, p: UniADPredictions, order: Tensor, stored: GoldenArr
             all_boxes = decoded(instances.kept(chosen))
             inside = torch.isin(chosen, _inside(network, p))
             detected = Boxes(*(getattr(all_boxes, name)[inside] for name in all_boxes.__slots__))
-            return found | _listed(detected, "det") | _listed(p.ego, "sdc")
-    return found | _listed(strongest_boxes(instances, network.config), "det") | _listed(p.ego, "sdc")
+            return quantities | _listed(detected, "det") | _listed(p.ego, "sdc")
+    return quantities | _listed(strongest_boxes(instances, network.config), "det") | _listed(p.ego, "sdc")
 
 
 def _inside(network: UniAD, p: UniADPredictions) -> Tensor:
@@ -205,52 +205,52 @@ def _golden_order(boxes: Tensor, order: Tensor, stored: GoldenArrays) -> Tensor:
 
 def _area(inside: Tensor, hanging: Bools, stored: GoldenArrays, name: str, *shape: int) -> Quantity:
     """Cells of (K, ...) masks, stored in `shape`; undecided if cells too close to call explain a difference."""
-    own = inside.flatten(1).sum(1).cpu().numpy()
-    doubtful = hanging.reshape(len(own), -1).sum(1)
-    golden = own
+    areas = inside.flatten(1).sum(1).cpu().numpy()
+    doubtful = hanging.reshape(len(areas), -1).sum(1)
+    golden = areas
     if name in stored.names:
         golden = stored.floats(name, *shape).reshape(-1)
-    return Quantity(own, EXACT, np.abs(own - golden) <= doubtful)
+    return Quantity(areas, EXACT, np.abs(areas - golden) <= doubtful)
 
 
 def _motion(p: UniADPredictions, order: Tensor) -> dict[str, Quantity]:
-    found, of = p.forecasts, Quantity.of
+    forecasts, of = p.forecasts, Quantity.of
     agents = torch.cat([order, order.new_tensor([len(order)])])
     return {
-        "motion_traj_preds": of(found.trajectories[:, agents], DECODED),
-        "motion_traj_preds_sdc": of(found.trajectories[:, -1], DECODED),
-        "motion_traj_scores": of(found.log_probabilities[:, agents], DECODED),
-        "motion_traj_scores_sdc": of(found.log_probabilities[:, -1], DECODED),
-        "motion_sdc_traj_query": of(found.queries[:, -1], DECODED),
+        "motion_traj_preds": of(forecasts.trajectories[:, agents], DECODED),
+        "motion_traj_preds_sdc": of(forecasts.trajectories[:, -1], DECODED),
+        "motion_traj_scores": of(forecasts.log_probabilities[:, agents], DECODED),
+        "motion_traj_scores_sdc": of(forecasts.log_probabilities[:, -1], DECODED),
+        "motion_sdc_traj_query": of(forecasts.queries[:, -1], DECODED),
         "motion_sdc_track_query": of(p.ego.states, DECODED),
-        "motion_track_query_pos": of(found.positions[order][p.vehicles[order]], EXACT),
+        "motion_track_query_pos": of(forecasts.positions[order][p.vehicles[order]], EXACT),
         "motion_vehicle_track_scores": of(p.tracks.scores[order][p.vehicles[order]], SCORES),
     }
 
 
 def _occupancy(p: UniADPredictions, order: Tensor, stored: GoldenArrays) -> dict[str, Quantity]:
     """Occupancy; from the step on in which a cell might attend to another vehicle, larger errors are left out."""
-    found = p.occupancy
+    occupancy = p.occupancy
     ours = torch.full((len(order),), -1, device=order.device)
     ours[p.vehicles] = torch.arange(int(p.vehicles.sum()), device=order.device)
     vehicles = ours[order][p.vehicles[order]]
-    side = found.logits.shape[-1]
-    logits, masks = found.logits[vehicles], found.mask_logits[vehicles]
-    shown = F.interpolate(masks, size=(side, side), mode="bilinear", align_corners=False) if len(masks) else logits
+    side = occupancy.logits.shape[-1]
+    logits, masks = occupancy.logits[vehicles], occupancy.mask_logits[vehicles]
+    upsampled = F.interpolate(masks, size=(side, side), mode="bilinear", align_corners=False) if len(masks) else logits
     steps = p.occupancy.occupied.shape[0]
     flips = np.zeros(steps, np.bool_)
     if len(masks):
         close = ((masks.sigmoid() - SEEN).abs() < TOO_CLOSE_SEEN).flatten(2).any(2).any(0)
         flips = np.maximum.accumulate(close.cpu().numpy())
-    each = np.tile(flips, len(vehicles))
-    hanging = ((found.margin.abs() < TOO_CLOSE_OCCUPANCY).cpu().numpy()) | flips[:, None, None]
-    packed = np.packbits(found.occupied.cpu().numpy())
+    undecided = np.tile(flips, len(vehicles))
+    hanging = ((occupancy.margin.abs() < TOO_CLOSE_OCCUPANCY).cpu().numpy()) | flips[:, None, None]
+    packed = np.packbits(occupancy.occupied.cpu().numpy())
     doubtful = np.packbits(hanging) > 0
     return {
-        "occ_ins_logits": Quantity.of(logits, EXACT, each),
-        "occ_mask_preds": Quantity.of(shown, EXACT, each),
+        "occ_ins_logits": Quantity.of(logits, EXACT, undecided),
+        "occ_mask_preds": Quantity.of(upsampled, EXACT, undecided),
         "occ_seg_out_bits": Quantity(packed, EXACT, doubtful),
-        "occ_seg_out_area": _area(found.occupied, hanging, stored, "occ_seg_out_area", 1, steps),
+        "occ_seg_out_area": _area(occupancy.occupied, hanging, stored, "occ_seg_out_area", 1, steps),
     }
 
 
@@ -274,10 +274,10 @@ def compare_optimiser(comparison: Comparison, predictions: UniADPredictions, sto
     before = stored.floats("sdc_traj_before_optim", 1, steps, 2)[0]
     bits = stored.floats("occ_seg_out_bits", None)
     stored_cells = np.unpackbits(bits.astype(np.uint8)).reshape(occupied.shape).astype(bool)
-    near = [nearby_cells(*each) for each in zip(before, _per_point(stored_cells, before))]
+    nearby = [nearby_cells(*arguments) for arguments in zip(before, _per_point(stored_cells, before))]
     if "col_optim_cells" in stored.names:
-        comparison.same(CELLS, [len(cells) for cells in near], stored.floats("col_optim_cells", steps))
-    costs = np.array([cost(*each) for each in zip(golden, before, near, strict=True)])
+        comparison.same(CELLS, [len(cells) for cells in nearby], stored.floats("col_optim_cells", steps))
+    costs = np.array([cost(*arguments) for arguments in zip(golden, before, nearby, strict=True)])
     solvers: list[Solver] = ["newton", "ipopt"] if find_spec("casadi") else ["newton"]
     for solver in solvers:
         moved = move_plan(before, stored_cells, solver)
@@ -293,8 +293,8 @@ def compare_optimiser(comparison: Comparison, predictions: UniADPredictions, sto
     same = np.array([np.array_equal(nearby_cells(at, ours), nearby_cells(at, theirs)) for at, ours, theirs in pairs])
     comparison.numbers(WHOLE, move_plan(plan, occupied).points[same], golden[same], SAME_M)
     if not same.all():
-        said = f"{np.count_nonzero(~same)} points with other occupied cells left out in {comparison.where}"
-        comparison.note(WHOLE, said)
+        note = f"{np.count_nonzero(~same)} points with other occupied cells left out in {comparison.where}"
+        comparison.note(WHOLE, note)
 
 
 def _per_point(occupied: Bools, plan: Floats) -> list[Bools]:
@@ -315,9 +315,9 @@ def compare_uniad(comparison: Comparison, network: UniAD, golden: ParitySet) -> 
     for number, stored in enumerate(golden.outputs):
         at, key_frame = comparison.at(f"{golden.folder.name}, frame {number}"), inputs.frame(golden, number, device)
         with tapped(network) as taps:
-            seen = network.ego_motion(key_frame).can_bus
+            can_bus = network.ego_motion(key_frame).can_bus
             predictions = network.predict(key_frame)
-            ours = frame_quantities(network, predictions, seen, taps, stored)
+            ours = frame_quantities(network, predictions, can_bus, taps, stored)
         compare_frame(at, golden, number, ours, ELSEWHERE)
         compare_optimiser(at, predictions, stored)
 

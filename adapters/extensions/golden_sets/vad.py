@@ -51,10 +51,10 @@ def compare_vad(comparison: Comparison, network: VAD, golden: ParitySet) -> None
     for frame, stored in enumerate(golden.outputs):
         inputs = _inputs(golden, network.config, frame, device)
         with tapped(network, "pts_bbox_head", PARTS) as taps:
-            seen = network.ego_motion(inputs).can_bus
+            can_bus = network.ego_motion(inputs).can_bus
             predictions = network.predict(inputs)
         ours = {name: Quantity.of(tensor, EXACT) for name, tensor in taps.items()}
-        ours["can_bus_seen_by_model"] = Quantity.of(seen, EXACT)
+        ours["can_bus_seen_by_model"] = Quantity.of(can_bus, EXACT)
         undecided = _undecided_agents(network.config, predictions)
         ours |= _raw(predictions, undecided, taps)
         ours["plan"] = Quantity.of(select(network.config, predictions, inputs.command).plan, PLAN)

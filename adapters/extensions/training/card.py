@@ -73,7 +73,7 @@ def card_of(small: Model, facts: Mapping[str, Any]) -> str:
     source = facts["source"]
     commit = source["commit"] or "unknown"
     started = ", ".join(f"{_STARTS[option]} `{key[:16]}`" for option, key in facts["started_from"].items())
-    kept = facts.get("kept_of_start", 0)
+    start_share = facts.get("kept_of_start", 0)
     measured, lost = facts["figures"], facts.get("lost", {})
     rows = [
         f"| {title} | {row['samples']:.0f} | {row['l2_1s_m']:.2f} | {row['l2_2s_m']:.2f} | {row['l2_3s_m']:.2f} | "
@@ -93,7 +93,8 @@ def card_of(small: Model, facts: Mapping[str, Any]) -> str:
             f"{phase['steps']:,} ({name}, learning rate {phase['learning_rate']:g})"
             for name, phase in facts["phases"].items()
         ),
-        started=(started or "random weights") + (f", {kept:.0%} of them kept (weighted mean)" if kept else ""),
+        started=(started or "random weights")
+        + (f", {start_share:.0%} of them kept (weighted mean)" if start_share else ""),
         commit=f"{commit} with changes" if source["dirty"] else commit,
         tool=facts["tool"],
         bytes=facts["bytes"],
@@ -101,6 +102,6 @@ def card_of(small: Model, facts: Mapping[str, Any]) -> str:
         judged=f"{len(facts['judged_on']['scenes'])} scenes of `{facts['judged_on']['data']}`",
         forecasts=_FORECASTS.format(**facts["forecasts"]) if facts["forecasts"] else "Forecasts: not measured.",
         seen=_SEEN.format(**facts["seen"]) if facts.get("seen") else "Forecasts of what is visible: not measured.",
-        lost="".join(_LOST.format(shown=name, said=Loss.from_log(each).said()) for name, each in lost.items()),
+        lost="".join(_LOST.format(shown=name, said=Loss.from_log(ablation).said()) for name, ablation in lost.items()),
         rows="\n".join(rows) or "| not measured | | | | | |",
     )

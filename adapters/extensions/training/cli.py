@@ -110,8 +110,8 @@ def train_planner_command(options: TrainPlannerOptions) -> None:
     from adapters.extensions.training.planners import PlannerTraining, train_planner
 
     repeated = {name: getattr(options, name) or () for name in ("start_from", "adversarial", "also", "only")}
-    others = {"data_root": options.data, "workers": api.worker_count(options.workers), **repeated}
-    print_json(train_planner(PlannerTraining(**{**api.named_alike(PlannerTraining, options), **others})))
+    special = {"data_root": options.data, "workers": api.worker_count(options.workers), **repeated}
+    print_json(train_planner(PlannerTraining(**{**api.named_alike(PlannerTraining, options), **special})))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

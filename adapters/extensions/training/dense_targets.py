@@ -46,10 +46,10 @@ def dense_targets(frame: TrainingFrame, grid: BEVGrid) -> tuple[Tensor, Tensor]:
     drivable = F.grid_sample(
         frame.drivable.float()[None, None], (centres / DRIVABLE_HALF_M)[None, None], align_corners=False
     ).view(-1)
-    near = [_near_lines(centres, frame.lines[frame.line_labels == kind], half_cell_m) for kind in range(3)]
+    near_lines = [_near_lines(centres, frame.lines[frame.line_labels == kind], half_cell_m) for kind in range(3)]
     vehicle = torch.isin(frame.labels, torch.tensor(VEHICLES))
     inside = [_in_boxes(centres, frame.boxes[chosen], half_cell_m) for chosen in (vehicle, ~vehicle)]
-    targets = torch.stack([drivable > 0.5, *near, *inside], -1).float()
+    targets = torch.stack([drivable > 0.5, *near_lines, *inside], -1).float()
     known = torch.ones_like(targets, dtype=torch.bool)
     known[:, 1 : 1 + len(MAP_CLASSES)] = (centres.abs() < torch.tensor(LINES_WITHIN_M)).all(-1, keepdim=True)
     return targets, known

@@ -102,14 +102,14 @@ def _windows(path: Floats) -> Iterator[Samples]:
     if len(starts) == 0:
         return
     now = path[starts]
-    seen = path[starts[:, None] - _STEP * np.arange(PAST_STEPS, 0, -1)]
+    history = path[starts[:, None] - _STEP * np.arange(PAST_STEPS, 0, -1)]
     ahead = path[starts[:, None] + _STEP * np.arange(1, PLAN_STEPS + 1)]
     recent = path[starts[:, None] + np.arange(1 - _FIT_FRAMES, 1)]
     velocity, acceleration, yaw_rate = _motion(to_local(recent[..., :2], now[:, None]), recent[..., 2])
     future = to_local(ahead[..., :2], now[:, None])
     turned = ahead[:, -1, 2] - now[:, 2]
     past = np.concatenate(
-        [to_local(seen[..., :2], now[:, None]), wrap_angle(seen[..., 2:] - now[:, None, 2:])], axis=-1
+        [to_local(history[..., :2], now[:, None]), wrap_angle(history[..., 2:] - now[:, None, 2:])], axis=-1
     )
     samples = Samples(
         EgoMotion(
@@ -240,17 +240,17 @@ def train_ego_status(
     network = _fit(samples, settings, seed)
     weights = {name: value.contiguous() for name, value in network.state_dict().items()}
     write_bytes(out, save(weights))
-    found = {source: measure(network, held) for source, held in held_out.items()}
+    figures = {source: measure(network, held) for source, held in held_out.items()}
     facts = {
         "samples": len(samples),
         "sources": list(settings.sources),
         "steps": settings.steps,
         "seed": seed,
         "sha256": file_sha256(out),
-        "held_out": found,
+        "held_out": figures,
     }
     write_bytes(out.with_suffix(".json"), (json.dumps(facts, indent=1, sort_keys=True) + "\n").encode())
-    return found
+    return figures
 
 
 def measure(network: EgoStatusNetwork, samples: Samples) -> dict[str, float]:
@@ -277,8 +277,8 @@ def _fit(samples: Samples, settings: TrainingSettings, seed: int) -> EgoStatusNe
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.steps)
     for _ in range(settings.steps):
         batch = _augmented(samples.rows(rng.integers(len(samples), size=settings.batch)), settings, rng)
-        wanted = torch.from_numpy((batch.future - batch.motion.constant_velocity()).astype(np.float32))
-        distance = torch.linalg.vector_norm(network(batch.motion.features()) - wanted, dim=-1)
+        target = torch.from_numpy((batch.future - batch.motion.constant_velocity()).astype(np.float32))
+        distance = torch.linalg.vector_norm(network(batch.motion.features()) - target, dim=-1)
         loss = torch.sqrt(distance**2 + 0.01).mean()
         optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]

@@ -234,15 +234,15 @@ class LookedAt:
 
         `look` is called with all frames of each scene, in time order.
         """
-        wanted = set(frames)
+        learned = set(frames)
         self.identity = store.identity
-        self.scenes = tuple(name for name in store.scenes if not wanted.isdisjoint(store.frames_of(name)))
+        self.scenes = tuple(name for name in store.scenes if not learned.isdisjoint(store.frames_of(name)))
         self._numbers = {name: store.frames_of(name) for name in self.scenes}
         self._frames: dict[int, TrainingFrame] = {}
         for name in progress(self.scenes, total=len(self.scenes), label="looking at scenes", count=Count("scene")):
-            seen = [store.frame(number) for number in self._numbers[name]]
-            look(seen)
-            blind = (replace(frame, images=torch.empty(0, dtype=torch.uint8)) for frame in seen)
+            scene_frames = [store.frame(number) for number in self._numbers[name]]
+            look(scene_frames)
+            blind = (replace(frame, images=torch.empty(0, dtype=torch.uint8)) for frame in scene_frames)
             self._frames.update(zip(self._numbers[name], blind, strict=True))
 
     def __len__(self) -> int:
@@ -259,12 +259,12 @@ class LookedAt:
     def clip(self, number: int, length: int) -> list[TrainingFrame]:
         """A frame and those before it in its scene."""
         first = max(number - length + 1, number - self.frame(number).index)
-        return [self.frame(each) for each in range(first, number + 1)]
+        return [self.frame(frame_number) for frame_number in range(first, number + 1)]
 
 
 def weighed(frames: Frames, numbers: Sequence[int]) -> list[int]:
     """Numbers of frames, several times those in which the ego does not just drive on: most of a drive is driving on."""
-    return [each for each in numbers for _ in range(OFTEN if _changes(frames.frame(each)) else 1)]
+    return [number for number in numbers for _ in range(OFTEN if _changes(frames.frame(number)) else 1)]
 
 
 def _changes(frame: TrainingFrame) -> bool:

@@ -78,9 +78,9 @@ class FrontObjective:
         brightness = torch.empty(len(images), 1, 1, 1, device=images.device).uniform_(-0.3, 0.3)
         contrast = torch.empty(len(images), 1, 1, 1, device=images.device).uniform_(0.8, 1.2)
         images = images * contrast + brightness
-        seen = self._eyes.see(images.contiguous(memory_format=torch.channels_last))
-        losses = mean_front_losses(self.reader(seen), clip)
-        return losses | {"things": THINGS_WEIGHT * things_loss(seen, clip)} if self._eyes.own else losses
+        maps = self._eyes.see(images.contiguous(memory_format=torch.channels_last))
+        losses = mean_front_losses(self.reader(maps), clip)
+        return losses | {"things": THINGS_WEIGHT * things_loss(maps, clip)} if self._eyes.own else losses
 
 
 def of_all_cameras(network: nn.Module, kept: tuple[str, ...]) -> Eyes:
@@ -97,8 +97,8 @@ def of_all_cameras(network: nn.Module, kept: tuple[str, ...]) -> Eyes:
     def see(images: Tensor) -> Tensor:
         with torch.no_grad():
             stages = backbone(images)
-        found: Tensor = neck(stages)[0]
-        return found
+        features: Tensor = neck(stages)[0]
+        return features
 
     return Eyes(see)
 
@@ -109,14 +109,16 @@ def things_loss(seen: Tensor, frames: Sequence[TrainingFrame]) -> Tensor:
     `centre_loss` of walkers and of vehicles, as many as in a mean frame.
     """
     heats = torch.from_numpy(np.stack([front_heat(frame) for frame in frames])).to(seen.device)
-    wanted = torch.stack([heats[:, list(kinds)].amax(1) for kinds in THINGS], 1)
-    return centre_loss(seen[:, : len(THINGS)], wanted)
+    targets = torch.stack([heats[:, list(kinds)].amax(1) for kinds in THINGS], 1)
+    return centre_loss(seen[:, : len(THINGS)], targets)
 
 
 def mean_front_losses(said: Tensor, frames: Sequence[TrainingFrame]) -> dict[str, Tensor]:
     """`front_losses` of F key frames, from (F, numbers): weighted means over the frames."""
-    each = [front_losses(numbers, frame) for numbers, frame in zip(said, frames, strict=True)]
-    return {name: weight * torch.stack([losses[name] for losses in each]).mean() for name, weight in WEIGHTS.items()}
+    frame_losses = [front_losses(numbers, frame) for numbers, frame in zip(said, frames, strict=True)]
+    return {
+        name: weight * torch.stack([losses[name] for losses in frame_losses]).mean() for name, weight in WEIGHTS.items()
+    }
 
 
 def front_losses(front: Tensor, frame: TrainingFrame) -> dict[str, Tensor]:
@@ -133,15 +135,15 @@ def front_losses(front: Tensor, frame: TrainingFrame) -> dict[str, Tensor]:
         goes.
     """
     steps = len(frame.ego_future)
-    aside, said = front[LANE_NUMBERS : LANE_NUMBERS + steps], front[LANE_NUMBERS + steps]
-    walkers, near = front[LANE_NUMBERS + steps + 1 :][: len(STRIPS_M) - 1], walkers_ahead(frame)
+    aside, predicted_gap = front[LANE_NUMBERS : LANE_NUMBERS + steps], front[LANE_NUMBERS + steps]
+    walkers, nearness = front[LANE_NUMBERS + steps + 1 :][: len(STRIPS_M) - 1], walkers_ahead(frame)
     counted = frame.ego_future_valid & (frame.command == Command.STRAIGHT)
     gap_m = gap_ahead(frame)
     return {
-        "gap": said * 0 if gap_m is None else (said - gap_m / GAP_UNIT_M).abs(),
+        "gap": predicted_gap * 0 if gap_m is None else (predicted_gap - gap_m / GAP_UNIT_M).abs(),
         "lane": lane_loss(front[:LANE_NUMBERS], frame),
         "ahead": aside_loss(aside, frame.ego_future[:, 0], counted),
-        "walkers": ((walkers - near).square() * (1 + RARE_WALKER * (near > 0))).sum(),
+        "walkers": ((walkers - nearness).square() * (1 + RARE_WALKER * (nearness > 0))).sum(),
     }
 
 
@@ -153,8 +155,8 @@ def walkers_ahead(frame: TrainingFrame) -> Tensor:
     right, ahead = frame.boxes[frame.labels == _WALKER, :2].unbind(-1)
     edges = frame.boxes.new_tensor(STRIPS_M)
     inside = (right >= edges[:-1, None]) & (right < edges[1:, None]) & (ahead > 0)
-    near = (1 - ahead / WALKER_REACH_M).clamp(min=0) * inside
-    return torch.cat([near, near.new_zeros(len(near), 1)], 1).amax(1)
+    nearness = (1 - ahead / WALKER_REACH_M).clamp(min=0) * inside
+    return torch.cat([nearness, nearness.new_zeros(len(nearness), 1)], 1).amax(1)
 
 
 def gap_ahead(frame: TrainingFrame) -> float | None:
@@ -230,8 +232,8 @@ def seen_with_own_eyes(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
         for learned, begun in LEARNED_BY_OTHERS.items()
         if name.startswith(learned)
     }
-    for what, least in (("weight", 0.0), ("bias", RARE)):
-        joined = eyes.get(f"{OWN_EYES}joined.{what}")
+    for part, least in (("weight", 0.0), ("bias", RARE)):
+        joined = eyes.get(f"{OWN_EYES}joined.{part}")
         if joined is not None:
             joined[: len(THINGS)] = least
     return dict(trunk) | eyes

@@ -87,9 +87,9 @@ class _SeenBoxes:
 def image_targets(frame: TrainingFrame) -> ImageTargets:
     """Targets of the images of a frame."""
     height, width = frame.images.shape[-2:]
-    seen = _seen_boxes(frame, width, height)
-    heat, boxes, has_box = _box_maps(seen, len(frame.images), height // CELL_PX, width // CELL_PX)
-    ground, sees_ground = _ground_maps(frame, seen, height // GROUND_PX, width // GROUND_PX)
+    seen_boxes = _seen_boxes(frame, width, height)
+    heat, boxes, has_box = _box_maps(seen_boxes, len(frame.images), height // CELL_PX, width // CELL_PX)
+    ground, sees_ground = _ground_maps(frame, seen_boxes, height // GROUND_PX, width // GROUND_PX)
     return ImageTargets(heat, boxes, has_box, ground, sees_ground)
 
 
@@ -130,30 +130,32 @@ def _seen_boxes(frame: TrainingFrame, width: int, height: int) -> _SeenBoxes:
 
 
 def _box_maps(
-    seen: _SeenBoxes, images: int, rows: int, columns: int
+    seen_boxes: _SeenBoxes, images: int, rows: int, columns: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], Bools]:
     heat = np.zeros((images, len(DETECTION_CLASSES), rows, columns), np.float32)
     boxes = np.zeros((images, BOX_NUMBERS, rows, columns), np.float32)
     has_box = np.zeros((images, rows, columns), bool)
     across, down = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
-    for number in range(len(seen.image)):
-        centre = seen.centre[number] / CELL_PX
-        size = (seen.corner_high[number] - seen.corner_low[number]) / CELL_PX
+    for number in range(len(seen_boxes.image)):
+        centre = seen_boxes.centre[number] / CELL_PX
+        size = (seen_boxes.corner_high[number] - seen_boxes.corner_low[number]) / CELL_PX
         spread = np.maximum(size / 6, _LEAST_SPREAD_CELLS)
         # Measured from the middle of the cell that holds the centre, so that there is a cell of 1.
         middle = np.floor(centre) + 0.5
         bump = np.exp(-(((across - middle[0]) / spread[0]) ** 2 + ((down - middle[1]) / spread[1]) ** 2) / 2)
-        image, label = seen.image[number], seen.label[number]
+        image, label = seen_boxes.image[number], seen_boxes.label[number]
         np.maximum(heat[image, label], bump, out=heat[image, label])
         near = bump >= _SHARE_OF_CENTRE
         boxes[image, 0][near] = (centre[0] - across)[near]
         boxes[image, 1][near] = (centre[1] - down)[near]
-        boxes[image, 2:, near] = seen.numbers[number]
+        boxes[image, 2:, near] = seen_boxes.numbers[number]
         has_box[image] |= near
     return heat, boxes, has_box
 
 
-def _ground_maps(frame: TrainingFrame, seen: _SeenBoxes, rows: int, columns: int) -> tuple[NDArray[np.float32], Bools]:
+def _ground_maps(
+    frame: TrainingFrame, seen_boxes: _SeenBoxes, rows: int, columns: int
+) -> tuple[NDArray[np.float32], Bools]:
     """Kinds of ground where rays through the cells meet it; asked for where no box is in the way."""
     matrices = frame.lidar2img.numpy()
     inverse = np.linalg.inv(matrices[:, :3, :3])
@@ -166,10 +168,10 @@ def _ground_maps(frame: TrainingFrame, seen: _SeenBoxes, rows: int, columns: int
     reach = (ground_z_m - eyes[:, None, None, 2]) / np.where(falls, rays[..., 2], -1.0)
     points = eyes[:, None, None, :2] + reach[..., None] * rays[..., :2]
     falls &= reach > 0
-    for number in range(len(seen.image)):
-        low = np.floor(seen.corner_low[number] / GROUND_PX).astype(int)
-        high = np.ceil(seen.corner_high[number] / GROUND_PX).astype(int)
-        falls[seen.image[number], low[1] : high[1], low[0] : high[0]] = False
+    for number in range(len(seen_boxes.image)):
+        low = np.floor(seen_boxes.corner_low[number] / GROUND_PX).astype(int)
+        high = np.ceil(seen_boxes.corner_high[number] / GROUND_PX).astype(int)
+        falls[seen_boxes.image[number], low[1] : high[1], low[0] : high[0]] = False
     near = falls & (np.abs(points) < _DRIVABLE_WITHIN_M).all(-1)
     within = falls & (np.abs(points[..., 0]) < _ASIDE_M) & (np.abs(points[..., 1]) < _AHEAD_M)
     drivable = frame.drivable.cpu().numpy()
@@ -267,31 +269,31 @@ class ImageEncoderObjective:
         device = next(self.network.parameters()).device
         images = torch.cat([frame.images for frame in clip])
         targets = [image_targets(frame) for frame in clip]
-        wanted = {
+        by_name = {
             name: torch.from_numpy(_joined(targets, name)).to(device) for name in ImageTargets.__dataclass_fields__
         }
         mirrored = torch.rand(len(images)) < 0.5
-        images, wanted = _mirrored(images, wanted, mirrored.to(device))
+        images, by_name = _mirrored(images, by_name, mirrored.to(device))
         brightness = torch.empty(len(images), 1, 1, 1).uniform_(-0.3, 0.3).to(device)
         contrast = torch.empty(len(images), 1, 1, 1).uniform_(0.8, 1.2).to(device)
         heat, boxes, ground = self.network(miniature_images(images) * contrast + brightness)
-        return _losses(heat, boxes, ground, wanted)
+        return _losses(heat, boxes, ground, by_name)
 
 
 def _joined(targets: Sequence[ImageTargets], name: str) -> NDArray[np.generic]:
-    return np.concatenate([getattr(each, name) for each in targets])
+    return np.concatenate([getattr(target, name) for target in targets])
 
 
-def _losses(heat: Tensor, boxes: Tensor, ground: Tensor, wanted: dict[str, Tensor]) -> dict[str, Tensor]:
-    has_box = wanted["has_box"][:, None]
+def _losses(heat: Tensor, boxes: Tensor, ground: Tensor, targets: dict[str, Tensor]) -> dict[str, Tensor]:
+    has_box = targets["has_box"][:, None]
     count = float(has_box.sum().clamp(min=1))
-    error = (boxes - wanted["boxes"]).abs() * has_box
-    entropy = F.binary_cross_entropy_with_logits(ground, wanted["ground"], reduction="none")
-    weight = torch.where(wanted["ground"] > 0, _LINE_WEIGHT, 1.0)
+    error = (boxes - targets["boxes"]).abs() * has_box
+    entropy = F.binary_cross_entropy_with_logits(ground, targets["ground"], reduction="none")
+    weight = torch.where(targets["ground"] > 0, _LINE_WEIGHT, 1.0)
     weight[:, 0] = 1.0
-    counted = wanted["sees_ground"] * weight
+    counted = targets["sees_ground"] * weight
     return {
-        "heat": centre_loss(heat, wanted["heat"]),
+        "heat": centre_loss(heat, targets["heat"]),
         "place": 0.5 * error[:, :2].sum() / count,
         "depth": error[:, 2].sum() / count,
         "size": 0.5 * error[:, 3:6].sum() / count,
@@ -304,19 +306,19 @@ def centre_loss(logits: Tensor, heat: Tensor) -> Tensor:
     """Focal loss, per centre, that forgives what is near a centre (CornerNet, ECCV 2018); `heat` is 1 at centres."""
     shares = logits.sigmoid()
     centres = heat >= 1
-    found = -F.logsigmoid(logits) * (1 - shares) ** 2 * centres
-    wrong = -F.logsigmoid(-logits) * shares**2 * (1 - heat) ** 4 * ~centres
-    return (found + wrong).sum() / centres.sum().clamp(min=1)
+    positive = -F.logsigmoid(logits) * (1 - shares) ** 2 * centres
+    negative = -F.logsigmoid(-logits) * shares**2 * (1 - heat) ** 4 * ~centres
+    return (positive + negative).sum() / centres.sum().clamp(min=1)
 
 
-def _mirrored(images: Tensor, wanted: dict[str, Tensor], chosen: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+def _mirrored(images: Tensor, targets: dict[str, Tensor], chosen: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
     """Left and right exchanged in the chosen images and in what is asked of them."""
-    flipped = {name: value.flip(-1) for name, value in wanted.items()}
+    flipped = {name: value.flip(-1) for name, value in targets.items()}
     # The offset to the right and the angle of view turn round.
     sign = torch.ones(BOX_NUMBERS, device=images.device)
     sign[[0, 6]] = -1
     flipped["boxes"] = flipped["boxes"] * sign[:, None, None]
     mixed = {}
-    for name, value in wanted.items():
+    for name, value in targets.items():
         mixed[name] = torch.where(chosen.view(-1, *[1] * (value.dim() - 1)), flipped[name], value)
     return torch.where(chosen[:, None, None, None], images.flip(-1), images), mixed

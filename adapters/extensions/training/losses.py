@@ -49,10 +49,10 @@ def assigned(cost: Tensor, queries: int | None = None, counts: Sequence[int] | N
     matrix = cost.detach().float().cpu().numpy()
     if not np.isfinite(matrix).all():
         raise InputError("the network's predictions are no longer finite numbers; train with a lower learning rate")
-    each, pairs, start = len(matrix) if queries is None else queries, [], 0
+    queries_per_frame, pairs, start = len(matrix) if queries is None else queries, [], 0
     for frame, count in enumerate([matrix.shape[1]] if counts is None else counts):
-        block = matrix[frame * each : (frame + 1) * each, start : start + count]
-        pairs.append(np.array(linear_sum_assignment(block)) + [[frame * each], [start]])
+        block = matrix[frame * queries_per_frame : (frame + 1) * queries_per_frame, start : start + count]
+        pairs.append(np.array(linear_sum_assignment(block)) + [[frame * queries_per_frame], [start]])
         start += count
     return Matches(*torch.from_numpy(np.concatenate(pairs, 1)).to(cost.device))
 
@@ -183,8 +183,10 @@ def direction_loss(points: Tensor, matched: Tensor, matches: Matches) -> Tensor:
 
     0 to 2; `points` are (Q, P, 2) and `matched` (K, P, 2) metres.
     """
-    found, wanted = points[matches.queries].diff(dim=1), matched.diff(dim=1)
-    return (1 - F.cosine_similarity(found, wanted, dim=-1)).sum() / max(wanted.shape[0] * wanted.shape[1], 1)
+    pieces, matched_pieces = points[matches.queries].diff(dim=1), matched.diff(dim=1)
+    return (1 - F.cosine_similarity(pieces, matched_pieces, dim=-1)).sum() / max(
+        matched_pieces.shape[0] * matched_pieces.shape[1], 1
+    )
 
 
 def winners(trajectories: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:

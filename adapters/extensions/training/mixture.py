@@ -87,7 +87,7 @@ class FrameStore:
     def clip(self, number: int, length: int) -> list[TrainingFrame]:
         """A frame and those before it in its scene, in time order; fewer than `length` at the start of a scene."""
         _, index = self._places[number]
-        return [self.frame(each) for each in range(number - min(index, length - 1), number + 1)]
+        return [self.frame(frame_number) for frame_number in range(number - min(index, length - 1), number + 1)]
 
     def followed(self, scene: str, index: int) -> Tensor:
         """Steps, (6,) bool, of the ego's future that a planner learns from, as `TrainingFrame.ego_future_valid`.
@@ -214,18 +214,18 @@ class MixedFrames:
         first, store = next(
             (first, store) for first, store in zip(self._firsts, self._stores, strict=True) if scene in store.scenes
         )
-        own = store.frames_of(scene)
-        return range(first + own.start, first + own.stop)
+        numbers = store.frames_of(scene)
+        return range(first + numbers.start, first + numbers.stop)
 
     def frame(self, number: int) -> TrainingFrame:
         """One frame; raises as `FrameStore.frame`."""
-        store, own = self._place(number)
-        return store.frame(own)
+        store, store_number = self._place(number)
+        return store.frame(store_number)
 
     def clip(self, number: int, length: int) -> list[TrainingFrame]:
         """A frame and those before it in its scene; raises as `FrameStore.clip`."""
-        store, own = self._place(number)
-        return store.clip(own, length)
+        store, store_number = self._place(number)
+        return store.clip(store_number, length)
 
     def _place(self, number: int) -> tuple[Frames, int]:
         which = max(place for place, first in enumerate(self._firsts) if first <= number)
@@ -326,8 +326,8 @@ def require_made_from(root: Path, data: DataSet, split: str) -> dict[str, str]:
     """
     adversarial = open_data(root)
     names = adversarial.scene_names(ADVERSARIAL_SPLIT)
-    made = (adversarial.provenance() or {}).get("source") or {}
-    if made.get("fingerprint") != data.fingerprint():
+    source_facts = (adversarial.provenance() or {}).get("source") or {}
+    if source_facts.get("fingerprint") != data.fingerprint():
         raise InputError(f"{root} was not made from {data.root}; give adversarial scenes that generate made from it")
     sources = {name: facts.source for name, facts in adversarial.scene_facts(names).items()}
     learned = set(data.scene_names(split))

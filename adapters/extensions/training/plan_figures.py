@@ -90,11 +90,11 @@ def seen_figures(
     ``None`` where there are no forecasts, no vehicles or no matches.
     """
     compared = []
-    for truth, plan, seen in zip(truths, plans, visible, strict=True):
+    for truth, plan, instances in zip(truths, plans, visible, strict=True):
         if plan.forecasts is None:
             continue
         forecasts = forecasts_in_lidar(plan.forecasts, plan.frame, truth.lidar_ahead_m)
-        counted = tuple(number for number in _vehicles_near(truth) if truth.instances[number] in seen)
+        counted = tuple(number for number in _vehicles_near(truth) if truth.instances[number] in instances)
         compared.append(_Compared(truth, forecasts, _nearest(truth, forecasts), counted))
     return _figures(compared)
 
@@ -105,9 +105,9 @@ def visible_instances(scene: Scene) -> tuple[frozenset[str], ...]:
     The least means 40 % at most. Where a data set has no levels all that is annotated is visible.
     """
     known = scene.annotations
-    seen = known.valid & (known.visibility != HIDDEN)
+    is_visible = known.valid & (known.visibility != HIDDEN)
     return tuple(
-        frozenset(scene.agents.ids[row] for row in np.flatnonzero(seen[:, number]))
+        frozenset(scene.agents.ids[row] for row in np.flatnonzero(is_visible[:, number]))
         for number in range(len(scene.keyframes))
     )
 
@@ -248,13 +248,13 @@ class Difference:
     @classmethod
     def of(cls, rate: Rate) -> Self:
         """Difference from a mean with its interval, rounded."""
-        ends = (None if each is None else round(each, 4) for each in (rate.low, rate.high))
+        ends = (None if bound is None else round(bound, 4) for bound in (rate.low, rate.high))
         return cls(round(rate.value or 0.0, 4), *ends)
 
     def said(self, digits: int) -> str:
         """Text for readers."""
-        shown = ["-" if each is None else f"{each:+.{digits}f}" for each in (self.value, self.low, self.high)]
-        return f"{shown[0]} [{shown[1]}, {shown[2]}]"
+        texts = ["-" if value is None else f"{value:+.{digits}f}" for value in (self.value, self.low, self.high)]
+        return f"{texts[0]} [{texts[1]}, {texts[2]}]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,14 +306,14 @@ def judged_plans(
     truths, plans, visible = [], [], []
     for number, name in enumerate(scenes):
         scene = data.scene(name)
-        seen = visible_instances(scene)
+        visible_by_frame = visible_instances(scene)
         planner.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
         for observation, truth in zip(shown(data, scenes, number, images), data.truth(name), strict=True):
             plan = planner.plan(observation)
             if truth.complete and truth.index % every == 0:
                 truths.append(truth)
                 plans.append(plan)
-                visible.append(seen[truth.index])
+                visible.append(visible_by_frame[truth.index])
     if not truths:
         raise InputError(
             f"none of the {counted(len(scenes), 'scene')} has a sample with three recorded seconds after it"
@@ -336,11 +336,11 @@ def shown(data: DataSet, scenes: Sequence[str], number: int, images: Images) -> 
         return
     if len(scenes) < 2:
         raise InputError("images cannot be shuffled between scenes where there is only one")
-    others: list[Mapping[str, CameraView]] = [
+    other_views: list[Mapping[str, CameraView]] = [
         observation.views for observation in data.observations(scenes[(number + 1) % len(scenes)])
     ]
     for observation in data.observations(scenes[number]):
-        other = others[observation.index % len(others)]
+        other = other_views[observation.index % len(other_views)]
         views = {key: replace(view, load=other[key].load) for key, view in observation.views.items()}
         yield replace(observation, views=views)
 

@@ -120,12 +120,12 @@ class Around:
     @classmethod
     def of(cls, frames: Sequence[TrainingFrame], steps: int) -> "Around":
         """All that is annotated in F frames, for T steps."""
-        boxes, there = [], []
+        boxes, present = [], []
         for frame in frames:
             future, size = frame.futures[:, :steps], frame.boxes[:, None, 3:5].expand(-1, steps, -1)
             boxes.append(torch.cat([future[..., :2], size, future[..., 2:]], -1))
-            there.append(frame.futures_valid[:, :steps])
-        return cls(*(pad_sequence(each, batch_first=True) for each in (boxes, there)))
+            present.append(frame.futures_valid[:, :steps])
+        return cls(*(pad_sequence(parts, batch_first=True) for parts in (boxes, present)))
 
     def on(self, device: torch.device) -> "Around":
         """Bodies on a device."""
@@ -143,7 +143,7 @@ def missing_room(plans: Tensor, around: Around) -> Tensor:
     forward = _directions(plans.detach())
     offsets, radii = plans.new_tensor(_CIRCLES).unbind(-1)
     centres = plans[..., None, :] + offsets[:, None] * forward[..., None, :]
-    boxes, there = around.boxes[:, None], around.there[:, None]
+    boxes, present = around.boxes[:, None], around.there[:, None]
     apart = centres[:, :, None] - boxes[..., None, :2]
     cosine, sine = boxes[..., None, 4].cos(), boxes[..., None, 4].sin()
     local = torch.stack(
@@ -153,10 +153,10 @@ def missing_room(plans: Tensor, around: Around) -> Tensor:
     distance = beyond.clamp(min=0).norm(dim=-1) + beyond.amax(-1).clamp(max=0)
     body = plans + _MIDDLE * forward
     along = ((boxes[..., :2] - body[:, :, None]).detach() * forward[:, :, None]).sum(-1)
-    counts = there & (along >= -BEHIND_M)
+    counts = present & (along >= -BEHIND_M)
     lacks = (radii - distance).clamp(min=0).amax(-1).masked_fill(~counts, 0.0)
-    found: Tensor = lacks.amax(2).mean(-1)
-    return found
+    missing: Tensor = lacks.amax(2).mean(-1)
+    return missing
 
 
 def room_loss(plan: Tensor, frame: TrainingFrame) -> Tensor:
@@ -166,12 +166,12 @@ def room_loss(plan: Tensor, frame: TrainingFrame) -> Tensor:
 
 def _directions(plans: Tensor) -> Tensor:
     """(F, M, T, 2) unit vectors: where each step leads, or the one before where it is short; forward at the start."""
-    before = torch.zeros_like(plans[..., 0, :])
-    before[..., 1] = 1.0
+    direction = torch.zeros_like(plans[..., 0, :])
+    direction[..., 1] = 1.0
     steps = torch.diff(plans, dim=-2, prepend=torch.zeros_like(plans[..., :1, :]))
-    found = []
+    directions = []
     for step in steps.unbind(-2):
         length = step.norm(dim=-1, keepdim=True)
-        before = torch.where(length >= MOVES_M, F.normalize(step, dim=-1), before)
-        found.append(before)
-    return torch.stack(found, -2)
+        direction = torch.where(length >= MOVES_M, F.normalize(step, dim=-1), direction)
+        directions.append(direction)
+    return torch.stack(directions, -2)

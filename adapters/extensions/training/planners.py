@@ -129,7 +129,7 @@ def train_planner(training: PlannerTraining) -> dict[str, Any]:
     """
     # What cannot be used is said at once, not after minutes of gathering frames.
     _phases(training)
-    given = _given_weights(training)
+    given_weights = _given_weights(training)
     data = open_data(training.data_root)
     judge = None if training.judged_on is None else open_data(training.judged_on)
     sources = {root: require_made_from(root, data, training.split) for root in training.adversarial}
@@ -153,7 +153,7 @@ def train_planner(training: PlannerTraining) -> dict[str, Any]:
         return _train_encoder(training, store, learned)
     checked = _Checked(miniature(training.model), data, held_out)
     judged = checked if judge is None else replace(checked, data=judge, scenes=judge.scene_names(JUDGED_SPLIT))
-    return _train_miniature(training, store, learned, given, checked, judged)
+    return _train_miniature(training, store, learned, given_weights, checked, judged)
 
 
 def judge_again(weights: Path, data_root: Path) -> dict[str, Any]:
@@ -187,16 +187,16 @@ def _train_encoder(training: PlannerTraining, store: Frames, learned: Sequence[i
     network = ImageEncoder()
     phase = _scaled(_phases(training), training)[0]
     weights = fit(phase.objective(network), store, learned, phase.recipe, training.out, device=training.device)
-    kept = {
+    encoder_weights = {
         name.replace(ENCODER_PYRAMID, PYRAMID): value
         for name, value in weights.items()
         if name.startswith((IMAGE_ENCODER, ENCODER_PYRAMID))
     }
-    write_weights(training.out, kept, _provenance(training, store, kept))
+    write_weights(training.out, encoder_weights, _provenance(training, store, encoder_weights))
     # What the card of a miniature that starts from this file names, by the option that it is given with.
-    encoder = {name: value for name, value in kept.items() if name.startswith(IMAGE_ENCODER)}
-    keys = {"image_encoder": tensors_key(encoder), "start_from": tensors_key(kept)}
-    facts = _facts(training, store, learned, (phase,), kept) | {"keys": keys}
+    encoder = {name: value for name, value in encoder_weights.items() if name.startswith(IMAGE_ENCODER)}
+    keys = {"image_encoder": tensors_key(encoder), "start_from": tensors_key(encoder_weights)}
+    facts = _facts(training, store, learned, (phase,), encoder_weights) | {"keys": keys}
     write_json(training.out.with_suffix(".json"), facts)
     training.out.with_suffix(".progress.safetensors").unlink(missing_ok=True)
     return facts
@@ -206,14 +206,14 @@ def _train_miniature(
     training: PlannerTraining,
     store: Frames,
     learned: Sequence[int],
-    given: Mapping[str, Mapping[str, Tensor]],
+    given_weights: Mapping[str, Mapping[str, Tensor]],
     checked: "_Checked",
     judged: "_Checked",
 ) -> dict[str, Any]:
     small = miniature(training.model)
     network = resolve(small.small.untrained)(small.configuration(), _frames_for_anchors(store, learned), training.seed)
     phases = _scaled(_phases(training), training)
-    weights: Mapping[str, Tensor] = {name: value for taken in given.values() for name, value in taken.items()}
+    weights: Mapping[str, Tensor] = {name: value for taken in given_weights.values() for name, value in taken.items()}
     parts = [training.out.with_name(f"{training.out.stem}.{phase.name}.safetensors") for phase in phases]
     start: dict[str, Tensor] = {}
     for phase, part in zip(phases, parts, strict=True):
@@ -230,7 +230,7 @@ def _train_miniature(
             device=training.device,
         )
     weights = {name: _mean(start[name], value, training.kept_of_start) for name, value in weights.items()}
-    started_from = {option: tensors_key(taken) for option, taken in given.items()}
+    started_from = {option: tensors_key(taken) for option, taken in given_weights.items()}
     facts = _write_miniature(training, store, learned, phases, weights, judged, started_from)
     for part in parts:
         part.with_suffix(".progress.safetensors").unlink(missing_ok=True)
@@ -259,9 +259,11 @@ def _write_miniature(
     return facts
 
 
-def _mean(start: Tensor, learned: Tensor, kept: float) -> Tensor:
+def _mean(start: Tensor, learned: Tensor, start_share: float) -> Tensor:
     """The weighted mean of numbers before and after the training; counters are those after it."""
-    return torch.lerp(learned, start.to(learned), kept) if kept and learned.is_floating_point() else learned
+    return (
+        torch.lerp(learned, start.to(learned), start_share) if start_share and learned.is_floating_point() else learned
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,18 +283,18 @@ class _Checked:
         place = {"data": self.data.root.resolve().name, "scenes": list(self.scenes)}
         if not self.scenes:
             return {"figures": {}, "forecasts": None, "seen": None, "lost": {}, "judged_on": place}
-        found = {"constant-velocity": plan_figures(ConstantVelocity(), self.data, self.scenes).as_log()}
-        shown: dict[Images, JudgedPlans] = {}
+        figures = {"constant-velocity": plan_figures(ConstantVelocity(), self.data, self.scenes).as_log()}
+        by_images: dict[Images, JudgedPlans] = {}
         for images in Images:
             if images is Images.SHUFFLED and len(self.scenes) < 2:
                 continue
-            judged = shown[images] = judged_plans(self._planner(weights), self.data, self.scenes, images=images)
-            found[images.value] = judged.figures().as_log()
-        own = shown.pop(Images.OWN)
+            judged = by_images[images] = judged_plans(self._planner(weights), self.data, self.scenes, images=images)
+            figures[images.value] = judged.figures().as_log()
+        own = by_images.pop(Images.OWN)
         forecasts = {"forecasts": own.as_diagnosed(), "seen": own.as_seen()}
-        logged = {name: None if each is None else each.as_log() for name, each in forecasts.items()}
-        lost = {images.value: asdict(Loss.between(own, other)) for images, other in shown.items()}
-        return {"figures": found, **logged, "lost": lost, "judged_on": place}
+        logged = {name: None if forecast is None else forecast.as_log() for name, forecast in forecasts.items()}
+        lost = {images.value: asdict(Loss.between(own, other)) for images, other in by_images.items()}
+        return {"figures": figures, **logged, "lost": lost, "judged_on": place}
 
     def _planner(self, weights: Mapping[str, Tensor]) -> Any:
         network = self.small.build()
@@ -302,12 +304,12 @@ class _Checked:
 
 def _given_weights(training: PlannerTraining) -> dict[str, dict[str, Tensor]]:
     """Weights to start from, by the option that named them."""
-    given: dict[str, dict[str, Tensor]] = {}
+    by_option: dict[str, dict[str, Tensor]] = {}
     for path in training.start_from:
         tensors = _read_weights(path)
         if training.model != ENCODER_NAME:
             tensors = resolve(miniature(training.model).small.renamed)(tensors)
-        given["start_from"] = given.get("start_from", {}) | tensors
+        by_option["start_from"] = by_option.get("start_from", {}) | tensors
     if training.image_encoder is not None:
         tensors = _read_weights(training.image_encoder)
         chosen = {name: value for name, value in tensors.items() if name.startswith(IMAGE_ENCODER)}
@@ -315,8 +317,8 @@ def _given_weights(training: PlannerTraining) -> dict[str, dict[str, Tensor]]:
             raise InputError(
                 f"{training.image_encoder} has no weights of an image encoder ({IMAGE_ENCODER}...); give another file"
             )
-        given["image_encoder"] = chosen
-    return given
+        by_option["image_encoder"] = chosen
+    return by_option
 
 
 def _read_weights(path: Path) -> dict[str, Tensor]:
@@ -325,8 +327,8 @@ def _read_weights(path: Path) -> dict[str, Tensor]:
 
 def _take(network: nn.Module, weights: Mapping[str, Tensor]) -> None:
     """Put weights into a network wherever name and shape agree."""
-    own = network.state_dict()
-    fitting = {name: value for name, value in weights.items() if name in own and own[name].shape == value.shape}
+    state = network.state_dict()
+    fitting = {name: value for name, value in weights.items() if name in state and state[name].shape == value.shape}
     if weights and not fitting:
         raise InputError("none of the weights to start from belongs to this model; give the file of another one")
     network.load_state_dict(fitting, strict=False)

@@ -67,13 +67,13 @@ def scene_arrays(data: DataSet, name: str) -> Arrays:
         | _of_map(scene.road_map, poses[observation.index])
         for observation, truth in zip(data.observations(name), truths, strict=True)
     ]
-    found: Arrays = {}
+    arrays: Arrays = {}
     for key in frames[0]:
         parts = [frame[key] for frame in frames]
-        found[key] = np.concatenate(parts) if key in ENDLESS else np.stack(parts)
-    found["box_starts"] = _starts([len(frame["labels"]) for frame in frames])
-    found["line_starts"] = _starts([len(frame["line_labels"]) for frame in frames])
-    return found
+        arrays[key] = np.concatenate(parts) if key in ENDLESS else np.stack(parts)
+    arrays["box_starts"] = _starts([len(frame["labels"]) for frame in frames])
+    arrays["line_starts"] = _starts([len(frame["line_labels"]) for frame in frames])
+    return arrays
 
 
 ENDLESS: Final = {
@@ -164,10 +164,10 @@ def _motion(scene: Scene) -> _Motion:
     heading = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], -1)
     seconds = scene.timestamps_us[scene.keyframes] * 1e-6
     count = len(seconds)
-    here = np.arange(count)
-    before, after = np.maximum(here - 1, 0), np.minimum(here + 1, count - 1)
-    before = np.where(known.valid[:, before], before, here)
-    after = np.where(known.valid[:, after], after, here)
+    indices = np.arange(count)
+    before, after = np.maximum(indices - 1, 0), np.minimum(indices + 1, count - 1)
+    before = np.where(known.valid[:, before], before, indices)
+    after = np.where(known.valid[:, after], after, indices)
     rows = np.arange(len(known.position))[:, None]
     moved_m = known.position[rows, after] - known.position[rows, before]
     took_s = seconds[after] - seconds[before]
@@ -177,10 +177,10 @@ def _motion(scene: Scene) -> _Motion:
 
 def _of_map(road_map: RoadMap, pose: Floats) -> Arrays:
     lines, labels = map_lines(road_map, pose, LINE_POINTS)
-    kept = np.linalg.norm(np.diff(lines, axis=1), axis=-1).sum(-1) >= SHORTEST_LINE_M
+    is_long = np.linalg.norm(np.diff(lines, axis=1), axis=-1).sum(-1) >= SHORTEST_LINE_M
     return {
-        "lines": lines[kept].astype(np.float32),
-        "line_labels": labels[kept],
+        "lines": lines[is_long].astype(np.float32),
+        "line_labels": labels[is_long],
         "drivable": drivable_cells(road_map, pose),
     }
 
@@ -192,6 +192,6 @@ def drivable_cells(road_map: RoadMap, pose: Floats) -> Bools:
     forward, right = np.meshgrid(along, along, indexing="ij")
     points = to_global(np.stack([forward, -right], axis=-1), pose)
     low, high = points.min((0, 1)), points.max((0, 1))
-    near = as_multipolygon(shapely.clip_by_rect(road_map.drivable_area, *low, *high))
-    shapely.prepare(near)
-    return RoadMap(road_map.location, near).is_drivable(points)
+    clipped = as_multipolygon(shapely.clip_by_rect(road_map.drivable_area, *low, *high))
+    shapely.prepare(clipped)
+    return RoadMap(road_map.location, clipped).is_drivable(points)

@@ -146,7 +146,7 @@ def clip_of(store: Frames, frames: Sequence[int], recipe: Recipe, length: int, d
     """The clip of a draw: every frame ends one clip before any ends a second one."""
     if not recipe.scattered:
         return store.clip(_drawn(frames, recipe.seed, draw), length)
-    return [store.frame(_drawn(frames, recipe.seed, draw * length + each)) for each in range(length)]
+    return [store.frame(_drawn(frames, recipe.seed, draw * length + offset)) for offset in range(length)]
 
 
 def _drawn(frames: Sequence[int], seed: int, draw: int) -> int:
@@ -194,9 +194,9 @@ def _take_step(
     for group in run.optimiser.param_groups:
         group["lr"] = learning_rate(recipe, run.step) * group["at"]
     run.optimiser.zero_grad(set_to_none=True)
-    seen: dict[str, float] = {}
+    logged: dict[str, float] = {}
     first = run.step * recipe.clips
-    drawn = [clip_of(store, frames, recipe, objective.clip_frames, first + each) for each in range(recipe.clips)]
+    drawn = [clip_of(store, frames, recipe, objective.clip_frames, first + offset) for offset in range(recipe.clips)]
     device = next(iter(run.network.parameters())).device
     clips = [[frame.on(device) for frame in clip] for clip in drawn]
     for losses, share in _losses(objective, clips):
@@ -208,9 +208,9 @@ def _take_step(
             )
         (total * share).backward()  # type: ignore[no-untyped-call]
         for name, loss in {**losses, "loss": total}.items():
-            seen[name] = seen.get(name, 0.0) + float(loss.detach()) * share
+            logged[name] = logged.get(name, 0.0) + float(loss.detach()) * share
     learned = [parameter for group in run.optimiser.param_groups for parameter in group["params"]]
-    seen["gradient"] = float(torch.nn.utils.clip_grad_norm_(learned, recipe.gradient_norm))
+    logged["gradient"] = float(torch.nn.utils.clip_grad_norm_(learned, recipe.gradient_norm))
     run.optimiser.step()
     # A young average would remember the random start.
     keep = min(recipe.average, (run.step + 1) / (run.step + 10))
@@ -220,7 +220,7 @@ def _take_step(
                 run.average[name].lerp_(tensor, 1.0 - keep)
             else:
                 run.average[name].copy_(tensor)
-    return seen
+    return logged
 
 
 def _losses(

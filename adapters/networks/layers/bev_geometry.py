@@ -87,8 +87,8 @@ def camera_hits(pillars: Tensor, projections: Tensor, height: int, width: int) -
     u, v, depth = (row[:, 0] * x + row[:, 1] * y + row[:, 2] * z + row[:, 3] for row in rows)
     visible_depth = depth.clamp(min=NEAREST_DEPTH_M)
     u, v = u / visible_depth / width, v / visible_depth / height
-    seen = (depth > NEAREST_DEPTH_M) & (u > 0) & (u < 1) & (v > 0) & (v < 1)
-    hits = seen.any(-1)
+    visible = (depth > NEAREST_DEPTH_M) & (u > 0) & (u < 1) & (v > 0) & (v < 1)
+    hits = visible.any(-1)
     camera, cell = hits.nonzero().unbind(-1)
     points = torch.stack([u, v], -1)[camera, cell]
     count = hits.sum(0)
@@ -128,5 +128,5 @@ def turned_view(view: Tensor, grid: BEVGrid, matrix: Tensor) -> Tensor:
     numbers = torch.arange(1, grid.cells + 1, device=device, dtype=torch.float32).view(1, 1, rows, columns)
     places = torch.stack([x, y], -1)[None]
     nearest = F.grid_sample(numbers, places, mode="nearest", padding_mode="zeros", align_corners=False)
-    found = nearest.flatten().long()
-    return view[(found - 1).clamp(min=0)] * (found > 0)[:, None].to(view.dtype)
+    cells = nearest.flatten().long()
+    return view[(cells - 1).clamp(min=0)] * (cells > 0)[:, None].to(view.dtype)

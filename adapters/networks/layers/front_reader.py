@@ -41,10 +41,10 @@ class FrontReader(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """(B, C, h, w) to (B, numbers)."""
-        found = features
+        hidden = features
         for convolution in self.convs:
-            found = F.relu(convolution(found))
-        result: Tensor = self.read(F.adaptive_avg_pool2d(found, FRONT_CELLS).flatten(1))
+            hidden = F.relu(convolution(hidden))
+        result: Tensor = self.read(F.adaptive_avg_pool2d(hidden, FRONT_CELLS).flatten(1))
         return result
 
     def told(self, numbers: Tensor, before: Tensor | None) -> Tensor:
@@ -52,10 +52,10 @@ class FrontReader(nn.Module):
 
         `before` is what the key frames before have left (`left`); ``None`` at the start of a scene.
         """
-        told: Tensor = self.tell(numbers)
+        message: Tensor = self.tell(numbers)
         if self.tell_change is not None and before is not None:
-            told = told + self.tell_change(numbers - before)
-        return told
+            message = message + self.tell_change(numbers - before)
+        return message
 
     @staticmethod
     def left(numbers: Tensor, before: Tensor | None) -> Tensor:
@@ -97,8 +97,8 @@ class FrontEyes(nn.Module):
         """(B, 3, H, W) to (B, channels, H / 8, W / 8)."""
         fine, coarse = self.backbone(images)
         far = F.interpolate(self.coarse(coarse), size=fine.shape[-2:], mode="nearest")
-        found: Tensor = self.joined(self.fine(fine) + far)
-        return found
+        features: Tensor = self.joined(self.fine(fine) + far)
+        return features
 
 
 def seen_ahead(eyes: FrontEyes | None, finest: Tensor, images: Tensor, cameras: int) -> Tensor:

@@ -45,13 +45,13 @@ def said_once(centres: Tensor, lengths: Tensor, certainty: Tensor, apart: float)
     offset = centres[:, None] - centres
     near = offset.norm(dim=-1) < apart * torch.minimum(lengths[:, None], lengths)
     same = near.tolist()
-    kept: list[int] = []
+    survivors: list[int] = []
     for place in certainty.argsort(descending=True, stable=True).tolist():
-        if not any(same[place][earlier] for earlier in kept):
-            kept.append(place)
-    left = torch.zeros(len(centres), dtype=torch.bool)
-    left[kept] = True
-    return left.to(centres.device)
+        if not any(same[place][earlier] for earlier in survivors):
+            survivors.append(place)
+    mask = torch.zeros(len(centres), dtype=torch.bool)
+    mask[survivors] = True
+    return mask.to(centres.device)
 
 
 def steered(plans: Floats, steered_from_m: float) -> Floats:

@@ -53,14 +53,14 @@ class FeaturePyramid(nn.Module):
         for fine in range(len(laterals) - 2, -1, -1):
             size = laterals[fine].shape[-2:]
             laterals[fine] = laterals[fine] + F.interpolate(laterals[fine + 1], size=size, mode="nearest")
-        found: list[Tensor] = []
+        outputs: list[Tensor] = []
         for level, convolution in enumerate(self.fpn_convs):
             if level < len(laterals):
-                found.append(convolution(laterals[level]))
+                outputs.append(convolution(laterals[level]))
             else:
                 rectified = self.relu_before_extra and level > len(laterals)
-                found.append(convolution(F.relu(found[-1]) if rectified else found[-1]))
-        return found
+                outputs.append(convolution(F.relu(outputs[-1]) if rectified else outputs[-1]))
+        return outputs
 
 
 class DeformableConvolution(nn.Module):
@@ -191,12 +191,12 @@ class ResNet(nn.Module):
         """Features of (B, 3, H, W) images; (B, 4 * width * 2^s, H / 2^(s + 2), W / 2^(s + 2)) of output stage s."""
         features = F.relu(self.bn1(self.conv1(images)), inplace=True)
         features = F.max_pool2d(features, 3, 2, padding=1)
-        found = []
+        maps = []
         for stage in range(max(self.outputs) + 1):
             features = self.get_submodule(self.stages[stage])(features)
             if stage in self.outputs:
-                found.append(features)
-        return found
+                maps.append(features)
+        return maps
 
 
 Module = TypeVar("Module", bound=nn.Module)
@@ -235,7 +235,7 @@ def channels_last(network: Module) -> Module:
 
 
 def _fold(owner: nn.Module, convolution: str, normalisation: str) -> None:
-    before, after = owner.get_submodule(convolution), owner.get_submodule(normalisation)
-    if isinstance(before, nn.Conv2d) and isinstance(after, nn.BatchNorm2d):
-        setattr(owner, convolution, fuse_conv_bn_eval(before, after))
+    convolution_layer, normalisation_layer = owner.get_submodule(convolution), owner.get_submodule(normalisation)
+    if isinstance(convolution_layer, nn.Conv2d) and isinstance(normalisation_layer, nn.BatchNorm2d):
+        setattr(owner, convolution, fuse_conv_bn_eval(convolution_layer, normalisation_layer))
         setattr(owner, normalisation, nn.Identity())

@@ -67,15 +67,20 @@ def anchors_of(sightings: Sightings, config: SparseConfig) -> dict[str, Tensor]:
             f"not of {len(sightings.futures)} and {len(sightings.plans)}"
         )
     futures = [
-        _modes(_numbers(found, f"futures of agent class {kind}", config.agent_steps, 2), config.modes, kind)
-        for kind, found in enumerate(sightings.futures)
+        _modes(_numbers(samples, f"futures of agent class {kind}", config.agent_steps, 2), config.modes, kind)
+        for kind, samples in enumerate(sightings.futures)
     ]
     plans = [
-        clustered(_numbers(found, name, config.steps, 2), config.modes, name)
-        for name, found in ((f"plans of command {command}", plans) for command, plans in enumerate(sightings.plans))
+        clustered(_numbers(samples, name, config.steps, 2), config.modes, name)
+        for name, samples in ((f"plans of command {command}", plans) for command, plans in enumerate(sightings.plans))
     ]
-    made = {BOXES: boxes, LINES: lines.reshape(config.lines, -1), FORECASTS: np.stack(futures), PLANS: np.stack(plans)}
-    return {name: torch.from_numpy(values).float() for name, values in made.items()}
+    anchors = {
+        BOXES: boxes,
+        LINES: lines.reshape(config.lines, -1),
+        FORECASTS: np.stack(futures),
+        PLANS: np.stack(plans),
+    }
+    return {name: torch.from_numpy(values).float() for name, values in anchors.items()}
 
 
 def with_anchors(checkpoint: Mapping[str, Tensor], anchors: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -83,16 +88,16 @@ def with_anchors(checkpoint: Mapping[str, Tensor], anchors: Mapping[str, Tensor]
 
     Anchors of another shape, or other ones where training leaves them as they are, are an `InputError`.
     """
-    for name, made in anchors.items():
-        own = checkpoint.get(name)
-        if own is None:
+    for name, anchor in anchors.items():
+        present = checkpoint.get(name)
+        if present is None:
             continue
-        if own.shape != made.shape:
+        if present.shape != anchor.shape:
             raise InputError(
-                f"the checkpoint has {name} of shape {tuple(own.shape)} and the anchors are of shape "
-                f"{tuple(made.shape)}; load it without anchors, it has its own"
+                f"the checkpoint has {name} of shape {tuple(present.shape)} and the anchors are of shape "
+                f"{tuple(anchor.shape)}; load it without anchors, it has its own"
             )
-        apart = float((own.double() - made.double()).abs().amax())
+        apart = float((present.double() - anchor.double()).abs().amax())
         if name in FROZEN and not apart <= ALIKE_M:
             raise InputError(
                 f"the checkpoint was trained with other anchors: {name} differs by up to {apart:.3g} m; load it "
@@ -139,12 +144,12 @@ def _modes(futures: Floats, modes: int, kind: int) -> Floats:
 
 def _starts(points: Floats, clusters: int, generator: np.random.Generator) -> Floats:
     """Points of which each is likely far from those before it."""
-    found = [points[generator.integers(len(points))]]
-    apart = np.square(points - found[0]).sum(1)
-    while len(found) < clusters:
-        found.append(points[generator.choice(len(points), p=apart / apart.sum())])
-        apart = np.minimum(apart, np.square(points - found[-1]).sum(1))
-    return np.array(found)
+    centres = [points[generator.integers(len(points))]]
+    apart = np.square(points - centres[0]).sum(1)
+    while len(centres) < clusters:
+        centres.append(points[generator.choice(len(points), p=apart / apart.sum())])
+        apart = np.minimum(apart, np.square(points - centres[-1]).sum(1))
+    return np.array(centres)
 
 
 def _apart(points: Floats, centres: Floats) -> Floats:

@@ -295,8 +295,8 @@ class SparseDecoder(nn.Module, ABC):
         """
         confidence = decoded.scores.detach()
         if past:
-            kept = torch.maximum(past.confidence * DECAY, confidence[..., : self.remembered])
-            confidence = torch.cat([kept, confidence[..., self.remembered :]], -1)
+            remembered_confidence = torch.maximum(past.confidence * DECAY, confidence[..., : self.remembered])
+            confidence = torch.cat([remembered_confidence, confidence[..., self.remembered :]], -1)
         if rows is None:
             rows = most_certain(confidence, self.remembered)
         features, anchors = decoded.features.detach(), decoded.anchors.detach()
@@ -360,6 +360,6 @@ class LineDecoder(SparseDecoder):
         self, layer: nn.Module, features: Tensor, embeddings: Tensor, key: tuple[Tensor, Tensor] | None
     ) -> Tensor:
         """As the base class says; embeddings are added to queries and keys."""
-        others, places = key or (features, embeddings)
-        result: Tensor = layer(features, features + embeddings, others + places, others)
+        keys, places = key or (features, embeddings)
+        result: Tensor = layer(features, features + embeddings, keys + places, keys)
         return result

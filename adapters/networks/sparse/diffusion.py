@@ -73,10 +73,10 @@ def previous_sample(sample: Tensor, clean: Tensor, timestep: int) -> Tensor:
     `clean` is what the network takes to be the plan without noise; it is cut to -1 ... 1.
     """
     share = SIGNAL_SHARES[timestep]
-    before = SIGNAL_SHARES[timestep - 1] if timestep > 0 else 1.0
+    previous_share = SIGNAL_SHARES[timestep - 1] if timestep > 0 else 1.0
     clean = clean.clamp(-1, 1)
     noise = (sample - math.sqrt(share) * clean) / math.sqrt(1 - share)
-    return math.sqrt(before) * clean + math.sqrt(1 - before) * noise
+    return math.sqrt(previous_share) * clean + math.sqrt(1 - previous_share) * noise
 
 
 BLOCKS: Final = 2
@@ -199,13 +199,13 @@ class DiffusionPlanner(Planner):
     def forward(self, scene: Scene, noise: Tensor) -> PlannerPredictions:
         """Forecasts and plans of a key frame, from (modes, steps, 2) standard normal noise."""
         queue = self.instance_queue(scene.past, scene.motion, scene.agents, scene.ids, scene.front)
-        found = self.interact(scene, queue)
-        ego, front = self.with_front(found.tokens[-1:], scene.finest_front, scene.front_before)
+        interaction = self.interact(scene, queue)
+        ego, front = self.with_front(interaction.tokens[-1:], scene.finest_front, scene.front_before)
         context = PlanContext(
-            scene.cameras, found.embeddings[-1:], found.watched, self.plan_queries(ego)[scene.command]
+            scene.cameras, interaction.embeddings[-1:], interaction.watched, self.plan_queries(ego)[scene.command]
         )
         logits, offsets, steps = self.denoise(context, self.plan_anchor[scene.command], noise)
-        motion_logits, motion_offsets = self.forecast(scene.agents, found.tokens[:-1])
+        motion_logits, motion_offsets = self.forecast(scene.agents, interaction.tokens[:-1])
         status = self.refinement.plan_status_branch(ego)[0].float()
         commands = self.config.commands
         return PlannerPredictions(
@@ -215,7 +215,7 @@ class DiffusionPlanner(Planner):
             offsets.expand(commands, -1, -1, -1),
             status,
             queue,
-            self.remember(scene, queue, found.features[-1:], status, front),
+            self.remember(scene, queue, interaction.features[-1:], status, front),
             steps,
             front,
         )
@@ -229,18 +229,18 @@ class DiffusionPlanner(Planner):
         clean = normalised(anchors.diff(dim=-2, prepend=torch.zeros_like(anchors[..., :1, :])))
         sample = noised(clean, noise)
         logits, offsets = sample.new_zeros(sample.shape[:-2]), anchors
-        on_the_way = {"anchors": clean, "noise": noise, "start": sample}
+        trace = {"anchors": clean, "noise": noise, "start": sample}
         for step, timestep in enumerate(TIMESTEPS):
             offsets = metres(sample.clamp(-1, 1))
             tokens = self.plan_pos_encoder(sine_of_points(offsets, self.config.channels // 2).flatten(-2))
             time = self.time_mlp(torch.tensor(float(timestep), device=tokens.device))
             for block in range(BLOCKS):
-                tokens, logits, found = self.clean(block, tokens, offsets, time, context)
-                on_the_way |= {f"logits {block} {step}": logits, f"offsets {block} {step}": found}
-                offsets = found.detach()
+                tokens, logits, refined = self.clean(block, tokens, offsets, time, context)
+                trace |= {f"logits {block} {step}": logits, f"offsets {block} {step}": refined}
+                offsets = refined.detach()
             sample = previous_sample(sample, normalised(offsets), timestep)
-            on_the_way[f"sample {step}"] = sample
-        return logits, offsets, on_the_way
+            trace[f"sample {step}"] = sample
+        return logits, offsets, trace
 
     def clean(
         self, block: int, tokens: Tensor, offsets: Tensor, time: Tensor, context: PlanContext

@@ -56,10 +56,10 @@ class RegressionPlanner(Planner):
     def forward(self, scene: Scene, noise: Tensor | None = None) -> PlannerPredictions:
         """Forecasts and plans of a key frame; only the other planner has noise."""
         queue = self.instance_queue(scene.past, scene.motion, scene.agents, scene.ids, scene.front)
-        found = self.interact(scene, queue)
-        ego, front = self.with_front(found.tokens[-1:], scene.finest_front, scene.front_before)
+        interaction = self.interact(scene, queue)
+        ego, front = self.with_front(interaction.tokens[-1:], scene.finest_front, scene.front_before)
         queries = self.plan_queries(ego)
-        motion_logits, motion_offsets = self.forecast(scene.agents, found.tokens[:-1])
+        motion_logits, motion_offsets = self.forecast(scene.agents, interaction.tokens[:-1])
         status = self.refinement.plan_status_branch(ego)[0].float()
         return PlannerPredictions(
             motion_logits,
@@ -68,7 +68,7 @@ class RegressionPlanner(Planner):
             self.refinement.plan_reg_branch(queries).float().unflatten(-1, (-1, 2)),
             status,
             queue,
-            self.remember(scene, queue, found.features[-1:], status, front),
+            self.remember(scene, queue, interaction.features[-1:], status, front),
             {},
             front,
         )
@@ -203,9 +203,9 @@ class SparseNetwork(nn.Module):
         `noise` is (modes, steps, 2) standard normal numbers of the diffusion planner; `frame_noise` by default.
         """
         config, images = self.config, inputs.images
-        wanted = (config.cameras, 3, config.image_height_px, config.image_width_px)
-        if tuple(images.shape) != wanted:
-            raise ValueError(f"images of shape {tuple(images.shape)}, not {wanted}")
+        expected_shape = (config.cameras, 3, config.image_height_px, config.image_width_px)
+        if tuple(images.shape) != expected_shape:
+            raise ValueError(f"images of shape {tuple(images.shape)}, not {expected_shape}")
         past = self.memory
         if past and not config.memory_crosses_scenes and past.pose.scene_token != inputs.scene_token:
             past = None

@@ -179,8 +179,8 @@ class Planner(nn.Module):
         ego = features.new_full((1,), len(features) - 1, dtype=torch.int64)
         rows = torch.cat([most_certain(agents.scores, self.config.watched_agents), ego])
         watched = features[rows], embeddings[rows]
-        seen = most_certain(lines.scores, self.config.watched_lines)
-        lanes, places = lines.features[seen], lines.embeddings[seen]
+        line_rows = most_certain(lines.scores, self.config.watched_lines)
+        lanes, places = lines.features[line_rows], lines.embeddings[line_rows]
         features = self.looked(features, embeddings, past, allowed, watched, (lanes, places))
         return Interaction(features, embeddings, watched)
 
@@ -205,8 +205,8 @@ class Planner(nn.Module):
             look_back, look_around, norm, look_at_map, second_norm, feed, third_norm = layers[
                 first : first + LAYERS_OF_A_BLOCK
             ]
-            each = features[..., None, :], embeddings[..., None, :]
-            features = self.decoupled(look_back, each, past, allowed)[..., 0, :]
+            query = features[..., None, :], embeddings[..., None, :]
+            features = self.decoupled(look_back, query, past, allowed)[..., 0, :]
             features = norm(self.decoupled(look_around, (features, embeddings), watched))
             features = look_at_map(features, features + embeddings, lines + places, lines)
             features = third_norm(feed(second_norm(features)))

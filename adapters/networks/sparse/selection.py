@@ -56,8 +56,8 @@ def agent_boxes(boxes: Tensor, scores: Tensor, forecasts: Tensor) -> Tensor:
     path = torch.cat([boxes[:, None, :2], forecasts], 1)
     heading = _headings(path, heading_of(boxes))
     rest = torch.cat([boxes[:, 2:3], boxes[:, 3:6].exp()], -1)[:, None].expand(-1, forecasts.shape[1], -1)
-    found = torch.cat([forecasts, rest, heading[..., None]], -1)
-    return torch.where((scores < SURE)[:, None, None], torch.full_like(found, FAR_M), found)
+    future_boxes = torch.cat([forecasts, rest, heading[..., None]], -1)
+    return torch.where((scores < SURE)[:, None, None], torch.full_like(future_boxes, FAR_M), future_boxes)
 
 
 def _headings(path: Tensor, at_rest: Tensor) -> Tensor:
@@ -184,19 +184,21 @@ class SelectedPlan:
 
 def select(config: SparseConfig, predictions: SparsePredictions, command: int) -> SparseOutputs:
     """Outputs for a key frame; `command` (0 right, 1 left, 2 straight) says whose plan counts."""
-    found, lines = select_boxes(config, predictions.agents), select_lines(config, predictions.lines)
+    selected, lines = select_boxes(config, predictions.agents), select_lines(config, predictions.lines)
     chosen = select_plan(config, predictions, command)
-    x, y, z, along, across, height, heading, *velocity = decode_boxes(predictions.agents.anchors)[found.rows].unbind(-1)
+    x, y, z, along, across, height, heading, *velocity = decode_boxes(predictions.agents.anchors)[selected.rows].unbind(
+        -1
+    )
     return SparseOutputs(
         plan=chosen.plan,
         plan_modes=chosen.modes,
         plan_scores=chosen.scores,
         boxes=torch.stack([x, y, z - height / 2, across, along, height, heading, *velocity[:2]], -1),
-        box_scores=found.scores,
-        box_labels=found.labels,
-        track_ids=predictions.track_ids[found.rows],
-        trajectories=forecast_centres(predictions)[found.rows],
-        trajectory_scores=predictions.planner.motion_logits[found.rows].sigmoid(),
+        box_scores=selected.scores,
+        box_labels=selected.labels,
+        track_ids=predictions.track_ids[selected.rows],
+        trajectories=forecast_centres(predictions)[selected.rows],
+        trajectory_scores=predictions.planner.motion_logits[selected.rows].sigmoid(),
         map_points=lines.points,
         map_scores=lines.scores,
         map_labels=lines.labels,
@@ -229,8 +231,8 @@ def select_plan(config: SparseConfig, predictions: SparsePredictions, command: i
     planner, agents = predictions.planner, predictions.agents
     modes = planner.plan_offsets.cumsum(-2)
     likely = planner.motion_logits.argmax(-1)
-    own = torch.arange(len(likely), device=likely.device)
-    forecasts = forecast_centres(predictions)[own, likely, : config.steps]
+    agent_rows = torch.arange(len(likely), device=likely.device)
+    forecasts = forecast_centres(predictions)[agent_rows, likely, : config.steps]
     hit = colliding(modes[command], agents.anchors, agents.scores, forecasts)
     logits = planner.plan_logits.clone()
     logits[command] = torch.where(hit & ~hit.all(), torch.full_like(logits[command], REFUSED), logits[command])

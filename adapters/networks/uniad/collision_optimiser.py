@@ -71,11 +71,11 @@ def newton_points(plan: Floats, cells: list[Floats]) -> Floats:
     points, last = plan.astype(np.float64), 0.0
 
     def total(places: Floats) -> float:
-        return sum(cost(*each) for each in zip(places, plan, cells, strict=True))
+        return sum(cost(*arguments) for arguments in zip(places, plan, cells, strict=True))
 
     value, scale = total(points), None
     for _ in range(MOST_ITERATIONS):
-        parts = [derivatives(*each) for each in zip(points, plan, cells, strict=True)]
+        parts = [derivatives(*arguments) for arguments in zip(points, plan, cells, strict=True)]
         gradient, curvature = np.stack([part[0] for part in parts]), np.stack([part[1] for part in parts])
         scale = min(1.0, LARGEST_GRADIENT / max(float(np.abs(gradient).max()), 1e-300)) if scale is None else scale
         gradient, curvature = gradient * scale, curvature * scale
@@ -128,8 +128,8 @@ def lowest_point(reference: Floats, cells: Floats) -> Floats:
     ]
     dents = np.flatnonzero(np.all([values <= other for other in neighbours], axis=0))
     lowest = dents[np.argsort(values.reshape(-1)[dents], kind="stable")[:MOST_STARTS]]
-    found = [descend(reference, cells, start) for start in (reference, *starts.reshape(-1, 2)[lowest])]
-    return min(found, key=lambda point: cost(point, reference, cells))
+    minima = [descend(reference, cells, start) for start in (reference, *starts.reshape(-1, 2)[lowest])]
+    return min(minima, key=lambda point: cost(point, reference, cells))
 
 
 def descend(reference: Floats, cells: Floats, start: Floats | None = None) -> Floats:
@@ -211,8 +211,8 @@ def official_points(plan: Floats, cells: list[Floats]) -> Floats:
         solution = program.solve()
     except RuntimeError as error:
         raise InputError(f"IPOPT found no plan away from occupied cells ({error}); choose another solver") from error
-    found: Floats = np.asarray(solution.value(points), np.float64).reshape(2, len(plan)).T
-    return found
+    optimum: Floats = np.asarray(solution.value(points), np.float64).reshape(2, len(plan)).T
+    return optimum
 
 
 Solver = Literal["newton", "lowest", "ipopt"]
@@ -253,8 +253,8 @@ def move_plan(plan: Floats, occupied: Bools, solver: Solver = "newton") -> Moved
         points = np.stack([lowest_point(point, places) for point, places in zip(plan, cells, strict=True)])
     return MovedPlan(
         points=points,
-        costs=np.array([cost(*each) for each in zip(points, plan, cells, strict=True)]),
-        costs_before=np.array([cost(*each) for each in zip(plan, plan, cells, strict=True)]),
+        costs=np.array([cost(*arguments) for arguments in zip(points, plan, cells, strict=True)]),
+        costs_before=np.array([cost(*arguments) for arguments in zip(plan, plan, cells, strict=True)]),
         cells=np.array([len(places) for places in cells], np.int64),
         solver=solver,
     )
@@ -269,6 +269,6 @@ def nearby_cells(point: Floats, occupied: Bools) -> Floats:
     row, column = np.nonzero(occupied)
     rows, columns = occupied.shape
     centres = np.stack([column - columns // 2, row - rows // 2], 1) * CELL_M + CELL_M / 2
-    whole = np.trunc(centres)
-    near: Floats = whole[((whole - point) ** 2).sum(1) < REACH_M**2]
-    return near
+    truncated = np.trunc(centres)
+    nearby: Floats = truncated[((truncated - point) ** 2).sum(1) < REACH_M**2]
+    return nearby

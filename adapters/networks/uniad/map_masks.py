@@ -177,12 +177,12 @@ def paste_masks(
     lane_values = torch.zeros(classes, *values.shape[1:], device=values.device)
     taken = torch.zeros(values.shape[1:], dtype=torch.bool, device=values.device)
     for element, score in zip(order.tolist(), scores.tolist(), strict=True):
-        wanted = inside[element]
-        area = int(wanted.sum())
-        if score < LEAST_SCORE or area == 0 or int((wanted & taken).sum()) / area > LARGEST_OVERLAP:
+        mask = inside[element]
+        area = int(mask.sum())
+        if score < LEAST_SCORE or area == 0 or int((mask & taken).sum()) / area > LARGEST_OVERLAP:
             continue
         label = int(labels[element])
-        free = wanted & ~taken
+        free = mask & ~taken
         lanes[label] |= free
         lane_values[label] = torch.where(free, values[element], lane_values[label])
         taken |= free & (label > 0)

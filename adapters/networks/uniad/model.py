@@ -114,11 +114,11 @@ class UniAD(nn.Module):
         An `InputError` says that there are no motion anchors, or that casadi is asked for and absent.
         """
         predictions = self.predict(inputs)
-        tracks, before = predictions.tracks, predictions.plan.positions_m
-        moved, plan, road = None, before, None
+        tracks, unoptimised = predictions.tracks, predictions.plan.positions_m
+        moved, plan, road = None, unoptimised, None
         if self.solver is not None:
             moved = self.collision_free(predictions, self.solver)
-            plan = torch.from_numpy(moved.points).to(before)
+            plan = torch.from_numpy(moved.points).to(unoptimised)
         if self.masks:
             road = self.road(self.seg_head.masks(predictions.elements))
         count = len(tracks.scores)
@@ -126,7 +126,7 @@ class UniAD(nn.Module):
         heading = headings(tracks.boxes[:, 6:7], self.config)
         return UniADOutputs(
             plan=plan,
-            plan_before_optimisation=before,
+            plan_before_optimisation=unoptimised,
             collision=moved,
             boxes=torch.cat([tracks.boxes[:, :6], heading, tracks.boxes[:, 7:]], 1),
             box_scores=tracks.scores,
@@ -226,10 +226,10 @@ class UniAD(nn.Module):
         if memory is None:
             fresh = self.fresh_queries()
             return fresh, fresh.reference_logits[:0]
-        before, count = memory.instances, self.config.queries + 1
-        tracks = before.kept(slice(count, None))
+        previous, count = memory.instances, self.config.queries + 1
+        tracks = previous.kept(slice(count, None))
         moved = moved_references(tracks, memory.pose, pose, self.config)
         # The published network forgets how high tracks were.
         heights = self.reference_points(tracks.queries.chunk(2, -1)[0]).float()[:, 2:]
-        references = torch.cat([before.reference_logits[:count], torch.cat([moved[:, :2], heights], -1)])
-        return replace(before, reference_logits=references), moved
+        references = torch.cat([previous.reference_logits[:count], torch.cat([moved[:, :2], heights], -1)])
+        return replace(previous, reference_logits=references), moved

@@ -221,18 +221,18 @@ class MotionHead(nn.Module):
         goals = _Goals(intentions, goals.in_scene, goals.from_agent)
         static = intentions + goals.from_agent + learned
         tokens, reference = torch.zeros_like(static), anchors
-        shown = placed_agents[:, None].expand_as(tokens)
+        agent_tokens = placed_agents[:, None].expand_as(tokens)
         trajectories, queries = [], []
         for layer in range(self.config.motion_layers):
             dynamic = former.dynamic_embed_fuser(torch.cat([goals.in_agent, goals.from_agent, goals.in_scene], -1))
             intention = former.static_dynamic_fuser(torch.cat([static, dynamic], -1))
             tokens = former.in_query_fuser(torch.cat([tokens, intention], -1))
-            seen = [
+            attended = [
                 former.track_agent_interaction_layers[layer](tokens + places, placed_agents),
                 former.map_interaction_layers[layer](tokens + places, placed_lines),
                 self._at_goals(layer, tokens, places, centres[:, None] + reference[:, :, -1], bev),
             ]
-            tokens = former.out_query_fuser(torch.cat([*seen, shown], -1))
+            tokens = former.out_query_fuser(torch.cat([*attended, agent_tokens], -1))
             predicted = self.traj_reg_branches[layer](tokens).float()
             predicted = predicted.view(*tokens.shape[:2], self.config.forecast_steps, GAUSSIAN)
             reference = predicted[..., :2].cumsum(-2)
@@ -256,12 +256,12 @@ class MotionHead(nn.Module):
     def _anchored(self, agents: Boxes) -> tuple[_Goals, Tensor, Tensor]:
         """Encoded ends of the agents' anchors, the anchors along the lidar's axes, and learned queries for them."""
         group = self.group_of_class[agents.labels]
-        own = self.anchors[group]
-        anchors = turned(own, agents.boxes[:, 6] - HALF_TURN)
+        group_anchors = self.anchors[group]
+        anchors = turned(group_anchors, agents.boxes[:, 6] - HALF_TURN)
         learned = self.learnable_motion_query_embedding.weight
         learned = learned.view(self.config.motion_groups, self.config.modes, -1)[group]
         ends = anchors[:, :, -1]
-        return self._embedded(own[:, :, -1], agents.boxes[:, None, :2] + ends, ends), anchors, learned
+        return self._embedded(group_anchors[:, :, -1], agents.boxes[:, None, :2] + ends, ends), anchors, learned
 
     def _goals(self, agents: Boxes, ends: Tensor) -> _Goals:
         """Encoded (A, modes, 2) ends, metres from the agents along the axes of the lidar."""
@@ -282,5 +282,5 @@ class MotionHead(nn.Module):
         x, y = ends.unbind(-1)
         shares = torch.stack([(x - x_low) / (x_high - x_low), (y - y_low) / (y_high - y_low)], -1)
         flat = [rows.reshape(-1, rows.shape[-1]) for rows in (tokens, places, shares)]
-        seen: Tensor = self.motionformer.bev_interaction_layers[layer](*flat, bev, self.config.grid.shape)
-        return seen.view_as(tokens)
+        attended: Tensor = self.motionformer.bev_interaction_layers[layer](*flat, bev, self.config.grid.shape)
+        return attended.view_as(tokens)

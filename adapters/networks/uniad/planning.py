@@ -80,13 +80,13 @@ class PlanningHead(nn.Module):
         `adapters.networks.layers.ego_motion.EgoMotion` has it.
         """
         front: Tensor | None = None
-        told: list[Tensor] = []
+        messages: list[Tensor] = []
         if self.front_reader is not None:
             front = self.front_reader(finest_front)
-            told.append(self.front_reader.tell(front))
+            messages.append(self.front_reader.tell(front))
         if self.motion_teller is not None:
-            told.append(self.motion_teller(can_bus))
-        to_state, to_plan = torch.cat(told).sum(0).chunk(2) if told else (None, None)
+            messages.append(self.motion_teller(can_bus))
+        to_state, to_plan = torch.cat(messages).sum(0).chunk(2) if messages else (None, None)
         if to_state is not None:
             state = state + to_state
         shared = torch.cat([state, self.navi_embed.weight[command]]).expand(len(mode_queries), -1)

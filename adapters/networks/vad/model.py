@@ -169,8 +169,8 @@ class VADHead(nn.Module):
     def look_ahead(self, sights: VADSights) -> VADOutlook:
         """Forecasts and plan from what was seen in one key frame."""
         lane_features, lane_places = self._lanes(sights)
-        seen = sights.map_scores > self.config.lane_score
-        forecasts = self._forecast(sights.agent_states, sights.agent_places, lane_features, lane_places, seen)
+        lane_mask = sights.map_scores > self.config.lane_score
+        forecasts = self._forecast(sights.agent_states, sights.agent_places, lane_features, lane_places, lane_mask)
         mode_offsets = self.traj_branches[0](forecasts).float()
         front = None if self.front_reader is None else self.front_reader(sights.finest_front)
         return VADOutlook(
@@ -182,12 +182,12 @@ class VADHead(nn.Module):
 
     def _told(self, front: Tensor | None, sights: VADSights) -> Tensor | None:
         """(1, 2 C) what the plan is told beside agents and map elements, if anything."""
-        told = []
+        messages = []
         if self.front_reader is not None and front is not None:
-            told.append(self.front_reader.told(front, sights.front_before))
+            messages.append(self.front_reader.told(front, sights.front_before))
         if self.motion_teller is not None:
-            told.append(self.motion_teller(sights.can_bus))
-        return torch.stack(told).sum(0) if told else None
+            messages.append(self.motion_teller(sights.can_bus))
+        return torch.stack(messages).sum(0) if messages else None
 
     def _by_line(self, points: Tensor) -> Tensor:
         """(K, M * P, D) to (K, M, P, D)."""
@@ -196,8 +196,8 @@ class VADHead(nn.Module):
     def _classes_of_lines(self, lines: Decoded) -> Tensor:
         """(K, M, map classes) logits, from the mean of a line's points."""
         means = self._by_line(lines.states).mean(2)
-        found = [branch(states).float() for branch, states in zip(self.map_cls_branches, means, strict=True)]
-        return torch.stack(found)
+        logits = [branch(states).float() for branch, states in zip(self.map_cls_branches, means, strict=True)]
+        return torch.stack(logits)
 
     def _lanes(self, sights: VADSights) -> tuple[Tensor, Tensor]:
         """(M, C) features of the map elements, and (M, 2) where they are, as shares.
@@ -224,10 +224,10 @@ class VADHead(nn.Module):
         among_agents = self.motion_decoder(tokens, positions).view(-1, self.config.modes, self.config.channels)
 
         relative = lane_places - places[:, None]
-        near = relative.square().sum(-1).sqrt() <= self.config.lane_distance
+        nearby = relative.square().sum(-1).sqrt() <= self.config.lane_distance
         # An empty lane that all agents see, in the corner, keeps agents without lanes from looking at nothing.
         relative = torch.cat([relative, torch.ones_like(relative[:, :1])], 1)
-        allowed = torch.cat([near & lane_seen, torch.ones_like(near[:, :1])], 1)
+        allowed = torch.cat([nearby & lane_seen, torch.ones_like(nearby[:, :1])], 1)
         values = torch.cat([lanes, torch.zeros_like(lanes[:1])])
         among_lanes = self.motion_map_decoder(
             among_agents,
@@ -239,7 +239,7 @@ class VADHead(nn.Module):
         return torch.cat([among_agents, among_lanes], -1)
 
     def _plan(
-        self, forecasts: Tensor, places: Tensor, lanes: Tensor, lane_places: Tensor, told: Tensor | None
+        self, forecasts: Tensor, places: Tensor, lanes: Tensor, lane_places: Tensor, message: Tensor | None
     ) -> Tensor:
         """(commands, steps, 2) metres from step to step: the ego query looks at the agents, then at the lanes.
 
@@ -259,10 +259,10 @@ class VADHead(nn.Module):
             lanes + _linear(self.ego_map_pos_mlp, lane_places),
             lanes,
         )
-        seen = torch.cat([after_agents, after_lanes], -1)
-        if told is not None:
-            seen = seen + told
-        offsets: Tensor = self.ego_fut_decoder(seen)
+        ego_features = torch.cat([after_agents, after_lanes], -1)
+        if message is not None:
+            ego_features = ego_features + message
+        offsets: Tensor = self.ego_fut_decoder(ego_features)
         return offsets.float().view(self.config.commands, self.config.steps, 2)
 
 
@@ -353,8 +353,8 @@ class VAD(nn.Module):
         )
         front = predictions.front
         absolute = inputs.can_bus.detach().to("cpu", torch.float64, copy=True)
-        left = None if front is None else FrontReader.left(front, memory.front if memory else None)
-        self._memory = _Memory(inputs.scene_token, absolute, predictions.bev, left)
+        front_state = None if front is None else FrontReader.left(front, memory.front if memory else None)
+        self._memory = _Memory(inputs.scene_token, absolute, predictions.bev, front_state)
         return predictions
 
     def finest_front(self, finest: Tensor, images: Tensor) -> Tensor:

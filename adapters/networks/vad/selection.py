@@ -162,18 +162,18 @@ class SelectedLines:
 def select(config: VADConfig, predictions: VADPredictions, command: int) -> VADOutputs:
     """Outputs for a key frame; `command` (0 right, 1 left, 2 straight) says whose plan counts."""
     plans = predictions.plan_offsets.cumsum(1)
-    found, lines = select_boxes(config, predictions), select_lines(config, predictions)
-    yaw = found.boxes[:, 6:7]
+    selected, lines = select_boxes(config, predictions), select_lines(config, predictions)
+    yaw = selected.boxes[:, 6:7]
     heading = torch.remainder(-yaw - math.pi / 2 + math.pi, 2 * math.pi) - math.pi
-    offsets = predictions.mode_offsets[found.agents]
+    offsets = predictions.mode_offsets[selected.agents]
     return VADOutputs(
         plan=plans[command],
         plan_modes=plans,
-        boxes=torch.cat([found.boxes[:, :6], heading, found.boxes[:, 7:]], 1),
-        box_scores=found.scores,
-        box_labels=found.labels,
-        trajectories=found.boxes[:, None, None, :2] + offsets.cumsum(2),
-        trajectory_scores=predictions.mode_logits[found.agents].softmax(-1),
+        boxes=torch.cat([selected.boxes[:, :6], heading, selected.boxes[:, 7:]], 1),
+        box_scores=selected.scores,
+        box_labels=selected.labels,
+        trajectories=selected.boxes[:, None, None, :2] + offsets.cumsum(2),
+        trajectory_scores=predictions.mode_logits[selected.agents].softmax(-1),
         map_points=lines.points,
         map_scores=lines.scores,
         map_labels=lines.labels,
@@ -185,11 +185,11 @@ def select_boxes(config: VADConfig, predictions: VADPredictions) -> SelectedBoxe
     scores, labels, agents = strongest(predictions.class_logits[-1], config.max_boxes)
     boxes = decode_boxes(predictions.box_codes[-1, agents])
     lower, upper = _reported_range(config)
-    kept = within(boxes[:, :3], (*lower, -HIGHEST_M), (*upper, HIGHEST_M))
-    boxes = boxes[kept]
+    inside = within(boxes[:, :3], (*lower, -HIGHEST_M), (*upper, HIGHEST_M))
+    boxes = boxes[inside]
     bottom = boxes[:, 2:3] - boxes[:, 5:6] / 2
     boxes = torch.cat([boxes[:, :2], bottom, boxes[:, 3:]], 1)
-    return SelectedBoxes(boxes, scores[kept], labels[kept], agents[kept])
+    return SelectedBoxes(boxes, scores[inside], labels[inside], agents[inside])
 
 
 def select_lines(config: VADConfig, predictions: VADPredictions) -> SelectedLines:
@@ -198,9 +198,9 @@ def select_lines(config: VADConfig, predictions: VADPredictions) -> SelectedLine
     low, high = config.perception_range_m[:2], config.perception_range_m[3:5]
     corners = metres(extent_corners(predictions.map_extents[-1, lines]).view(-1, 2, 2), low, high).flatten(-2)
     lower, upper = _reported_range(config)
-    kept = within(corners, (*lower, *lower), (*upper, *upper))
+    inside = within(corners, (*lower, *lower), (*upper, *upper))
     points = metres(predictions.map_points[-1, lines], low, high)
-    return SelectedLines(corners[kept], points[kept], scores[kept], labels[kept])
+    return SelectedLines(corners[inside], points[inside], scores[inside], labels[inside])
 
 
 def _reported_range(config: VADConfig) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -43,25 +43,25 @@ STYLES = {"first": FIRST, "second": SECOND}
 
 def courses(agents: str, quick: bool, _folder: Path) -> tuple[list[Course], list[Floats]]:
     """Courses of the town, and the recorded places that plans are made from."""
-    found = []
+    pairs = []
     for scene in (town_scene("val", number) for number in range(2 if quick else 10)):
         course = course_of(scene)
         if agents == "idm":
             replay = replay_of(scene, course.start_us, course.end_us)
             course = replace(course, policy=Idm.of(replay, scene.agents.categories, scene.road_map))
-        found.append((course, recorded_poses(scene, course.start_us + STEP_US * np.arange(STEPS + 7))[:, :2]))
-    step_through(found, together=False)
-    found *= 10 if agents == "replay" and not quick else 1
-    return [course for course, _ in found], [places for _, places in found]
+        pairs.append((course, recorded_poses(scene, course.start_us + STEP_US * np.arange(STEPS + 7))[:, :2]))
+    step_through(pairs, together=False)
+    pairs *= 10 if agents == "replay" and not quick else 1
+    return [course for course, _ in pairs], [places for _, places in pairs]
 
 
 def step_through(found: Any, *, together: bool) -> tuple[float, list[World]]:
     """Scene-seconds, and the worlds at the end."""
-    made, ahead = found if isinstance(found, tuple) else zip(*found)
-    worlds = [begin(course) for course in made]
+    runs, ahead = found if isinstance(found, tuple) else zip(*found)
+    worlds = [begin(course) for course in runs]
     for number in range(STEPS):
         plans = [to_local(places[number + 1 : number + 7], world.ego.pose) for places, world in zip(ahead, worlds)]
-        worlds = step_together(made, worlds, plans) if together else list(map(step, made, worlds, plans))
+        worlds = step_together(runs, worlds, plans) if together else list(map(step, runs, worlds, plans))
     return len(worlds) * STEPS * 0.5, worlds
 
 
@@ -79,9 +79,9 @@ def driven_scene(name: str, quick: bool, folder: Path) -> Any:
 
 
 def drive_and_score(state: Any) -> tuple[float, Any]:
-    found = drive(state[0], state[1])
-    score_drive(state[0].scene, found)
-    return len(found.plans), found
+    record = drive(state[0], state[1])
+    score_drive(state[0].scene, record)
+    return len(record.plans), record
 
 
 def draw_and_plan(state: Any) -> tuple[float, Any]:
@@ -110,15 +110,17 @@ def drive_all(state: Any, *, together: bool) -> tuple[float, Any]:
     if together:
         records = drive_planners(data, "val", planners, folder / "beside", replace(settings, together=TOGETHER))
     else:
-        records = [drive_split(data, "val", each, folder / "alone", settings) for each in planners]
-    return sum(len(each.rows) for each in records), [(each.directory / ROWS_FILE).read_bytes() for each in records]
+        records = [drive_split(data, "val", item, folder / "alone", settings) for item in planners]
+    return sum(len(item.rows) for item in records), [(item.directory / ROWS_FILE).read_bytes() for item in records]
 
 
 def estimates(state: Any, _found: Any) -> str:
     """What `drive --dry-run` says of each planner."""
     data, planners, settings, folder = state
-    said = [estimate(data, "val", each, settings, folder / "dry").rpartition("about ")[2] for each in planners]
-    return "a dry run says " + ", ".join(said)
+    durations = [
+        estimate(data, "val", planner, settings, folder / "dry").rpartition("about ")[2] for planner in planners
+    ]
+    return "a dry run says " + ", ".join(durations)
 
 
 def looking(size: tuple[int, int], quick: bool, _folder: Path) -> Any:

@@ -88,10 +88,10 @@ def checkpoint(quick: bool, folder: Path) -> Path:
     import torch
 
     tensors = 12 if quick else 128
-    made = torch.Generator().manual_seed(0)
-    weights = [torch.randn(2048, 2048, generator=made) for _ in range(tensors // 3)]
-    moments = {number: {"exp_avg": each + 1, "exp_avg_sq": each * each} for number, each in enumerate(weights)}
-    held = {f"layers.{number}.weight": each for number, each in enumerate(weights)}
+    generator = torch.Generator().manual_seed(0)
+    weights = [torch.randn(2048, 2048, generator=generator) for _ in range(tensors // 3)]
+    moments = {number: {"exp_avg": weight + 1, "exp_avg_sq": weight * weight} for number, weight in enumerate(weights)}
+    held = {f"layers.{number}.weight": weight for number, weight in enumerate(weights)}
     torch.save(
         {"meta": {"epoch": 1}, "state_dict": held, "optimizer": {"state": moments}}, path := folder / "large.pth"
     )

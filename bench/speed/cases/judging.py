@@ -91,7 +91,7 @@ def wandering(recorded: RecordedScene, rng: np.random.Generator) -> list[Plan]:
     step = np.maximum(recorded.motion[:, 3], 1.0) / 2
     along = rng.normal(step[:, None], 0.8, (len(step), 6))
     waypoints = np.cumsum(np.stack([along, rng.normal(0, 0.15, along.shape)], axis=-1), axis=1)
-    return [Plan(each, PlanFrame.EGO) for each in waypoints]
+    return [Plan(points, PlanFrame.EGO) for points in waypoints]
 
 
 def busy_scenes(quick: bool, _folder: Path) -> tuple[list[tuple[Scene, list[Plan]]], int]:
@@ -132,20 +132,20 @@ def protocol_case(name: str) -> Case:
 def drive_scores(state: Any) -> tuple[float, Any]:
     verdicts = [judge_scene(scene, plans) for scene, plans in state[0]]
     # Samples without 3 s of recording after them cost nothing and do not count.
-    return sum(each is not None for scene in verdicts for each in scene), verdicts[0]
+    return sum(score is not None for scene in verdicts for score in scene), verdicts[0]
 
 
 def slow_drive_scores(state: Any) -> tuple[float, Any]:
     (scene, plans), few = state[0][0], state[1]
-    recorded, ahead_m, found = RecordedScene(scene), float(scene.lidar.translation[0]), {}
+    recorded, ahead_m, scores = RecordedScene(scene), float(scene.lidar.translation[0]), {}
     samples = np.flatnonzero(recorded.complete)[3 : 3 + few]
     futures, frames = recorded.recorded_plans(samples), recorded.key_frames(samples)
     for place, sample in enumerate(samples.tolist()):
         now, past = np.append(recorded.motion[sample], np.zeros(3)), recorded.motion[sample - 3 : sample + 1]
         around = SlowSample(now, past, slow_objects(frames, place), recorded.road, recorded.route)
         verdict = slow_verdict(headed(plans[sample], ahead_m), around)
-        found[sample] = verdict, slow_progress(verdict, slow_verdict(futures[place], around))
-    return len(samples), found
+        scores[sample] = verdict, slow_progress(verdict, slow_verdict(futures[place], around))
+    return len(samples), scores
 
 
 def same_drive_scores(_state: Any, fast: Any, slowly: Any) -> bool:
@@ -160,18 +160,18 @@ def same_drive_scores(_state: Any, fast: Any, slowly: Any) -> bool:
 
 def hurried(quick: bool, _folder: Path) -> list[tuple[list[SampleTruth], Floats]]:
     """Truths with an adversary, and plans that go where the recording goes, half as fast again."""
-    found = []
+    samples = []
     for scene in (town_scene("val", number) for number in range(1 if quick else 10)):
         tokens = [f"{scene.name} {index}" for index in range(len(scene.keyframes))]
         adversaries = frozenset({scene.agents.ids[adversary_of(scene)]})
         truths = [replace(truth, adversaries=adversaries) for truth in truth_of_scene(scene, tokens)]
-        found.append((truths, np.array([truth.ego_future[:, :2] for truth in truths]) * 1.5))
-    return found
+        samples.append((truths, np.array([truth.ego_future[:, :2] for truth in truths]) * 1.5))
+    return samples
 
 
 def plan_severity(state: Any) -> tuple[float, Any]:
-    found = [each for truths, plans in state for each in plan_severities(truths, plans)]
-    return len(found), found
+    severities = [severity for truths, plans in state for severity in plan_severities(truths, plans)]
+    return len(severities), severities
 
 
 def town_scenes(quick: bool, _folder: Path) -> list[tuple[Scene, Tracks, int]]:
@@ -185,9 +185,9 @@ def judge_scenes(state: Any) -> tuple[float, Any]:
 
     def timed(name: str, call: Callable[..., Any], *arguments: Any) -> Any:
         started = time.process_time()
-        found = call(*arguments)
+        result = call(*arguments)
         spent[name] = spent.get(name, 0.0) + time.process_time() - started
-        return found
+        return result
 
     adversaries, recorded = {}, {}
     for scene, tracks, agent in state:

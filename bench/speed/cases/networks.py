@@ -102,7 +102,7 @@ def magicdrive(mode: str, quick: bool) -> Any:
 
     setting, size = Setting(Path(), "cpu", tiny=quick), (32, 64) if quick else (96, 160)
     with torch.no_grad():
-        return [torch.no_grad()(ready(setting, each, 9, *size)()) for each in (mode, "plain")]
+        return [torch.no_grad()(ready(setting, variant, 9, *size)()) for variant in (mode, "plain")]
 
 
 def quality(part: str, device_name: str, quick: bool, folder: Path) -> Any:

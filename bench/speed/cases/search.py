@@ -47,9 +47,9 @@ def neighbours(scene: Scene, agent: int, frame: int) -> int:
 def town_place(hyper: HyperParameters, *, traffic: bool) -> tuple[VehicleState, Floats, Surroundings]:
     """The planning frame of the town with most traffic near the vehicle; or that frame with the ego alone."""
     chosen = [
-        (town(number), each.agent)
+        (town(number), choice.agent)
         for number in range(4)
-        for each in eligibility_of(town(number), FRAMES["usual"], 0).chosen
+        for choice in eligibility_of(town(number), FRAMES["usual"], 0).chosen
     ]
     places = [(scene, agent, launch_frame(scene, agent, FRAMES["usual"]) or 0) for scene, agent in chosen]
     scene, agent, frame = max(places, key=lambda place: neighbours(*place))
@@ -63,12 +63,12 @@ def town_place(hyper: HyperParameters, *, traffic: bool) -> tuple[VehicleState, 
 
 def parked_place(hyper: HyperParameters) -> tuple[VehicleState, Floats, Surroundings]:
     """A standing car in a car park: five rows of 20, 2.7 m apart."""
-    x, y = (each.ravel() for each in np.meshgrid(2.7 * (np.arange(20.0) - 10.0), 6.0 * (np.arange(5.0) - 2.0)))
+    x, y = (axis.ravel() for axis in np.meshgrid(2.7 * (np.arange(20.0) - 10.0), 6.0 * (np.arange(5.0) - 2.0)))
     places = np.column_stack([x, y, np.full(100, 4.6), np.full(100, 1.9), np.full(100, np.pi / 2)])
     boxes = np.repeat(places[None, np.hypot(x, y) > 0.1], len(hyper.scored_frames), axis=0)
     raster = DrivableRaster(np.ones((200, 200), dtype=np.bool_), np.zeros(3), 0.5)
-    there = np.ones(boxes.shape[:2], dtype=np.bool_)
-    around = Surroundings(boxes, there, np.tile([20.0, 3.0], (len(boxes), 1)), raster)
+    present = np.ones(boxes.shape[:2], dtype=np.bool_)
+    around = Surroundings(boxes, present, np.tile([20.0, 3.0], (len(boxes), 1)), raster)
     return VehicleState(np.array([0.0, -0.3 * 4.6, np.pi / 2]), 0.0), np.array([4.6, 1.9]), around
 
 
@@ -149,13 +149,13 @@ def searched(quick: bool, _folder: Path) -> Any:
 def search(state: Any) -> tuple[float, Any]:
     """Attempts one by one; a batch that was simulated and scored has an entry in the trace of a vehicle's search."""
     prior, scene, agents, hyper = state
-    found = [attempts_together([(scene, agent)], 0, hyper, prior)[0] for agent in agents]
-    return sum(len(plan.best_scores) for each in found for plan in each.attempt.plans), found
+    results = [attempts_together([(scene, agent)], 0, hyper, prior)[0] for agent in agents]
+    return sum(len(plan.best_scores) for result in results for plan in result.attempt.plans), results
 
 
 def by_stage(_state: Any, found: Any) -> str:
     stages = {
-        name: sum(each.stage_seconds[name] for each in found) / len(found)
+        name: sum(attempt.stage_seconds[name] for attempt in found) / len(found)
         for name in ("sampling", "physics", "scoring", "other")
     }
     paper = ", ".join(

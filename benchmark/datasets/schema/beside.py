@@ -65,7 +65,7 @@ def require_records(path: Path, what: str, records: Any, fields: Mapping[str, Ki
     if type(records) is not list or any(type(record) is not dict for record in records):
         raise InputError(f"{path} must hold a list of {what}s, each an object; fetch or make it again")
     for name, kind in fields.items():
-        if records and all(name in record for record in records) and kind.column([each[name] for each in records]):
+        if records and all(name in record for record in records) and kind.column([entry[name] for entry in records]):
             continue
         for index, record in enumerate(records):
             if name not in record:

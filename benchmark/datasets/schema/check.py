@@ -132,13 +132,13 @@ def check_motion(tables: CheckedTables, ego: EgoAtSamples, faults: FaultList) ->
 def _annotations(tables: CheckedTables) -> tuple[list[Row], list[int]]:
     """Annotations that can be relied on, those of an instance together in time order, and their times."""
     fields = ("instance_token", "sample_token", "translation", "size", "rotation")
-    found: list[tuple[str, int, Row]] = []
+    annotations: list[tuple[str, int, Row]] = []
     for row in tables.having("sample_annotation", *fields):
         sample = tables.get("sample", row["sample_token"], "timestamp")
         if sample is not None:
-            found.append((row["instance_token"], sample["timestamp"], row))
-    found.sort(key=lambda each: each[:2])
-    return [row for _, _, row in found], [time_us for _, time_us, _ in found]
+            annotations.append((row["instance_token"], sample["timestamp"], row))
+    annotations.sort(key=lambda annotation: annotation[:2])
+    return [row for _, _, row in annotations], [time_us for _, time_us, _ in annotations]
 
 
 def _seconds(times_us: Sequence[int]) -> Floats:
@@ -209,14 +209,16 @@ def _check_categories(tables: CheckedTables, categories: Mapping[str, str], faul
     category_of = {
         row["token"]: names.get(row["category_token"]) for row in tables.having("instance", "category_token")
     }
-    found = Counter(
+    counts_by_name = Counter(
         category_of.get(row["instance_token"]) for row in tables.having("sample_annotation", "instance_token")
     )
-    unknown = {name: count for name, count in found.items() if name is not None and name not in KNOWN}
+    unknown = {name: count for name, count in counts_by_name.items() if name is not None and name not in KNOWN}
     if unknown:
-        counts = AnnotationCount(found.total(), unknown)
-        so = "say nothing of contacts" if counts.foreign else "do not see them"
-        sentence = f"{counts.sentence}: protocols that go by categories {so}; say what they mean with --categories"
+        counts = AnnotationCount(counts_by_name.total(), unknown)
+        consequence = "say nothing of contacts" if counts.foreign else "do not see them"
+        sentence = (
+            f"{counts.sentence}: protocols that go by categories {consequence}; say what they mean with --categories"
+        )
         faults.add("unknown categories", "category", "", sentence, severity="warning")
 
 
@@ -264,12 +266,12 @@ def _note_missing(root: Path, location: str, faults: FaultList) -> None:
     near = next(
         (f"{folder}/{location}.json" for folder in folders if (root / folder / f"{location}.json").is_file()), None
     )
-    what = "planners and generation that need the vector map cannot use the data set"
+    consequence = "planners and generation that need the vector map cannot use the data set"
     if near is not None:
-        what = f"it lies at {near}: move or link it, for without it {what}"
+        consequence = f"it lies at {near}: move or link it, for without it {consequence}"
     elif location not in OFFICIAL_LOCATIONS:
         return
-    faults.add("missing map expansions", name, "", f"{name} is missing; {what}", severity="warning")
+    faults.add("missing map expansions", name, "", f"{name} is missing; {consequence}", severity="warning")
 
 
 def _checked(path: Path, location: str, faults: FaultList) -> RoadMap | None:
@@ -291,25 +293,25 @@ def _check_fit(road_map: RoadMap, ego: EgoAtSamples, logs: set[str], faults: Fau
     """Note logs whose ego drives beside the roads of their map."""
     off = ~road_map.is_drivable(ego.position[:, :2])
     for log in sorted(logs):
-        mine = np.array([each == log for each in ego.logs], np.bool_)
-        share = float(off[mine].mean()) if mine.any() else 0.0
+        in_log = np.array([ego_log == log for ego_log in ego.logs], np.bool_)
+        share = float(off[in_log].mean()) if in_log.any() else 0.0
         if share > MISFIT_SHARE:
             sentence = (
                 f"the recorded ego is off the drivable area of {road_map.location} in {100 * share:.0f} % of the "
-                f"{np.count_nonzero(mine)} samples of this log: the map or the location is of another place"
+                f"{np.count_nonzero(in_log)} samples of this log: the map or the location is of another place"
             )
             faults.add("maps that do not fit", "log", log, sentence, severity="warning")
 
 
 def check_further_tables(folder: Path, root: Path, tables: CheckedTables, faults: FaultList) -> None:
     """Note that the devkit does not open a root with such tables; asked only where nothing else is wrong."""
-    there = [table for table in FURTHER_TABLES if (folder / f"{table}.json").exists()]
-    if not there or any(fault.severity == "error" for fault in faults.faults):
+    present = [table for table in FURTHER_TABLES if (folder / f"{table}.json").exists()]
+    if not present or any(fault.severity == "error" for fault in faults.faults):
         return
     try:
         devkit_with(root, folder.name, tables.rows)
     except InputError as error:
-        faults.add("tables that the devkit refuses", there[0], "", str(error))
+        faults.add("tables that the devkit refuses", present[0], "", str(error))
 
 
 def check_tables(root: Path, *, version: str | None = None, categories: Mapping[str, str] | None = None) -> list[Fault]:
@@ -375,9 +377,9 @@ def _table_folder(root: Path, version: str | None) -> tuple[Path, Path]:
         return root / version, root
     if any((root / f"{table}.json").is_file() for table in NUSCENES_TABLES):
         return root, root.parent
-    found = version_folders(root)
-    if not found:
+    versions = version_folders(root)
+    if not versions:
         raise InputError(f"{root} holds no nuScenes tables (scene.json and 12 more); give the root of a data set")
-    if len(found) > 1:
-        raise InputError(f"{root} has several versions ({', '.join(found)}); name one with --tables")
-    return root / found[0], root
+    if len(versions) > 1:
+        raise InputError(f"{root} has several versions ({', '.join(versions)}); name one with --tables")
+    return root / versions[0], root

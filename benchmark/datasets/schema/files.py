@@ -94,21 +94,21 @@ def _problem(path: Path, size: int, row: Row) -> str:
     suffix = path.suffix.lower()
     if suffix == ".bin":
         # An empty lidar file is legal: generated data sets have no lidar, but converters want the file to exist.
-        whole = size % _LIDAR_POINT_BYTES == 0 or "LIDAR" not in row["filename"]
-        return "" if whole else f"has {size} bytes, which is no whole number of points"
+        is_complete = size % _LIDAR_POINT_BYTES == 0 or "LIDAR" not in row["filename"]
+        return "" if is_complete else f"has {size} bytes, which is no whole number of points"
     if suffix not in (".jpg", ".jpeg", ".png"):
         return ""
     if not size:
         return "is empty"
     try:
-        found = _png_size(path) if suffix == ".png" else _jpeg_size(path)
+        size_px = _png_size(path) if suffix == ".png" else _jpeg_size(path)
     except OSError as error:
         return f"cannot be read: {error.strerror or error}"
-    if found is None:
+    if size_px is None:
         return f"is not a whole {'PNG' if suffix == '.png' else 'JPEG'} image"
     expected = (row["width"], row["height"])
-    if found != expected:
-        return f"is {found[0]} x {found[1]} pixels, the row says {expected[0]} x {expected[1]}"
+    if size_px != expected:
+        return f"is {size_px[0]} x {size_px[1]} pixels, the row says {expected[0]} x {expected[1]}"
     return ""
 
 

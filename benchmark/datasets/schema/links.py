@@ -145,9 +145,9 @@ def _check_chain(
         if following["prev"] != row["token"]:
             sentence = f"next is {row['next']}, but prev of that row is {following['prev']!r}"
             faults.add("links that are not mutual", table, row["token"], sentence)
-        now, then = time_of(row), time_of(following)
-        if now is not None and then is not None and then <= now:
-            sentence = f"next {row['next']} is not later: {then} follows {now}"
+        time, next_time = time_of(row), time_of(following)
+        if time is not None and next_time is not None and next_time <= time:
+            sentence = f"next {row['next']} is not later: {next_time} follows {time}"
             # A sweep out of order is left out by whoever reads, so the data can still be used.
             swept = table == "sample_data" and not (row.get("is_key_frame") and following.get("is_key_frame"))
             severity: Severity = "warning" if swept else "error"
@@ -174,11 +174,11 @@ def _check_ends(
 ) -> None:
     """Note owners whose count, first or last member is not what their chain has."""
     count_field, first_field, last_field = fields
-    what = count_field.removeprefix("nbr_")
+    members_name = count_field.removeprefix("nbr_")
     for row in tables.having(table, *fields):
         members = chains.get(row["token"], [])
         if row[count_field] != len(members):
-            sentence = f"{count_field} is {row[count_field]}, but there are {len(members)} {what} of it"
+            sentence = f"{count_field} is {row[count_field]}, but there are {len(members)} {members_name} of it"
             faults.add(f"wrong {count_field}", table, row["token"], sentence)
         ends = ((first_field, "prev", "first"), (last_field, "next", "last"))
         for field, link, place in ends:

@@ -40,9 +40,12 @@ def check_scene(
         rows: Rows of the scene in the tables that do.
         adversaries: Instances that were made to be adversaries of the scene.
     """
-    own = CheckedTables.of_sound_rows({**rows, "scene": [scene]})
+    scene_tables = CheckedTables.of_sound_rows({**rows, "scene": [scene]})
     tables = CheckedTables(
-        {**shared.rows, **own.rows}, {**shared.by_token, **own.by_token}, own.unreadable, own.unsound
+        {**shared.rows, **scene_tables.rows},
+        {**shared.by_token, **scene_tables.by_token},
+        scene_tables.unreadable,
+        scene_tables.unsound,
     )
     for link in LINKS:
         if link.table in rows and link.target in rows:

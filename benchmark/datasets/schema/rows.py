@@ -149,15 +149,15 @@ def _column_holds(rows: Sequence[Row], name: str, kind: Kind) -> bool:
 
 def _with_tokens(table: str, rows: list[Row], unsound: dict[int, frozenset[str]], faults: FaultList) -> list[Row]:
     """Rows with a token of their own."""
-    seen: set[str] = set()
+    tokens: set[str] = set()
     kept: list[Row] = []
     for row in rows:
         if not _has(row, "token", unsound):
             continue
-        if row["token"] in seen:
+        if row["token"] in tokens:
             faults.add("tokens used twice", table, row["token"], "two rows have this token")
         else:
-            seen.add(row["token"])
+            tokens.add(row["token"])
             kept.append(row)
     return kept
 

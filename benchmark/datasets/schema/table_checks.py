@@ -67,8 +67,8 @@ def read_checked(folder: Path, faults: FaultList) -> CheckedTables:
         content = _content(folder / f"{table}.json", table, faults)
         if content is None:
             unreadable.add(table)
-        rows[table], found = ([], {}) if content is None else check_table(table, content, faults)
-        unsound |= found
+        rows[table], unsound_fields = ([], {}) if content is None else check_table(table, content, faults)
+        unsound |= unsound_fields
     by_token = {table: {row["token"]: row for row in rows[table]} for table in rows}
     return CheckedTables(rows, by_token, frozenset(unreadable), unsound)
 

@@ -172,7 +172,7 @@ def _is_matrix(value: Any) -> bool:
     if type(value) is not list or not all(type(row) is list and len(row) == 3 for row in value):
         return False
     flat = list(chain.from_iterable(value))
-    return len(value) in (0, 3) and all(_is_number(each) and abs(each) < 1e9 for each in flat)
+    return len(value) in (0, 3) and all(_is_number(entry) and abs(entry) < 1e9 for entry in flat)
 
 
 def _short_texts(values: list[Any], *, longest: int) -> str | None:

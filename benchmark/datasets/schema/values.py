@@ -20,11 +20,11 @@ def check_rates(tables: CheckedTables, faults: FaultList) -> None:
         usual_us = other_interval_us(times_us)
         if usual_us is None:
             continue
-        what = (
+        explanation = (
             "nothing is known at steps" if usual_us > LONGEST_KNOWN_US else "exact and driving scores interpolate steps"
         )
         sentence = (
-            f"the keyframes of {scene['name']} are {usual_us * 1e-6:.3g} s apart (median): {what} of "
+            f"the keyframes of {scene['name']} are {usual_us * 1e-6:.3g} s apart (median): {explanation} of "
             f"{STEP_US * 1e-6:g} s, and official protocols, whose steps are keyframes, do not count its samples"
         )
         faults.add("scenes with another keyframe rate", "scene", scene["token"], sentence, severity="warning")
@@ -39,8 +39,8 @@ def check_gaps(tables: CheckedTables, faults: FaultList) -> None:
         usual_us = other_interval_us(times_us)
         if usual_us is not None and usual_us > LONGEST_KNOWN_US:
             continue
-        for number, (now, then) in enumerate(pairwise(times_us)):
-            gap_us = then - now
+        for number, (time_us, next_time_us) in enumerate(pairwise(times_us)):
+            gap_us = next_time_us - time_us
             if gap_us <= LONGEST_KNOWN_US if usual_us is not None else is_step(gap_us):
                 continue
             effect = (
@@ -109,9 +109,9 @@ def check_sensors(tables: CheckedTables, faults: FaultList) -> None:
     if tables.unreadable & {"sample_data", "calibrated_sensor", "sensor"}:
         return
     for sample in tables.having("sample", "scene_token"):
-        found = Counter(channel for channel, _ in keyframes[sample["token"]])
+        row_counts = Counter(channel for channel, _ in keyframes[sample["token"]])
         expected = channels[sample["scene_token"]]
-        missing = sorted(expected - set(found))
+        missing = sorted(expected - set(row_counts))
         if missing:
             sentence = f"the sample has no keyframe row of {', '.join(missing)}"
             faults.add("samples without all sensors", "sample", sample["token"], sentence)
@@ -119,13 +119,13 @@ def check_sensors(tables: CheckedTables, faults: FaultList) -> None:
             faults.add(
                 "samples without sensors", "sample", sample["token"], "no sensor row leads to the sample's scene"
             )
-        for channel in sorted(name for name, count in found.items() if count > 1):
-            sentence = f"{found[channel]} keyframe rows of {channel} lead to this sample"
+        for channel in sorted(name for name, count in row_counts.items() if count > 1):
+            sentence = f"{row_counts[channel]} keyframe rows of {channel} lead to this sample"
             faults.add("samples with a sensor twice", "sample", sample["token"], sentence)
         for channel, row in keyframes[sample["token"]]:
-            apart = _seconds_apart(tables, ("sample_data", row["token"]), ("sample", sample["token"]))
-            if apart > KEYFRAME_TOLERANCE_S:
-                sentence = f"this keyframe row of {channel} is {apart:.3g} s away from its sample"
+            seconds_apart = _seconds_apart(tables, ("sample_data", row["token"]), ("sample", sample["token"]))
+            if seconds_apart > KEYFRAME_TOLERANCE_S:
+                sentence = f"this keyframe row of {channel} is {seconds_apart:.3g} s away from its sample"
                 faults.add("keyframe rows of another time", "sample_data", row["token"], sentence)
     for scene in tables.having("scene", "name"):
         if channels[scene["token"]] and LIDAR_NAME not in channels[scene["token"]]:
@@ -134,9 +134,11 @@ def check_sensors(tables: CheckedTables, faults: FaultList) -> None:
 
 
 def _check_pose_time(tables: CheckedTables, row: Row, faults: FaultList) -> None:
-    apart = _seconds_apart(tables, ("sample_data", row["token"]), ("ego_pose", str(row.get("ego_pose_token"))))
-    if apart > KEYFRAME_TOLERANCE_S:
-        faults.add("ego poses of another time", "sample_data", row["token"], f"its ego pose is from {apart:.3g} s away")
+    seconds_apart = _seconds_apart(tables, ("sample_data", row["token"]), ("ego_pose", str(row.get("ego_pose_token"))))
+    if seconds_apart > KEYFRAME_TOLERANCE_S:
+        faults.add(
+            "ego poses of another time", "sample_data", row["token"], f"its ego pose is from {seconds_apart:.3g} s away"
+        )
 
 
 def _seconds_apart(tables: CheckedTables, first: tuple[str, str], second: tuple[str, str]) -> float:

@@ -86,7 +86,7 @@ def records_card_command(options: RecordsCardOptions) -> None:
         require_folder(place, "--records")
     require_place(options.to, "--to")
     space = api.workspace(options.out)
-    folders = [each for each in options.records or (space.run_root(), space.drive_root()) if each.is_dir()]
+    folders = [folder for folder in options.records or (space.run_root(), space.drive_root()) if folder.is_dir()]
     if not folders:
         raise InputError(
             f"there are no records below {options.out}; run challenger-bench eval first, or name --records"

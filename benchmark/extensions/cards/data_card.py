@@ -65,13 +65,13 @@ def scene_rows(data: "DataSet") -> Iterator[dict[str, Any]]:
     """
     names = data.scene_names(None)
     facts = data.scene_facts(names)
-    made: Mapping[str, Any] = (data.provenance() or {}).get("scenes", {})
+    scene_provenance: Mapping[str, Any] = (data.provenance() or {}).get("scenes", {})
     splits = data.splits()
     waiting = set(data.review(None).waiting)
     for name in names:
         scene, fact = data.scene(name), facts[name]
         judged = fact.judgement
-        place, gap_m = _closest(made.get(name, {}))
+        place, gap_m = _closest(scene_provenance.get(name, {}))
         yield {
             "scene": name,
             "split": ",".join(sorted(split for split, held in splits.items() if name in held)) or None,
@@ -89,9 +89,9 @@ def scene_rows(data: "DataSet") -> Iterator[dict[str, Any]]:
         }
 
 
-def _closest(made: Mapping[str, Any]) -> tuple[str | None, float | None]:
+def _closest(scene_provenance: Mapping[str, Any]) -> tuple[str | None, float | None]:
     """Where the first adversary that has labels comes closest, and how close; of a stranger's file anything else."""
-    labels = next(iter(stored_labels(made.get("report"))), None)
+    labels = next(iter(stored_labels(scene_provenance.get("report"))), None)
     if not isinstance(labels, dict):
         return None, None
     place, approach = labels.get("place"), labels.get("closest_approach")
@@ -104,8 +104,8 @@ def _closest(made: Mapping[str, Any]) -> tuple[str | None, float | None]:
 
 def _of_scene(scene: "Scene") -> dict[str, Any]:
     """Index values of a scene from the tables."""
-    seen = scene.annotations.valid
-    kinds = [kind for kind, there in zip(scene.agents.categories, seen.any(axis=1), strict=True) if there]
+    annotated = scene.annotations.valid
+    kinds = [kind for kind, there in zip(scene.agents.categories, annotated.any(axis=1), strict=True) if there]
     seconds = float(scene.timestamps_us[-1] - scene.timestamps_us[0]) * 1e-6
     metres = float(np.hypot(*np.diff(scene.ego.position[:, :2], axis=0).T).sum())
     return {
@@ -121,7 +121,7 @@ def _of_scene(scene: "Scene") -> dict[str, Any]:
         "agents": len(kinds),
         "vehicles": sum(kind.startswith("vehicle.") for kind in kinds),
         "pedestrians": sum(kind.startswith("human.") for kind in kinds),
-        "annotations": int(seen.sum()),
+        "annotations": int(annotated.sum()),
         "cameras": len(scene.cameras),
     }
 
@@ -172,12 +172,14 @@ def write_data_card(
     if not rows:
         raise InputError(f"{data.root} has no scenes to describe; name another data set")
     origin = _origin(data.provenance() or {}, rows, embedded)
-    said = _described(data, rows, origin, settings)
-    return write_card(to, said, _page(data, rows, origin, said), INDEX_FILE, "scenes", SCENE_COLUMNS, rows, TAGS)
+    description = _described(data, rows, origin, settings)
+    return write_card(
+        to, description, _page(data, rows, origin, description), INDEX_FILE, "scenes", SCENE_COLUMNS, rows, TAGS
+    )
 
 
-def _origin(made: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], embedded: bool) -> _Origin:
-    source, renderer = made.get("source"), made.get("renderer")
+def _origin(provenance: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], embedded: bool) -> _Origin:
+    source, renderer = provenance.get("source"), provenance.get("renderer")
     generated = any(row["adversaries"] for row in rows) or any(row["scene"] != row["source_scene"] for row in rows)
     if embedded:
         collected = "A procedural town made from a seed by challenger-bench: no recording, no person, no place."
@@ -186,7 +188,7 @@ def _origin(made: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], embedded
         collected = f"Made from the recordings {str(source.get('name'))[:80]} (content {print_of}) by challenger-bench."
     else:
         collected = "Recordings in nuScenes format; how they were collected is not said in the data set."
-    frozen = frozen_split_of(made)
+    frozen = frozen_split_of(provenance)
     if frozen is not None:
         collected += f" Adversaries are those of the frozen split {frozen[:80]}."
     elif generated:
@@ -276,7 +278,7 @@ def _most(rows: Sequence[Mapping[str, Any]], column: str) -> str:
     )
 
 
-def _page(data: "DataSet", rows: Sequence[Mapping[str, Any]], origin: _Origin, said: Described) -> list[str]:
+def _page(data: "DataSet", rows: Sequence[Mapping[str, Any]], origin: _Origin, description: Described) -> list[str]:
     """Lines of the page below its head."""
     totals = Counter[str]()
     for row in rows:
@@ -285,14 +287,14 @@ def _page(data: "DataSet", rows: Sequence[Mapping[str, Any]], origin: _Origin, s
     review = data.review(None).facts
     licence = (
         "Not decided: whoever publishes this must say. What was made from recordings stays under their terms."
-        if said.licence == UNKNOWN
-        else f"{said.licence} ({licence_page(said.licence)})."
+        if description.licence == UNKNOWN
+        else f"{description.licence} ({licence_page(description.licence)})."
     )
     manoeuvres = _most([row for row in rows if row["manoeuvre"]], "manoeuvre") or "none labelled"
     lines = [
-        f"# {escape_markdown(said.name)}",
+        f"# {escape_markdown(description.name)}",
         "",
-        escape_markdown(said.description),
+        escape_markdown(description.description),
         "",
         "| | |",
         "|---|---|",
@@ -319,8 +321,8 @@ def _page(data: "DataSet", rows: Sequence[Mapping[str, Any]], origin: _Origin, s
         "",
     ]
     for name in ("dataUseCases", "dataLimitations", "dataBiases", "personalSensitiveInformation"):
-        found = said.responsible[name]
-        lines += [f"- {escape_markdown(text)}" for text in ((found,) if isinstance(found, str) else found)]
+        answer = description.responsible[name]
+        lines += [f"- {escape_markdown(text)}" for text in ((answer,) if isinstance(answer, str) else answer)]
     lines += ["", "## Judge a planner on it", "", "With challenger-bench installed:", "", "```"]
     lines += ["challenger-bench eval --data FOLDER --split SPLIT --model my_planner:MyPlanner", "```", ""]
     return [*lines, *ending()]

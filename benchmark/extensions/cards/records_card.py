@@ -47,7 +47,10 @@ def rate_rows(records: Sequence[RunRecord], drives: Sequence[DriveRecord]) -> It
     """Rows of `RATE_COLUMNS`, one for each rate, record by record."""
     for record in records:
         whose = {**_whose(record.run, record.content_id), "loop": "open", "coverage": record.summary.coverage}
-        measured = [(name, found.version, found.columns) for name, found in record.summary.protocols.items()]
+        measured = [
+            (name, protocol_summary.version, protocol_summary.columns)
+            for name, protocol_summary in record.summary.protocols.items()
+        ]
         if record.summary.driving is not None:
             measured.append(("nuscenes-pdm", record.summary.driving.version, record.summary.driving.columns))
         for protocol, version, columns in measured:
@@ -89,7 +92,7 @@ def write_records_card(
         f"{counted(len(rows), 'rate')} from {counted(count, 'record')} of driving models on adversarial and ordinary "
         "scenes, each by a named, versioned protocol, with its sample count and interval."
     )
-    said = Described(
+    card_description = Described(
         name=settings.title or "challenger-bench results",
         description=description,
         licence=licence_named(settings.licence),
@@ -101,8 +104,8 @@ def write_records_card(
         keywords=TAGS,
         responsible=_responsible(records, drives),
     )
-    page = _page(said, records, drives)
-    return write_card(to, said, page, INDEX_FILE, "rates", RATE_COLUMNS, rows, TAGS)
+    page = _page(card_description, records, drives)
+    return write_card(to, card_description, page, INDEX_FILE, "rates", RATE_COLUMNS, rows, TAGS)
 
 
 def _whose(facts: Any, content_id: str) -> dict[str, Any]:
@@ -127,8 +130,8 @@ def _numbers(rate: Rate) -> dict[str, Any]:
 
 
 def _responsible(records: Sequence[RunRecord], drives: Sequence[DriveRecord]) -> dict[str, str | tuple[str, ...]]:
-    failed = sum(one.summary.failed for one in records) + sum(one.summary.failed for one in drives)
-    parts = sum(not one.covers_split for one in records) + sum(not one.covers_split for one in drives)
+    failed = sum(record.summary.failed for record in records) + sum(record.summary.failed for record in drives)
+    parts = sum(not record.covers_split for record in records) + sum(not record.covers_split for record in drives)
     return {
         "dataCollection": f"Planners were run and judged by challenger-bench ({VERSION} wrote this card).",
         "dataCollectionType": ("Experiments", "Software Collection"),
@@ -148,31 +151,39 @@ def _responsible(records: Sequence[RunRecord], drives: Sequence[DriveRecord]) ->
     }
 
 
-def _page(said: Described, records: Sequence[RunRecord], drives: Sequence[DriveRecord]) -> list[str]:
+def _page(description: Described, records: Sequence[RunRecord], drives: Sequence[DriveRecord]) -> list[str]:
     rows = [
-        ("open", one.planner, one.run.data.name, one.run.split, len(one.rows), one.summary.coverage, one.content_id)
-        for one in records
+        (
+            "open",
+            record.planner,
+            record.run.data.name,
+            record.run.split,
+            len(record.rows),
+            record.summary.coverage,
+            record.content_id,
+        )
+        for record in records
     ] + [
         (
             "closed",
-            one.planner,
-            one.facts.data.name,
-            one.facts.split,
-            len(one.rows),
-            one.summary.coverage,
-            one.content_id,
+            record.planner,
+            record.facts.data.name,
+            record.facts.split,
+            len(record.rows),
+            record.summary.coverage,
+            record.content_id,
         )
-        for one in drives
+        for record in drives
     ]
     licence = (
         "Not decided: whoever publishes this must say."
-        if said.licence == UNKNOWN
-        else f"{said.licence} ({licence_page(said.licence)})."
+        if description.licence == UNKNOWN
+        else f"{description.licence} ({licence_page(description.licence)})."
     )
     lines = [
-        f"# {escape_markdown(said.name)}",
+        f"# {escape_markdown(description.name)}",
         "",
-        escape_markdown(said.description),
+        escape_markdown(description.description),
         "",
         f"Licence: {escape_markdown(licence)}",
         "",
@@ -191,6 +202,6 @@ def _page(said: Described, records: Sequence[RunRecord], drives: Sequence[DriveR
     ]
     lines += [*column_rows(RATE_COLUMNS), "", "## Before you use it", ""]
     for field in ("dataUseCases", "dataLimitations", "dataBiases", "dataCollectionMissingData"):
-        found = said.responsible[field]
-        lines += [f"- {escape_markdown(text)}" for text in ((found,) if isinstance(found, str) else found)]
+        answer = description.responsible[field]
+        lines += [f"- {escape_markdown(text)}" for text in ((answer,) if isinstance(answer, str) else answer)]
     return [*lines, "", *ending()]

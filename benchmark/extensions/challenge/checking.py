@@ -162,7 +162,7 @@ def check_entry(
         _require_scenes(entry, sources, rules)
     work = [(name, sources[name]) for name in sources]
     check = partial(_checked, entry, base, rules)
-    found = list((executor or LocalProcesses(1)).map(check, work, total=len(work), label="checking scenes"))
+    checked = list((executor or LocalProcesses(1)).map(check, work, total=len(work), label="checking scenes"))
     return EntryVerdict(
         version=VERSION,
         entry=ComparedData(name=entry.name, fingerprint=entry.fingerprint()),
@@ -170,7 +170,7 @@ def check_entry(
         challenge=rules.name,
         rules=rules.fingerprint,
         reasons=tuple(_of_too_many(sources, rules)),
-        scenes=tuple(_with_repeats(found, rules)),
+        scenes=tuple(_with_repeats(checked, rules)),
     )
 
 
@@ -214,10 +214,10 @@ def _of_too_many(sources: Mapping[str, str], rules: Rules) -> Iterator[Reason]:
             )
 
 
-def _with_repeats(found: Sequence[CheckedScene], rules: Rules) -> Iterator[SceneVerdict]:
+def _with_repeats(checked: Sequence[CheckedScene], rules: Rules) -> Iterator[SceneVerdict]:
     """Verdicts, with the reason added to scenes that repeat an earlier one."""
     earlier: dict[tuple[str, tuple[str, ...]], list[CheckedScene]] = {}
-    for scene in found:
+    for scene in checked:
         verdict = scene.verdict
         alike = earlier.setdefault((verdict.recording, tuple(token for token, _ in scene.tracks)), [])
         twin = next((other for other in alike if _same(scene, other, rules.scenes.apart_m)), None)
@@ -265,18 +265,20 @@ class _SceneCheck:
         common = Keyframes.common(scene, recorded)
         require_comparable(scene, recorded, common)
         known = counterparts(scene, recorded, common)
-        found = differing(scene, recorded, known, common, rules)
+        changed_objects = differing(scene, recorded, known, common, rules)
         views = entry.videos(name, sweeps=False), base.videos(source, sweeps=False)
-        return cls(entry, base, rules, scene, recorded, common, known, tuple(found), views, [])
+        return cls(entry, base, rules, scene, recorded, common, known, tuple(changed_objects), views, [])
 
     def result(self) -> CheckedScene:
         reasons = [*self._as_recorded(), *self._who(), *self._images()]
         vehicles = []
-        for each in self.differing[: max(self.rules.changed.most, 1)]:
-            said, vehicle = self._vehicle(each)
-            reasons += said
+        for changed_object in self.differing[: max(self.rules.changed.most, 1)]:
+            vehicle_reasons, vehicle = self._vehicle(changed_object)
+            reasons += vehicle_reasons
             vehicles.append(vehicle)
-        vehicles += [self._described(each) for each in self.differing[max(self.rules.changed.most, 1) :]]
+        vehicles += [
+            self._described(changed_object) for changed_object in self.differing[max(self.rules.changed.most, 1) :]
+        ]
         verdict = SceneVerdict(
             scene=self.scene.name,
             recording=self.recorded.name,
@@ -285,7 +287,7 @@ class _SceneCheck:
             changed=tuple(vehicles),
             images=sum(map(len, self.views[0].values())),
         )
-        return CheckedScene(verdict, tuple(self._track(each) for each in self.differing))
+        return CheckedScene(verdict, tuple(self._track(changed_object) for changed_object in self.differing))
 
     def _as_recorded(self) -> Iterator[Reason]:
         rules = self.rules.unchanged
@@ -315,44 +317,48 @@ class _SceneCheck:
     def _images(self) -> Iterator[Reason]:
         if not self.rules.images.required or not self.views[1]:
             return
-        seen, reasons = faults_of_files(self.views[0], self.rules.images)
+        thumbnails, reasons = faults_of_files(self.views[0], self.rules.images)
         yield from reasons
         if not self.rules.images.of_their_time:
             return
         recorded = pictures_of(self.views[1])
-        yield from of_another_time(seen, recorded, self.common)
-        for each in self.differing[: self.rules.changed.most]:
-            changed = np.flatnonzero(each.at)
-            found = unseen_change(self.scene, each.agent, changed, self.views, (seen, recorded), self.common)
-            if found is not None:
-                yield found
+        yield from of_another_time(thumbnails, recorded, self.common)
+        for changed_object in self.differing[: self.rules.changed.most]:
+            changed = np.flatnonzero(changed_object.at)
+            reason = unseen_change(
+                self.scene, changed_object.agent, changed, self.views, (thumbnails, recorded), self.common
+            )
+            if reason is not None:
+                yield reason
 
-    def _vehicle(self, each: Differing) -> tuple[list[Reason], ChangedVehicle]:
+    def _vehicle(self, changed_object: Differing) -> tuple[list[Reason], ChangedVehicle]:
         """Verdict on one changed vehicle."""
         rules, scene = self.rules, self.scene
-        reasons = list(changed_vehicle(scene, self.recorded, each, self.common, rules))
-        reasons += self._motion(each)
-        frames = self._frames(each)
+        reasons = list(changed_vehicle(scene, self.recorded, changed_object, self.common, rules))
+        reasons += self._motion(changed_object)
+        frames = self._frames(changed_object)
         if not len(frames):
-            return reasons, self._described(each)
-        boxes = scene.agents.boxes[each.agent, frames]
+            return reasons, self._described(changed_object)
+        boxes = scene.agents.boxes[changed_object.agent, frames]
         if self.base.has_map(self.recorded.name):
             reasons += off_road(boxes, scene.seconds[frames], self.recorded.road_map, rules.road)
-        other = nearest_other(scene, each.agent, frames)
-        ego = nearest_ego(scene, each.agent, int(self.common.here[each.first]))
-        reasons += [found for found in (too_near(near, scene, rules.gaps) for near in (ego, other)) if found]
-        return reasons, self._described(each, ego, other)
+        other = nearest_other(scene, changed_object.agent, frames)
+        ego = nearest_ego(scene, changed_object.agent, int(self.common.here[changed_object.first]))
+        reasons += [
+            gap_reason for gap_reason in (too_near(near, scene, rules.gaps) for near in (ego, other)) if gap_reason
+        ]
+        return reasons, self._described(changed_object, ego, other)
 
-    def _motion(self, each: Differing) -> Iterator[Reason]:
+    def _motion(self, changed_object: Differing) -> Iterator[Reason]:
         here = self.common.here
-        there = here[each.at & self.scene.annotations.valid[each.agent, here]]
+        there = here[changed_object.at & self.scene.annotations.valid[changed_object.agent, here]]
         seconds = self.scene.seconds[self.scene.keyframes]
-        yield from broken_limits(seconds[there], self._boxes(each.agent, there), self.rules.motion)
-        before = here[: each.first]
-        before = before[self.scene.annotations.valid[each.agent, before]][-2:]
+        yield from broken_limits(seconds[there], self._boxes(changed_object.agent, there), self.rules.motion)
+        before = here[: changed_object.first]
+        before = before[self.scene.annotations.valid[changed_object.agent, before]][-2:]
         if len(before) == 2 and len(there):
             at = np.concatenate([before, there[:1]])
-            launch = broken_launch(seconds[at], self._boxes(each.agent, at), self.rules.motion)
+            launch = broken_launch(seconds[at], self._boxes(changed_object.agent, at), self.rules.motion)
             if launch is not None:
                 yield launch
 
@@ -362,26 +368,30 @@ class _SceneCheck:
         yaw = yaw_of_quaternion(notes.rotation[at])[:, None]
         return np.concatenate([notes.position[at][:, :2], notes.size[at][:, :2], yaw], axis=1)
 
-    def _frames(self, each: Differing) -> Integers:
+    def _frames(self, changed_object: Differing) -> Integers:
         """Frames after the last keyframe before it differs at which it is there."""
-        first = int(self.common.here[each.first])
+        first = int(self.common.here[changed_object.first])
         start = int(self.scene.keyframes[first - 1]) + 1 if first else 0
-        return start + np.flatnonzero(self.scene.agents.valid[each.agent, start:])
+        return start + np.flatnonzero(self.scene.agents.valid[changed_object.agent, start:])
 
-    def _described(self, each: Differing, ego: Nearness | None = None, other: Nearness | None = None) -> ChangedVehicle:
-        at = self.scene.keyframes[self.common.here[each.first]]
+    def _described(
+        self, changed_object: Differing, ego: Nearness | None = None, other: Nearness | None = None
+    ) -> ChangedVehicle:
+        at = self.scene.keyframes[self.common.here[changed_object.first]]
         return ChangedVehicle(
-            instance=self.scene.agents.ids[each.agent],
-            recorded=self.recorded.agents.ids[each.recorded],
-            category=self.scene.agents.categories[each.agent],
+            instance=self.scene.agents.ids[changed_object.agent],
+            recorded=self.recorded.agents.ids[changed_object.recorded],
+            category=self.scene.agents.categories[changed_object.agent],
             from_s=round(float(self.scene.seconds[at]), DIGITS),
-            farthest_m=round(each.farthest_m, DIGITS),
+            farthest_m=round(changed_object.farthest_m, DIGITS),
             least_gap_ego_m=None if ego is None else round(ego.gap_m, DIGITS),
             least_gap_others_m=None if other is None else round(other.gap_m, DIGITS),
             nearest_ego_s=None if ego is None else round(ego.seconds, DIGITS),
         )
 
-    def _track(self, each: Differing) -> tuple[str, Floats]:
+    def _track(self, changed_object: Differing) -> tuple[str, Floats]:
         notes = self.scene.annotations
-        places = np.where(notes.valid[each.agent, :, None], notes.position[each.agent, :, :2], np.nan)
-        return self.recorded.agents.ids[each.recorded], places
+        places = np.where(
+            notes.valid[changed_object.agent, :, None], notes.position[changed_object.agent, :, :2], np.nan
+        )
+        return self.recorded.agents.ids[changed_object.recorded], places

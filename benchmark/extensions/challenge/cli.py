@@ -74,23 +74,23 @@ def challenge_check_command(options: ChallengeCheckOptions) -> None:
 
     count = api.worker_count(options.workers)
     require_file(options.rules, "--rules", (".toml",))
-    said = read_rules(options.rules)
+    rules = read_rules(options.rules)
     require_folder(options.root, "entry")
     base = api.DataSource.of(options, data=options.base, tables=options.base_tables)
     base.require()
     require_place(options.to or options.out, "--to" if options.to else "--out")
     entry, recordings = api.open_data(options.root, tables=options.tables), base.open()
-    verdict = check_entry(entry, recordings, said, name_list(options.scenes), LocalProcesses(count))
+    verdict = check_entry(entry, recordings, rules, name_list(options.scenes), LocalProcesses(count))
     folder = options.to or api.workspace(options.out).challenge_root() / file_name(entry.name)
     file = write_verdict(folder, verdict)
-    shown = write_page(folder, verdict, said, scenes_from_above(entry, recordings, verdict)) if options.page else file
+    page = write_page(folder, verdict, rules, scenes_from_above(entry, recordings, verdict)) if options.page else file
     if options.json_output:
         print_json(verdict.model_dump(mode="json", by_alias=True))
     else:
         _say(verdict)
     again = same_out(options.out)
     say_next(
-        f"verdict: {file}{f', {shown} in any browser' if options.page else ''}",
+        f"verdict: {file}{f', {page} in any browser' if options.page else ''}",
         (f"challenge score {options.root} --base {options.base} --model constant-velocity{again}", "planners on it"),
         json_output=options.json_output,
     )
@@ -160,7 +160,7 @@ def challenge_score_command(options: ChallengeScoreOptions) -> None:
     if options.protocol != NATIVE:
         known_protocol(options.protocol)
     require_file(options.rules, "--rules", (".toml",))
-    said = read_rules(options.rules)
+    rules = read_rules(options.rules)
     for root in options.roots:
         require_folder(root, "entry")
     named = api.PlannerSource.of(options, data=options.base).require()
@@ -170,7 +170,7 @@ def challenge_score_command(options: ChallengeScoreOptions) -> None:
     planners, recordings = named.load(), base.open()
     entries = {name: api.open_data(root) for name, root in entry_names(options.roots).items()}
     folder = api.workspace(options.out).challenge_root()
-    settings = ScoreSettings(folder, said, options.protocol, options.horizon, options.seed, count)
+    settings = ScoreSettings(folder, rules, options.protocol, options.horizon, options.seed, count)
     scores = score_entries(entries, recordings, planners, settings)
     file = write_scores(folder, scores)
     if options.json_output:
@@ -183,7 +183,7 @@ def challenge_score_command(options: ChallengeScoreOptions) -> None:
         (f"leaderboard{same_out(options.out)}", "the entries beside the planners"),
         json_output=options.json_output,
     )
-    failed = any(each.failed for entry in scores.entries for each in entry.planners.values())
+    failed = any(planner_score.failed for entry in scores.entries for planner_score in entry.planners.values())
     raise typer.Exit(1 if failed or not any(entry.best_place for entry in scores.entries) else 0)
 
 
@@ -205,6 +205,6 @@ def challenge_rules_command(options: ChallengeRulesOptions) -> None:
     from benchmark.machine.places import require_file
 
     require_file(options.rules, "rules", (".toml",))
-    said = RULE_SETS[options.start] if options.rules is None else read_rules(options.rules)
-    rules = {"fingerprint": said.fingerprint, "rules": said.model_dump(mode="json", by_alias=True)}
-    print_result(rules, rules_text(said), json_output=options.json_output)
+    rule_set = RULE_SETS[options.start] if options.rules is None else read_rules(options.rules)
+    rules = {"fingerprint": rule_set.fingerprint, "rules": rule_set.model_dump(mode="json", by_alias=True)}
+    print_result(rules, rules_text(rule_set), json_output=options.json_output)

@@ -51,7 +51,10 @@ class CheckedEntry:
     def tracks(self, name: str) -> TracksAtHand:
         """Findings on how the changed vehicles of a scene were made."""
         seconds = self.data.scene(name).seconds
-        starts = {each.instance: int(np.argmin(np.abs(seconds - each.from_s))) for each in self.verdicts[name].changed}
+        starts = {
+            vehicle.instance: int(np.argmin(np.abs(seconds - vehicle.from_s)))
+            for vehicle in self.verdicts[name].changed
+        }
         return TracksAtHand(generated=False, launches=starts)
 
     @property
@@ -85,7 +88,9 @@ class CheckedEntry:
 
     def scene(self, name: str) -> Scene:
         """One scene, with the changed vehicles as adversaries."""
-        return replace(self.data.scene(name), adversaries=tuple(each.instance for each in self.verdicts[name].changed))
+        return replace(
+            self.data.scene(name), adversaries=tuple(vehicle.instance for vehicle in self.verdicts[name].changed)
+        )
 
     def observations(self, name: str) -> Iterator[Observation]:
         """One observation a sample, in time order."""
@@ -97,7 +102,7 @@ class CheckedEntry:
 
     def truth(self, name: str) -> tuple[SampleTruth, ...]:
         """One truth a sample, in time order; the changed vehicles are the adversaries, named by the entry or not."""
-        changed = frozenset(each.instance for each in self.verdicts[name].changed)
+        changed = frozenset(vehicle.instance for vehicle in self.verdicts[name].changed)
         return tuple(_with_adversaries(truth, changed) for truth in self.data.truth(name))
 
     def keyframe_rows(self, name: str) -> dict[str, str]:
@@ -123,20 +128,23 @@ class CheckedEntry:
             starts = [{"launch_frame": start} for start in self.tracks(name).launches.values()]
             scenes[name] = {
                 "source_scene": verdict.recording,
-                "adversaries": [each.instance for each in verdict.changed],
+                "adversaries": [vehicle.instance for vehicle in verdict.changed],
                 "report": starts[0] if len(starts) == 1 else {"adversaries": starts},
             }
         return {"split": SPLIT, "scenes": scenes}
 
     def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
         """Recordings and judgements of scenes, by name."""
-        found = {}
+        scenes = {}
         for name in names:
             verdict = self.verdicts[name]
-            made = {"source_scene": verdict.recording, "adversaries": [each.instance for each in verdict.changed]}
+            origin = {
+                "source_scene": verdict.recording,
+                "adversaries": [vehicle.instance for vehicle in verdict.changed],
+            }
             description = self.data.scene(name).description
-            found[name] = scene_facts_of(name, made, description, self.judgements.get(name, ()))
-        return found
+            scenes[name] = scene_facts_of(name, origin, description, self.judgements.get(name, ()))
+        return scenes
 
 
 def _with_adversaries(truth: SampleTruth, adversaries: frozenset[str]) -> SampleTruth:

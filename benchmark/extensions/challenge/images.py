@@ -59,32 +59,32 @@ def faults_of_files(views: Views, rules: Images) -> tuple[dict[str, Pictures], l
     Returns:
         Pictures of the cameras all of whose files can be read, and reasons: at most one for each camera and rule.
     """
-    seen: dict[str, Pictures] = {}
+    thumbnails: dict[str, Pictures] = {}
     reasons: dict[tuple[str, str], str] = {}
     for name, of_camera in views.items():
         small, digests = [], []
         for keyframe, view in enumerate(of_camera):
-            said, picture = _looked_at(view, rules)
-            for rule, sentence in said:
+            faults, picture = _looked_at(view, rules)
+            for rule, sentence in faults:
                 reasons.setdefault((rule, name), f"{sentence} ({name}, keyframe {keyframe})")
             if picture is not None:
                 small.append(picture)
                 digests.append(file_sha256(view.path))
         if len(small) == len(of_camera):
-            seen[name] = Pictures(np.array(small), tuple(digests))
-    return seen, [Reason(rule=rule, sentence=sentence) for (rule, _), sentence in reasons.items()]
+            thumbnails[name] = Pictures(np.array(small), tuple(digests))
+    return thumbnails, [Reason(rule=rule, sentence=sentence) for (rule, _), sentence in reasons.items()]
 
 
 def pictures_of(views: Views) -> dict[str, Pictures]:
     """The same of a recording, as far as it has pictures; what cannot be read is left out."""
-    seen = {}
+    thumbnails = {}
     for name, of_camera in views.items():
         try:
             small = np.array([_small(read_picture(view.path)) for view in of_camera])
         except InputError:
             continue
-        seen[name] = Pictures(small, tuple(file_sha256(view.path) for view in of_camera))
-    return seen
+        thumbnails[name] = Pictures(small, tuple(file_sha256(view.path) for view in of_camera))
+    return thumbnails
 
 
 def _looked_at(view: CameraView, rules: Images) -> tuple[list[tuple[str, str]], Floats | None]:
@@ -93,20 +93,20 @@ def _looked_at(view: CameraView, rules: Images) -> tuple[list[tuple[str, str]], 
         picture = view.load()
     except InputError as error:
         return [("images.required", _without_folder(str(error), view.path))], None
-    said = []
+    faults = []
     height, width = picture.shape[:2]
     if (width, height) != (view.camera.width, view.camera.height):
         rows = f"{view.camera.width} x {view.camera.height}"
-        said.append(("images.required", f"{view.path.name} is {width} x {height} pixels, its row says {rows}"))
+        faults.append(("images.required", f"{view.path.name} is {width} x {height} pixels, its row says {rows}"))
     if (rules.width and width != rules.width) or (rules.height and height != rules.height):
         needed = f"{rules.width or 'any'} x {rules.height or 'any'}"
-        said.append(("images.width", f"{view.path.name} is {width} x {height} pixels; {needed} are needed"))
+        faults.append(("images.width", f"{view.path.name} is {width} x {height} pixels; {needed} are needed"))
     contrast = float(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).std())
     if contrast < rules.least_contrast:
-        said.append(
+        faults.append(
             ("images.least_contrast", f"{view.path.name} shows nothing: its grey values vary by {contrast:.2g}")
         )
-    return said, _small(picture)
+    return faults, _small(picture)
 
 
 def _without_folder(sentence: str, path: Path) -> str:
@@ -123,10 +123,10 @@ def of_another_time(
 ) -> Iterator[Reason]:
     """Reasons against pictures that show another keyframe or camera, at most one for each camera and way to tell."""
     for name, pictures in seen.items():
-        found = [(k, other) for k in range(len(pictures.small)) if (other := _shows(pictures, k)) is not None]
-        if found:
-            k, other = found[0]
-            more = "" if len(found) == 1 else f", and so {counted(len(found) - 1, 'other')}"
+        displaced = [(k, other) for k in range(len(pictures.small)) if (other := _shows(pictures, k)) is not None]
+        if displaced:
+            k, other = displaced[0]
+            more = "" if len(displaced) == 1 else f", and so {counted(len(displaced) - 1, 'other')}"
             yield Reason(
                 rule="images.of_their_time",
                 sentence=f"the picture of {name} at keyframe {k} shows keyframe {other} rather{more}",
@@ -152,9 +152,9 @@ def _shows(pictures: Pictures, k: int) -> int | None:
     for at in own:
         before, after = min(at, k) - 1, max(at, k) + 1
         changes = [
-            float(np.abs(small[one] - small[other]).mean())
-            for one, other in ((before, min(at, k)), (max(at, k), after))
-            if one >= 0 and other < count
+            float(np.abs(small[first] - small[other]).mean())
+            for first, other in ((before, min(at, k)), (max(at, k), after))
+            if first >= 0 and other < count
         ]
         if pictures.digests[at] == pictures.digests[k] and at < k and changes and min(changes) > _ALIKE:
             return at
@@ -162,11 +162,11 @@ def _shows(pictures: Pictures, k: int) -> int | None:
 
 
 def _unlike_the_recording(
-    seen: Mapping[str, Pictures], recorded: Mapping[str, Pictures], common: Keyframes
+    thumbnails: Mapping[str, Pictures], recorded: Mapping[str, Pictures], common: Keyframes
 ) -> Iterator[Reason]:
     """Cameras whose pictures, all together, are the recording's of another time or camera."""
-    for name in (camera for camera in seen if camera in recorded):
-        mine, theirs = seen[name].small[common.here], recorded[name].small
+    for name in (camera for camera in thumbnails if camera in recorded):
+        mine, theirs = thumbnails[name].small[common.here], recorded[name].small
         own = _apart(mine, theirs[common.there])
         others = {
             other: _apart(mine, pictures.small[common.there])
@@ -250,10 +250,10 @@ def _is_large(entry: Scene, agent: int, keyframe: int, view: CameraView) -> bool
     frame = int(entry.keyframes[keyframe])
     size = entry.annotations.size[agent, keyframe]
     corners = corners_of_box(entry.agents.position[agent, frame], float(entry.agents.yaw[agent, frame]), size)
-    seen = to_camera(corners, view.global_T_ego, view.camera)
-    if (seen[:, 2] < 1.0).any() or seen[:, 2].min() > _NEAR_M:
+    corners_in_camera = to_camera(corners, view.global_T_ego, view.camera)
+    if (corners_in_camera[:, 2] < 1.0).any() or corners_in_camera[:, 2].min() > _NEAR_M:
         return False
-    pixels = seen @ view.camera.intrinsic.T
+    pixels = corners_in_camera @ view.camera.intrinsic.T
     pixels = pixels[:, :2] / pixels[:, 2:]
     edge = np.array([view.camera.width, view.camera.height])
     low, high = np.clip(pixels.min(axis=0), 0, edge), np.clip(pixels.max(axis=0), 0, edge)

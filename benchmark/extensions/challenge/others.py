@@ -48,18 +48,18 @@ def off_road(boxes: Floats, seconds: Floats, road_map: RoadMap, rules: Road) -> 
     shapely.prepare(area)
     corners = box_corners(boxes)
     centre_off, corner_off = ~road_map.is_drivable(boxes[:, :2]), ~road_map.is_drivable(corners).all(axis=-1)
-    for rule, off, most, what in (
+    for rule, off, most, part in (
         ("centre_off_share", centre_off, rules.centre_off_share, "its centre"),
         ("corner_off_share", corner_off, rules.corner_off_share, "a corner"),
     ):
         if off.mean() > most:
             yield Reason(
                 rule=f"road.{rule}",
-                sentence=f"leaves the drivable area with {what} for {100 * off.mean():.0f} % of the time, first at "
+                sentence=f"leaves the drivable area with {part} for {100 * off.mean():.0f} % of the time, first at "
                 f"{seconds[np.argmax(off)]:.1f} s; {100 * most:g} % are allowed",
             )
             return
-    for rule, points, most_m, what in (
+    for rule, points, most_m, part in (
         ("centre_off_m", boxes[:, None, :2], rules.centre_off_m, "its centre"),
         ("corner_off_m", corners, rules.corner_off_m, "a corner"),
     ):
@@ -67,7 +67,7 @@ def off_road(boxes: Floats, seconds: Floats, road_map: RoadMap, rules: Road) -> 
         if away.max() > most_m:
             yield Reason(
                 rule=f"road.{rule}",
-                sentence=f"is with {what} {away.max():.3g} m off the drivable area at "
+                sentence=f"is with {part} {away.max():.3g} m off the drivable area at "
                 f"{seconds[np.argmax(away)]:.1f} s; {most_m:g} m are allowed",
             )
             return
@@ -111,20 +111,20 @@ def too_near(found: Nearness | None, scene: Scene, rules: Gaps) -> Reason | None
     if found is None:
         return None
     if found.other is None:
-        who, rule, least, touches = "the recorded ego, which does not pass", "gaps.ego_m", rules.ego_m, "hits"
+        other_name, rule, least, touches = "the recorded ego, which does not pass", "gaps.ego_m", rules.ego_m, "hits"
     else:
         agents = scene.agents
-        who = f"{agents.categories[found.other]} {agents.ids[found.other][:12]}"
+        other_name = f"{agents.categories[found.other]} {agents.ids[found.other][:12]}"
         rule, least, touches = "gaps.others_m", rules.others_m, "touches"
     if found.depth_m > rules.rounded_m:
-        return Reason(rule=rule, sentence=f"{touches} {who}, at {found.seconds:.1f} s")
+        return Reason(rule=rule, sentence=f"{touches} {other_name}, at {found.seconds:.1f} s")
     if found.gap_m < least - rules.rounded_m:
-        said = f"comes within {found.gap_m:.2f} m of {who}, at {found.seconds:.1f} s; {least:g} m are needed"
-        return Reason(rule=rule, sentence=said)
+        sentence = f"comes within {found.gap_m:.2f} m of {other_name}, at {found.seconds:.1f} s; {least:g} m are needed"
+        return Reason(rule=rule, sentence=sentence)
     return None
 
 
-def _least(mine: Floats, others: Floats, seconds: Floats, who: Integers | None) -> Nearness:
+def _least(mine: Floats, others: Floats, seconds: Floats, indices: Integers | None) -> Nearness:
     """The instant at which two of them are nearest: deepest in one another, else least apart."""
     gap = box_gap(mine, others)
     touching: Bools = gap <= 0.0
@@ -132,7 +132,7 @@ def _least(mine: Floats, others: Floats, seconds: Floats, who: Integers | None) 
     if touching.any():
         depth[touching] = _depth(mine[touching], others[touching])
     at = int(np.argmax(depth)) if touching.any() else int(np.argmin(gap))
-    return Nearness(float(gap[at]), float(seconds[at]), float(depth[at]), None if who is None else int(who[at]))
+    return Nearness(float(gap[at]), float(seconds[at]), float(depth[at]), None if indices is None else int(indices[at]))
 
 
 def _depth(first: Floats, second: Floats) -> Floats:
@@ -190,7 +190,7 @@ class Differing:
 
 def differing(entry: Scene, recorded: Scene, known: Counterparts, common: Keyframes, rules: Rules) -> list[Differing]:
     """Objects of both scenes that move otherwise: named adversaries of the entry first, then by distance."""
-    found = []
+    changed_objects = []
     mine, theirs = entry.annotations, recorded.annotations
     for agent, other in known.pairs:
         here, there = mine.valid[agent, common.here], theirs.valid[other, common.there]
@@ -200,24 +200,28 @@ def differing(entry: Scene, recorded: Scene, known: Counterparts, common: Keyfra
         off |= np.abs(turn).max(axis=1) > rules.unchanged.rotation
         at = (here != there) | (here & there & off)
         if at.any():
-            found.append(Differing(agent, other, at, np.where(here & there, np.hypot(*offset[:, :2].T), 0.0)))
+            changed_objects.append(Differing(agent, other, at, np.where(here & there, np.hypot(*offset[:, :2].T), 0.0)))
     named = {entry.agents.ids.index(name) for name in entry.adversaries if name in entry.agents.ids}
-    return sorted(found, key=lambda each: (each.agent not in named, -each.farthest_m))
+    return sorted(
+        changed_objects, key=lambda changed_object: (changed_object.agent not in named, -changed_object.farthest_m)
+    )
 
 
 def who_differs(
     entry: Scene, recorded: Scene, known: Counterparts, found: Sequence[Differing], common: Keyframes, rules: Rules
 ) -> Iterator[Reason]:
     """Check that few enough vehicles differ, none is missing or made up, and the entry names those that differ."""
-    for indices, scene, said in (
+    for indices, scene, complaint in (
         (known.removed, recorded, "leaves out"),
         (known.added, entry, "has, and the recording has not,"),
     ):
         if indices:
-            yield Reason(rule="changed.most", sentence=f"{said} {_listed([_called(scene, each) for each in indices])}")
+            yield Reason(
+                rule="changed.most", sentence=f"{complaint} {_listed([_called(scene, agent) for agent in indices])}"
+            )
     if len(found) > rules.changed.most:
         beyond = found[rules.changed.most :]
-        listed = _listed([_moved(entry, each, common) for each in beyond])
+        listed = _listed([_moved(entry, agent, common) for agent in beyond])
         yield Reason(
             rule="changed.most",
             sentence=f"changes {counted(len(found), 'object')} and may change {rules.changed.most}: besides, {listed}",
@@ -228,7 +232,7 @@ def who_differs(
             sentence=f"changes {counted(len(found), 'vehicle')} of the recording and must change {rules.changed.least}",
         )
     if entry.adversaries:
-        changed = {entry.agents.ids[each.agent] for each in found}
+        changed = {entry.agents.ids[agent.agent] for agent in found}
         if wrong := [name for name in entry.adversaries if name not in changed]:
             yield Reason(
                 rule="changed.least",
@@ -247,7 +251,9 @@ def labels_of(
     since protocols leave out objects that no sensor could have seen.
     """
     # A track may leave the recorded one just after a keyframe, whose attribute says so already.
-    elsewhere = {each.agent: each.at | np.append(each.at[1:], False) for each in found}
+    elsewhere = {
+        changed_object.agent: changed_object.at | np.append(changed_object.at[1:], False) for changed_object in found
+    }
     wrong: dict[str, list[str]] = {}
     for agent, other in known.pairs:
         name = _called(entry, agent)
@@ -265,12 +271,12 @@ def labels_of(
                 wrong.setdefault("unchanged.points", []).append(f"the {_WORDS[field]} of {name}")
     for rule, listed in wrong.items():
         yield Reason(rule=rule, sentence=f"alters {_listed(listed)}")
-    for each in found:
-        at = common.here[each.at & entry.annotations.valid[each.agent, common.here]]
-        if (entry.annotations.num_lidar_pts[each.agent, at] < 1).any():
+    for changed_object in found:
+        at = common.here[changed_object.at & entry.annotations.valid[changed_object.agent, common.here]]
+        if (entry.annotations.num_lidar_pts[changed_object.agent, at] < 1).any():
             yield Reason(
                 rule="unchanged.points",
-                sentence=f"has no lidar point on {_called(entry, each.agent)} where it is changed, so that protocols "
+                sentence=f"has no lidar point on {_called(entry, changed_object.agent)} where it is changed, so that protocols "
                 "leave it out",
             )
 
@@ -287,14 +293,14 @@ def _labels_differ(
     entry: Scene, recorded: Scene, mine: tuple[int, Integers], theirs: tuple[int, Integers]
 ) -> Iterator[str]:
     """Fields of annotations that differ somewhere."""
-    one, other = entry.annotations, recorded.annotations
-    if (one.attribute[mine] != other.attribute[theirs]).any():
+    notes, other = entry.annotations, recorded.annotations
+    if (notes.attribute[mine] != other.attribute[theirs]).any():
         yield "attribute"
     # Where a recording says nothing of visibility it counted no points either, and whoever writes it again says one.
-    said = other.visibility[theirs] != 0
+    has_visibility = other.visibility[theirs] != 0
     for field in _COUNTS:
-        values, recorded_values = getattr(one, field)[mine], getattr(other, field)[theirs]
-        if (values != recorded_values)[said].any():
+        values, recorded_values = getattr(notes, field)[mine], getattr(other, field)[theirs]
+        if (values != recorded_values)[has_visibility].any():
             yield field
 
 
@@ -324,13 +330,13 @@ def changed_vehicle(
         )
     start = int(common.here[each.first])
     if rules.changed.to_the_end and not valid[start:].all():
-        gone = start + int(np.argmin(valid[start:]))
-        yield Reason(rule="changed.to_the_end", sentence=f"lets {name} be gone at keyframe {gone}")
+        absent_from = start + int(np.argmin(valid[start:]))
+        yield Reason(rule="changed.to_the_end", sentence=f"lets {name} be gone at keyframe {absent_from}")
 
 
-def _moved(entry: Scene, each: Differing, common: Keyframes) -> str:
-    how = f"by up to {each.farthest_m:.3g} m" if each.farthest_m else "in time or heading"
-    return f"{_called(entry, each.agent)} {how} from keyframe {common.here[each.first]} on"
+def _moved(entry: Scene, changed_object: Differing, common: Keyframes) -> str:
+    how = f"by up to {changed_object.farthest_m:.3g} m" if changed_object.farthest_m else "in time or heading"
+    return f"{_called(entry, changed_object.agent)} {how} from keyframe {common.here[changed_object.first]} on"
 
 
 def _called(scene: Scene, agent: int) -> str:

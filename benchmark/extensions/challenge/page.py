@@ -83,7 +83,7 @@ def _page(verdict: EntryVerdict, rules: Rules, pictures: Mapping[str, bytes]) ->
         '<p class="quiet">From above, at the moment at which the changed vehicle (orange) is nearest to the recorded '
         "ego (green); dashed: where the vehicle was recorded. Refused scenes first.</p>"
     )
-    for scene in sorted(verdict.scenes, key=lambda each: each.accepted):
+    for scene in sorted(verdict.scenes, key=lambda item: item.accepted):
         yield from _scene(scene, pictures.get(scene.scene))
     yield f"<h2>Rules</h2>\n<pre>{escape(rules_text(rules))}</pre>\n</body>\n</html>"
 
@@ -130,7 +130,7 @@ def _metres(gap: float | None) -> str:
 
 
 def _reasons(reasons: tuple[Reason, ...]) -> str:
-    items = (f"<li>{escape(each.sentence)} <code>{escape(each.rule)}</code></li>" for each in reasons)
+    items = (f"<li>{escape(reason.sentence)} <code>{escape(reason.rule)}</code></li>" for reason in reasons)
     return f"<ul>{''.join(items)}</ul>"
 
 

@@ -26,13 +26,13 @@ def scenes_from_above(entry: DataSet, base: DataSet, verdict: EntryVerdict) -> d
 
 def _picture(entry: DataSet, base: DataSet, verdict: SceneVerdict) -> bytes:
     """The scene, its changed vehicles as adversaries, and dashed where they were recorded."""
-    changed = tuple(each.instance for each in verdict.changed)
+    changed = tuple(vehicle.instance for vehicle in verdict.changed)
     scene, recorded = replace(entry.scene(verdict.scene), adversaries=changed), base.scene(verdict.recording)
     drawn = SceneFromAbove(sheet_to_draw(scene))
     ways = []
     rows: Mapping[str, int] = {name: row for row, name in enumerate(recorded.agents.ids)}
-    for each in verdict.changed:
-        row = rows[each.recorded]
+    for vehicle in verdict.changed:
+        row = rows[vehicle.recorded]
         ways.append(PathOverlay(recorded.agents.position[row, recorded.agents.valid[row], :2] - drawn.sheet.origin_m))
     at = verdict.changed[0].nearest_ego_s if verdict.changed else None
     frame = len(scene.seconds) // 2 if at is None else int(np.argmin(np.abs(scene.seconds - at)))

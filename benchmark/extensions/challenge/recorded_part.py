@@ -62,34 +62,34 @@ def counterparts(entry: Scene, recorded: Scene, common: Keyframes) -> Counterpar
 
     Every object occurs once.
     """
-    found: dict[int, int] = {}
+    matches: dict[int, int] = {}
     known = {name: index for index, name in enumerate(recorded.agents.ids)}
     for index, name in enumerate(entry.agents.ids):
         if name in known:
-            found[index] = known[name]
-    _by_places(entry, recorded, common, found)
-    _by_beginning(entry, recorded, common, found)
-    taken = set(found.values())
+            matches[index] = known[name]
+    _by_places(entry, recorded, common, matches)
+    _by_beginning(entry, recorded, common, matches)
+    matched = set(matches.values())
     return Counterparts(
-        pairs=tuple(sorted(found.items())),
-        added=tuple(index for index in range(len(entry.agents)) if index not in found),
-        removed=tuple(index for index in range(len(recorded.agents)) if index not in taken),
+        pairs=tuple(sorted(matches.items())),
+        added=tuple(index for index in range(len(entry.agents)) if index not in matches),
+        removed=tuple(index for index in range(len(recorded.agents)) if index not in matched),
     )
 
 
-def _by_places(entry: Scene, recorded: Scene, common: Keyframes, found: dict[int, int]) -> None:
+def _by_places(entry: Scene, recorded: Scene, common: Keyframes, matches: dict[int, int]) -> None:
     """Pair objects that are at the same place at the same time, most such places first."""
-    taken = set(found.values())
+    matched = set(matches.values())
     places: dict[tuple[int, bytes], list[int]] = {}
     for index in range(len(recorded.agents)):
-        if index in taken:
+        if index in matched:
             continue
         at = common.there[recorded.annotations.valid[index, common.there]]
         for keyframe, place in zip(at.tolist(), recorded.annotations.position[index, at], strict=True):
             places.setdefault((keyframe, place.tobytes()), []).append(index)
     counts: Counter[tuple[int, int]] = Counter()
     for index in range(len(entry.agents)):
-        if index in found:
+        if index in matches:
             continue
         there_too = entry.annotations.valid[index, common.here]
         mine = entry.annotations.position[index, common.here[there_too]]
@@ -98,22 +98,22 @@ def _by_places(entry: Scene, recorded: Scene, common: Keyframes, found: dict[int
                 same = entry.agents.categories[index] == recorded.agents.categories[other]
                 counts[index, other] += _SAME_KIND if same else 1
     for (index, other), _ in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
-        if index not in found and other not in taken:
-            found[index] = other
-            taken.add(other)
+        if index not in matches and other not in matched:
+            matches[index] = other
+            matched.add(other)
 
 
-def _by_beginning(entry: Scene, recorded: Scene, common: Keyframes, found: dict[int, int]) -> None:
+def _by_beginning(entry: Scene, recorded: Scene, common: Keyframes, matches: dict[int, int]) -> None:
     """Pair what is left by distance at the first keyframe of both, together the least."""
-    taken = set(found.values())
-    mine = [index for index in range(len(entry.agents)) if index not in found]
-    theirs = [index for index in range(len(recorded.agents)) if index not in taken]
+    matched = set(matches.values())
+    mine = [index for index in range(len(entry.agents)) if index not in matches]
+    theirs = [index for index in range(len(recorded.agents)) if index not in matched]
     if not mine or not theirs:
         return
     costs = np.array([[_cost(entry, index, recorded, other, common) for other in theirs] for index in mine])
     for row, column in zip(*linear_sum_assignment(costs), strict=True):
         if costs[row, column] < FARTHEST_M:
-            found[mine[row]] = theirs[column]
+            matches[mine[row]] = theirs[column]
 
 
 def _cost(entry: Scene, index: int, recorded: Scene, other: int, common: Keyframes) -> float:
@@ -154,15 +154,15 @@ def times_of(entry: Scene, recorded: Scene, common: Keyframes) -> Iterator[Reaso
     if mine == theirs == len(common.here):
         return
     if mine != theirs:
-        said = f"has {counted(mine, 'keyframe')}, its recording has {theirs}"
+        sentence = f"has {counted(mine, 'keyframe')}, its recording has {theirs}"
     else:
         times = entry.timestamps_us[entry.keyframes] - recorded.timestamps_us[recorded.keyframes]
         first = int(np.argmax(times != 0))
-        said = (
+        sentence = (
             f"has {counted(theirs - len(common.here), 'keyframe')} at another time than the recording, first keyframe "
             f"{first}, by {abs(int(times[first])) * 1e-3:.3g} ms"
         )
-    yield Reason(rule="unchanged.times", sentence=said)
+    yield Reason(rule="unchanged.times", sentence=sentence)
 
 
 def ego_of(entry: Scene, recorded: Scene, common: Keyframes, rules: Unchanged) -> Iterator[Reason]:
@@ -230,9 +230,9 @@ def sensors_of(
                 yield Reason(rule="images.required", sentence=f"has {name} not at every keyframe")
             continue
         for here, there in zip(common.here.tolist(), common.there.tolist(), strict=True):
-            said = _view_differs(mine[name][here], theirs[name][there], recorded, there, rules)
-            if said:
-                yield Reason(rule="unchanged.position_m", sentence=f"{said} of {name}, first at keyframe {here}")
+            fault = _view_differs(mine[name][here], theirs[name][there], recorded, there, rules)
+            if fault:
+                yield Reason(rule="unchanged.position_m", sentence=f"{fault} of {name}, first at keyframe {here}")
                 break
 
 
@@ -315,14 +315,16 @@ def told_of(
 
 def _motion_differs(mine: Observation, theirs: Observation, rules: Unchanged) -> list[str]:
     if mine.ego.source == theirs.ego.source:
-        names = [each.name for each in fields(mine.ego) if each.name not in ("pose", "position", "rotation", "source")]
+        names = [
+            field.name for field in fields(mine.ego) if field.name not in ("pose", "position", "rotation", "source")
+        ]
         pairs = {name: (getattr(mine.ego, name), getattr(theirs.ego, name), rules.motion) for name in names}
     else:
         pairs = {
             "velocity": (mine.ego.velocity, theirs.ego.velocity, _DERIVED_M_S),
             "yaw_rate": (mine.ego.yaw_rate, theirs.ego.yaw_rate, _DERIVED_RAD_S),
         }
-    return [name.replace("_", " ") for name, (one, other, most) in pairs.items() if not _within(one, other, most)]
+    return [name.replace("_", " ") for name, (first, other, most) in pairs.items() if not _within(first, other, most)]
 
 
 def _within(first: Any, second: Any, most: float) -> bool:

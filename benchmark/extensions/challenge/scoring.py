@@ -120,13 +120,13 @@ def score_entries(
         InputError: If an entry is bad input, two are the same data, or there is no entry or planner.
     """
     _require_some(entries, planners, settings)
-    found = [_scored(name, data, base, planners, settings) for name, data in entries.items()]
-    recordings = sorted({source for each in found for source in each.sources.values()})
+    scored_entries = [_scored(name, data, base, planners, settings) for name, data in entries.items()]
+    recordings = sorted({source for scored in scored_entries for source in scored.sources.values()})
     # Records that are kept from before need not say whom contacts are with; all entries are ranked by the same.
-    told = all(says_whom(record) for each in found for record in each.records)
-    by: Rank = "adversary" if told and settings.protocol == EXACT else "collision"
-    scores = [_score(each, recordings, settings, by, told=told) for each in found]
-    ranked = sorted((each for each in scores if not each[0].reasons), key=lambda each: _order(each[0], by))
+    knows_contacts = all(says_whom(record) for scored in scored_entries for record in scored.records)
+    by: Rank = "adversary" if knows_contacts and settings.protocol == EXACT else "collision"
+    scores = [_score(scored, recordings, settings, by, told=knows_contacts) for scored in scored_entries]
+    ranked = sorted((scored for scored in scores if not scored[0].reasons), key=lambda each: _order(each[0], by))
     names = [score.entry.name for score, _ in ranked]
     compared = [(name, _value(score, by), draws) for name, (score, draws) in zip(names, ranked, strict=True)]
     pairs = pairs_of(compared, enough=len(recordings) > 1)
@@ -161,9 +161,9 @@ def _require_some(entries: Mapping[str, DataSet], planners: Sequence[PlannerFact
                 raise InputError(f"{factory.facts.name} has no protocol of its own; name one with --protocol")
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise InputError(f"{twice} is named twice; name each planner once")
-    seen: dict[str, str] = {}
+    names_by_fingerprint: dict[str, str] = {}
     for name, data in entries.items():
-        earlier = seen.setdefault(data.fingerprint(), name)
+        earlier = names_by_fingerprint.setdefault(data.fingerprint(), name)
         if earlier != name:
             raise InputError(f"the entries {earlier} and {name} are the same data; leave one out")
 
@@ -183,8 +183,10 @@ def _scored(
     if verdict.reasons or len(refused) == len(verdict.scenes):
         return _Scored(name, verdict, refused, (), {}, None)
     entry = CheckedEntry.of(data, name, folder, verdict)
-    records = tuple(evaluate(entry, SPLIT, each, folder / "runs", _evaluation(each, settings)) for each in planners)
-    judged = {scene: JudgementSummary.of(said) for scene, said in entry.judgements.items() if said}
+    records = tuple(
+        evaluate(entry, SPLIT, planner, folder / "runs", _evaluation(planner, settings)) for planner in planners
+    )
+    judged = {scene: JudgementSummary.of(judgements) for scene, judgements in entry.judgements.items() if judgements}
     return _Scored(name, verdict, refused, records, judged, split_realism(entry, entry.judgements, base))
 
 
@@ -250,19 +252,19 @@ def _severity(scored: _Scored, seed: int) -> dict[str, Measured]:
         if row.severity is not None and row.severity.contact is not None and row.severity.contact.adversary
     ]
     return {
-        "careful_survives": mean((scene, said.survives.get("cc")) for scene, said in judged.items()),
-        "least_gap_m": mean((scene, said.least_gap_m) for scene, said in judged.items()),
-        "critical": mean((scene, _is_critical(said)) for scene, said in judged.items()),
+        "careful_survives": mean((scene, summary.survives.get("cc")) for scene, summary in judged.items()),
+        "least_gap_m": mean((scene, summary.least_gap_m) for scene, summary in judged.items()),
+        "critical": mean((scene, _is_critical(summary)) for scene, summary in judged.items()),
         "delta_v_m_s": mean(contacts),
-        "without_fault": mean((scene, not said.faults) for scene, said in judged.items()),
+        "without_fault": mean((scene, not summary.faults) for scene, summary in judged.items()),
     }
 
 
-def _is_critical(said: JudgementSummary) -> bool | None:
+def _is_critical(summary: JudgementSummary) -> bool | None:
     """Whether ego and changed vehicle are ever nearly in contact; unknown where it was not measured."""
-    if said.least_gap_m is None:
+    if summary.least_gap_m is None:
         return None
-    return said.least_ttc_s is not None and said.least_ttc_s < CRITICAL_S
+    return summary.least_ttc_s is not None and summary.least_ttc_s < CRITICAL_S
 
 
 def _realism(realism: SplitRealism | None) -> dict[str, object]:

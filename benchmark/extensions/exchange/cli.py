@@ -73,9 +73,9 @@ def _scenes_to_export(options: ExportOptions) -> "tuple[DataSet, tuple[str, ...]
 
 def _say_exported(files: "Sequence[ExportedScene]", to: Path, json_output: bool) -> None:
     if json_output:
-        said = [{"scene": file.scene, "file": str(file.path), "adversaries": file.adversaries} for file in files]
-        print_json({"folder": str(to), "scenes": said})
+        file_rows = [{"scene": file.scene, "file": str(file.path), "adversaries": file.adversaries} for file in files]
+        print_json({"folder": str(to), "scenes": file_rows})
         return
     adversaries = sum(len(file.adversaries) for file in files)
-    who = f"{adversaries} adversar{'y' if adversaries == 1 else 'ies'} named in {'it' if len(files) == 1 else 'them'}"
-    typer.echo(f"{counted(len(files), 'scene')} in {to}, {who}")
+    named = f"{adversaries} adversar{'y' if adversaries == 1 else 'ies'} named in {'it' if len(files) == 1 else 'them'}"
+    typer.echo(f"{counted(len(files), 'scene')} in {to}, {named}")

@@ -151,15 +151,15 @@ def _velocity(position: Floats, there: Bools, seconds: Floats) -> Floats:
     return velocity
 
 
-def _own(made: Exchanged) -> dict[str, Any]:
+def _own(exchanged: Exchanged) -> dict[str, Any]:
     """Facts that ScenarioNet has no place for; `benchmark.datasets.scene_of_own` reads them."""
-    scene = made.scene
+    scene = exchanged.scene
     sweeps = scene.sweep_poses
     return {
         "schema": SCHEMA,
         "name": scene.name,
-        "source_scene": made.source_scene,
-        "report": canonical_json(dict(made.report)),
+        "source_scene": exchanged.source_scene,
+        "report": canonical_json(dict(exchanged.report)),
         "token": scene.token,
         "description": scene.description,
         "log": scene.log,
@@ -191,8 +191,8 @@ def _summaries(tracks: dict[str, dict[str, Any]], features: int) -> dict[str, An
     moving = [summary for summary in objects.values() if summary["moving_distance"] > _LEAST_MOVED_M]
 
     def each(summaries: Any) -> dict[str, int]:
-        found = [summary["type"] for summary in summaries]
-        return {kind: found.count(kind) for kind in types if kind in found}
+        present_types = [summary["type"] for summary in summaries]
+        return {kind: present_types.count(kind) for kind in types if kind in present_types}
 
     return {
         "object_summary": objects,
@@ -216,14 +216,14 @@ def _summary(name: str, track: dict[str, Any]) -> dict[str, Any]:
     there = track["state"]["valid"] > 0
     path = track["state"]["position"][there, :2]
     first = int(there.argmax())
-    gone = np.flatnonzero(~there[first:])
+    absent = np.flatnonzero(~there[first:])
     return {
         "type": track["type"],
         "object_id": name,
         "track_length": len(there),
         "moving_distance": float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()),
         "valid_length": int(there.sum()),
-        "continuous_valid_length": int(gone[0]) if len(gone) else len(there) - first,
+        "continuous_valid_length": int(absent[0]) if len(absent) else len(there) - first,
     }
 
 
@@ -251,8 +251,8 @@ def exchanged_of(dataset: DataSet, name: str) -> Exchanged:
     """
     scene = dataset.scene(name)
     require_two_hz(scene, "an exchanged file")
-    said = ((dataset.provenance() or {}).get("scenes") or {}).get(name, {})
-    report = said.get("report") if isinstance(said, dict) else None
+    origin = ((dataset.provenance() or {}).get("scenes") or {}).get(name, {})
+    report = origin.get("report") if isinstance(origin, dict) else None
     facts = dataset.scene_facts([name])[name]
     if "/" in name:
         variant, _, inner = name.partition("/")
@@ -319,12 +319,12 @@ def scene_file(to: Path, name: str, ending: str) -> Path:
 
 
 def _write_scenario(dataset: DataSet, to: Path, name: str) -> tuple[ExportedScene, dict[str, Any]]:
-    made = exchanged_of(dataset, name)
-    scenario = scenario_of(made)
+    exchanged = exchanged_of(dataset, name)
+    scenario = scenario_of(exchanged)
     path = scene_file(to, name, "pkl")
     write_bytes(path, plain_pickle(scenario))
     metadata = {key: value for key, value in scenario["metadata"].items() if key != OWN}
-    return ExportedScene(path, made.scene.name, made.scene.adversaries), metadata
+    return ExportedScene(path, exchanged.scene.name, exchanged.scene.adversaries), metadata
 
 
 def plain_pickle(value: Any) -> bytes:

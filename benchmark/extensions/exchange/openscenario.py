@@ -78,10 +78,10 @@ def require_package() -> Any:
 
 
 def _write(dataset: DataSet, to: Path, name: str) -> ExportedScene:
-    made = exchanged_of(dataset, name)
+    exchanged = exchanged_of(dataset, name)
     path = scene_file(to, name, "xosc")
-    write_bytes(path, openscenario_bytes(made))
-    return ExportedScene(path, made.scene.name, made.scene.adversaries)
+    write_bytes(path, openscenario_bytes(exchanged))
+    return ExportedScene(path, exchanged.scene.name, exchanged.scene.adversaries)
 
 
 def openscenario_bytes(made: Exchanged) -> bytes:
@@ -120,14 +120,14 @@ def openscenario_bytes(made: Exchanged) -> bytes:
     return b'<?xml version="1.0" encoding="utf-8"?>\n' + bytes(ElementTree.tostring(element, encoding="utf-8")) + b"\n"
 
 
-def _said(made: Exchanged) -> dict[str, str]:
+def _said(exchanged: Exchanged) -> dict[str, str]:
     """Description of the scene for the header."""
     return {
-        "scene": made.scene.name,
-        "source_scene": made.source_scene,
-        "adversaries": " ".join(made.scene.adversaries),
-        "location": made.scene.road_map.location,
-        "first_frame_us": str(int(made.scene.timestamps_us[0])),
+        "scene": exchanged.scene.name,
+        "source_scene": exchanged.source_scene,
+        "adversaries": " ".join(exchanged.scene.adversaries),
+        "location": exchanged.scene.road_map.location,
+        "first_frame_us": str(int(exchanged.scene.timestamps_us[0])),
     }
 
 
@@ -199,7 +199,7 @@ class _Track:
         front = EGO_WHEELBASE_M if self.is_ego else _AXLE_SHARE * length
         rear = 0.0 if self.is_ego else -_AXLE_SHARE * length
         wheel = min(0.7, 0.5 * height)
-        axles = [xosc.Axle(0.5, wheel, 0.9 * width, each, 0.5 * wheel) for each in (front, rear)]
+        axles = [xosc.Axle(0.5, wheel, 0.9 * width, axle_x, 0.5 * wheel) for axle_x in (front, rear)]
         category = getattr(xosc.VehicleCategory, called)
         return xosc.Vehicle(self.category, category, box, *axles, _MOST_SPEED, _MOST_ACCELERATION, _MOST_BRAKING)
 

@@ -52,7 +52,7 @@ def clearest_cases(records: Sequence[RunRecord], data: "DataSet") -> list[Case]:
     None for causes without a row.
     """
     truths: dict[str, dict[str, SampleTruth]] = {}
-    found = []
+    cases = []
     for protocol in PROTOCOLS:
         for cause in CAUSES:
             best: Case | None = None
@@ -68,8 +68,8 @@ def clearest_cases(records: Sequence[RunRecord], data: "DataSet") -> list[Case]:
                 case = case_of(planner, protocol, truth, plan_in_lidar(row, truth))
                 if case is not None and case.cause == cause and (best is None or case.clearness > best.clearness):
                     best = case
-            found += [] if best is None else [best]
-    return found
+            cases += [] if best is None else [best]
+    return cases
 
 
 def _showing(records: Sequence[RunRecord], protocol: str, cause: str) -> list[tuple[str, SampleRow]]:
@@ -99,7 +99,9 @@ def case_of(planner: str, protocol: str, truth: SampleTruth, plan_lidar: Floats)
     metres.
     """
     definition, plans = PROTOCOLS[protocol], plan_lidar[None]
-    exact, official = (one.evaluate([truth], plans) for one in (PROTOCOLS[EXACT], definition))
+    exact, official = (
+        protocol_definition.evaluate([truth], plans) for protocol_definition in (PROTOCOLS[EXACT], definition)
+    )
     if not (exact.counted[0] and official.counted[0]):
         return None
     rungs = ladder(definition, stack([truth]), plans, exact, official)

@@ -120,14 +120,14 @@ def draw_case(case: Case) -> bytes:
     # Colours and fonts must not depend on the user's settings.
     with matplotlib.style.context("default", after_reset=True):
         figure = Figure(figsize=(9.0, 5.6), dpi=_DPI, facecolor="white")
-        happens, seen = figure.subplots(1, 2)
+        true_axes, protocol_axes = figure.subplots(1, 2)
         instant = _shown_instant(case)
         centre = _middle(case, instant)
-        for axes in (happens, seen):
+        for axes in (true_axes, protocol_axes):
             frame_view(axes, centre, HALF_VIEW_M)
-        _draw_what_happens(happens, case, instant)
-        _draw_what_is_seen(seen, case)
-        happens.set_ylabel("metres ahead of the car now", fontsize=7, color="#777777")
+        _draw_what_happens(true_axes, case, instant)
+        _draw_what_is_seen(protocol_axes, case)
+        true_axes.set_ylabel("metres ahead of the car now", fontsize=7, color="#777777")
         _write_around(figure, case)
         return figure_png(figure)
 
@@ -206,7 +206,7 @@ def _draw_objects(
     alpha: float | None,
 ) -> None:
     """Objects that count (outlines only if ``alpha`` is None), and those that do not with the reason."""
-    filters = np.stack([kept[:, step] for kept in objects_by_filter(definition, stacked)])
+    filters = np.stack([counted[:, step] for counted in objects_by_filter(definition, stacked)])
     for number in np.flatnonzero(stacked.annotated[:, step + 1]).tolist():
         box = stacked.boxes[number, step + 1]
         if filters[-1, number] and alpha is None:

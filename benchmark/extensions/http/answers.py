@@ -55,7 +55,7 @@ class ModelAnswer:
                 f"{_AUX} is {'null' if aux is None else type(aux).__name__}; write {{}} where there are none"
             )
         classes = aux.get("object_classes") or []
-        if not isinstance(classes, list) or not all(isinstance(each, str) for each in classes):
+        if not isinstance(classes, list) or not all(isinstance(class_name, str) for class_name in classes):
             raise WireError(f"{_AUX}.object_classes is no list of texts")
         return cls(
             trajectory=trajectory,
@@ -86,8 +86,8 @@ class ModelAnswer:
             "object_ids": self.ids,
             "future_trajs": self.futures,
         }
-        said = {name: np.asarray(values).tolist() if len(values) else None for name, values in aux.items()}
-        return encoded({"trajectory": self.trajectory.tolist(), _AUX: said})
+        aux_lists = {name: np.asarray(values).tolist() if len(values) else None for name, values in aux.items()}
+        return encoded({"trajectory": self.trajectory.tolist(), _AUX: aux_lists})
 
     def plan(self, frame: PlanFrame = PlanFrame.EGO) -> Plan:
         """The part of an answer that can be driven.
@@ -124,23 +124,23 @@ def _listed(aux: dict[str, Any], name: str, shape: tuple[int, ...]) -> Floats:
     """An optional list; 0 in the shape is any length. A list without elements has one axis, as for the client."""
     if aux.get(name) is None:
         return np.empty(shape)
-    found = numbers_of(aux[name], f"{_AUX}.{name}")
-    wrong = found.ndim != len(shape) or any(
-        wanted not in (0, given) for wanted, given in zip(shape, found.shape, strict=True)
+    values = numbers_of(aux[name], f"{_AUX}.{name}")
+    wrong = values.ndim != len(shape) or any(
+        wanted not in (0, length_given) for wanted, length_given in zip(shape, values.shape, strict=True)
     )
     if wrong:
-        said = " x ".join("N" if not length else str(length) for length in shape)
-        raise WireError(f"{_AUX}.{name} must be {said} numbers, or null where there are none")
-    return found
+        wanted_shape = " x ".join("N" if not length else str(length) for length in shape)
+        raise WireError(f"{_AUX}.{name} must be {wanted_shape} numbers, or null where there are none")
+    return values
 
 
 def _forecasts_in_ego(plan: Plan, lidar_ahead_m: float) -> tuple[Floats, Floats]:
     """(A, 5) boxes and (A, M, 6, 2) ways from their centres, of a plan's forecasts, in the ego frame."""
-    found = plan.forecasts
-    if found is None or not len(found.boxes):
+    forecasts = plan.forecasts
+    if forecasts is None or not len(forecasts.boxes):
         return np.empty((0, _BOX_COLUMNS)), np.empty((0, 0, 0, 2))
-    boxes = np.array(found.boxes, np.float64)
-    ways = np.asarray(found.trajectories, np.float64) - boxes[:, None, None, :2]
+    boxes = np.array(forecasts.boxes, np.float64)
+    ways = np.asarray(forecasts.trajectories, np.float64) - boxes[:, None, None, :2]
     if plan.frame is PlanFrame.LIDAR:
         boxes[:, :2] = points_in_ego(boxes[:, :2], lidar_ahead_m)
         boxes[:, 4] -= np.pi / 2

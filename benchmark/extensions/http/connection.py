@@ -101,9 +101,9 @@ class Connection:
                 # Nothing that would have to be unpacked: the bound is on what arrives.
                 del client.headers["accept-encoding"]
                 headers = {} if body is None else {"content-type": _JSON}
-                seen = {"trace": watch.connected}
+                trace_extension = {"trace": watch.connected}
                 with client.stream(
-                    method, f"{self.url}{path}", content=body, headers=headers, extensions=seen
+                    method, f"{self.url}{path}", content=body, headers=headers, extensions=trace_extension
                 ) as response:
                     reply = Reply(response.status_code, self._body(response, path))
             # A body without a length ends where its connection is cut, and looks whole.
@@ -121,8 +121,8 @@ class Connection:
         except httpx2.TransportError as error:
             if watch.cut:
                 raise self._late(path, seconds) from error
-            left = "disconnected" in str(error) or "closed" in str(error)
-            if left or not isinstance(error, httpx2.RemoteProtocolError):
+            disconnected = "disconnected" in str(error) or "closed" in str(error)
+            if disconnected or not isinstance(error, httpx2.RemoteProtocolError):
                 raise self._left(path, error) from error
             raise PlannerGoneError(
                 f"{where} does not answer {path} as a web server would ({one_line(error, 80)}); name another address"

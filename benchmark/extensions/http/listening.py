@@ -18,15 +18,15 @@ def listening(host: str, port: int) -> socket.socket:
     """A listening socket at an address of this machine; port 0 takes a free one."""
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
-        found = socket.socket(family, socket.SOCK_STREAM)
-        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener = socket.socket(family, socket.SOCK_STREAM)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            found.bind((host, port))
-            found.listen(_BACKLOG)
+            listener.bind((host, port))
+            listener.listen(_BACKLOG)
         except OSError:
-            found.close()
+            listener.close()
             raise
-        return found
+        return listener
     except (OSError, UnicodeError, OverflowError) as error:
         raise InputError(
             f"cannot listen on {host} port {port}: {getattr(error, 'strerror', None) or error}; choose another --port "

@@ -68,8 +68,8 @@ class HttpPlanner:
             answer = ModelAnswer.read(reply.body)
         except WireError as error:
             self._require_server(reply, "/infer")
-            said = f"status {reply.status}: {_detail(reply)}" if reply.status >= _LEAST_ERROR else str(error)
-            raise ModelFailedError(f"{self._who} answered no plan ({said})") from error
+            failure = f"status {reply.status}: {_detail(reply)}" if reply.status >= _LEAST_ERROR else str(error)
+            raise ModelFailedError(f"{self._who} answered no plan ({failure})") from error
         if reply.status >= _LEAST_ERROR and not self._told:
             self._told = True
             print(

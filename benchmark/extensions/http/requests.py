@@ -100,7 +100,7 @@ def parsed(body: bytes, limits: Limits, what: str) -> Any:
 
 def _pinhole(matrices: Any, name: str) -> Floats:
     where = f"calibration.camera2image.{name}"
-    found = matrix_of(member(matrices, name, "camera2image"), (3, 3), where)
-    if found[0, 0] <= 0.0 or found[1, 1] <= 0.0 or found[2].tolist() != [0.0, 0.0, 1.0]:
+    matrix = matrix_of(member(matrices, name, "camera2image"), (3, 3), where)
+    if matrix[0, 0] <= 0.0 or matrix[1, 1] <= 0.0 or matrix[2].tolist() != [0.0, 0.0, 1.0]:
         raise WireError(f"{where} is no pinhole matrix: focal lengths above zero, last row 0 0 1")
-    return found
+    return matrix

@@ -67,7 +67,7 @@ class RendererActor:
         if (
             not isinstance(times, list)
             or not times
-            or not all(type(each) is int and abs(each) < 1 << 53 for each in times)
+            or not all(type(timestamp) is int and abs(timestamp) < 1 << 53 for timestamp in times)
         ):
             raise WireError(f"{where}.timestamps is no list of whole microseconds")
         poses = numbers_of(member(value, "poses", where), f"{where}.poses")
@@ -101,7 +101,7 @@ def actors_in(body: bytes) -> tuple[RendererActor, ...]:
     value = parsed(body, WIRE_ANSWER, _BODY)
     if not isinstance(value, list) or len(value) > _MOST_ACTORS:
         raise WireError(f"{_BODY} is no list of at most {_MOST_ACTORS} actors")
-    return tuple(RendererActor.read(each, f"actor {number}") for number, each in enumerate(value))
+    return tuple(RendererActor.read(actor, f"actor {number}") for number, actor in enumerate(value))
 
 
 def moved(actors: Iterable[MovedActor]) -> bytes:
@@ -109,13 +109,13 @@ def moved(actors: Iterable[MovedActor]) -> bytes:
     return encoded(
         [
             {
-                "timestamps": each.timestamps.tolist(),
-                "poses": each.poses.tolist(),
-                "dims": each.dims.tolist(),
-                "uuid": each.uuid,
-                "is_target_actor": each.is_target,
+                "timestamps": actor.timestamps.tolist(),
+                "poses": actor.poses.tolist(),
+                "dims": actor.dims.tolist(),
+                "uuid": actor.uuid,
+                "is_target_actor": actor.is_target,
             }
-            for each in actors
+            for actor in actors
         ]
     )
 
@@ -179,9 +179,9 @@ class HttpSensor:
                 f"scene {scene.name} has no {missing[0]}, and a renderer for NeuroNCAP is asked for "
                 f"{', '.join(CAMERAS)}; drive a data set with these cameras, calibrated"
             )
-        said = self.asked("/get_actors")
+        answer = self.asked("/get_actors")
         try:
-            known = {actor.uuid: actor for actor in actors_in(said)}
+            known = {actor.uuid: actor for actor in actors_in(answer)}
         except WireError as error:
             raise _wrong(self.address, f"{error}") from error
         self._require_same(scene, known)
@@ -282,7 +282,7 @@ def moved_actors(driven: Scene, known: frozenset[str], adversaries: tuple[str, .
 
     An actor that is absent now is left out, and so vanishes from the renderer's pictures.
     """
-    agents, found = driven.agents, []
+    agents, placed_actors = driven.agents, []
     for row, uuid in enumerate(agents.ids):
         if uuid not in known or not agents.valid[row, -1]:
             continue
@@ -297,7 +297,7 @@ def moved_actors(driven: Scene, known: frozenset[str], adversaries: tuple[str, .
             for yaw, place in zip([*yaws, yaws[-1]], [*places, places[-1] + share * step], strict=True)
         ]
         length, width, height = agents.size[row].tolist()
-        found.append(
+        placed_actors.append(
             MovedActor(
                 timestamps=np.append(times, times[-1] + _AHEAD_US),
                 poses=np.array(poses),
@@ -306,7 +306,7 @@ def moved_actors(driven: Scene, known: frozenset[str], adversaries: tuple[str, .
                 is_target=uuid in adversaries,
             )
         )
-    return found
+    return placed_actors
 
 
 def _reply(ask: Callable[[], Reply]) -> Reply:
@@ -317,8 +317,8 @@ def _reply(ask: Callable[[], Reply]) -> Reply:
         raise InputError(str(error)) from error
 
 
-def _wrong(address: Address, what: str) -> InputError:
-    return InputError(f"the renderer at {address.url} does not fit: {what}")
+def _wrong(address: Address, mismatch: str) -> InputError:
+    return InputError(f"the renderer at {address.url} does not fit: {mismatch}")
 
 
 def _copy(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -94,8 +94,8 @@ def _answered(work: Callable[[Request], Awaitable[bytes]]) -> Callable[[Request]
 async def _body(request: Request, most: int, seconds: float) -> bytes:
     """A body, counted while it arrives; what it says of its length is only good for refusing it sooner."""
     too_long = Refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a body has at most {in_words(most)}")
-    said = request.headers.get("content-length", "")
-    if said.isdigit() and int(said[:20]) > most:
+    content_length = request.headers.get("content-length", "")
+    if content_length.isdigit() and int(content_length[:20]) > most:
         raise too_long
     parts: list[bytes] = []
     size = 0

@@ -139,11 +139,11 @@ def _rotation(request: InferRequest) -> Floats:
 
     Networks were trained on the scalar part of the data set's own quaternions, whose sign a matrix does not keep.
     """
-    found, said = quaternion_of(request.ego2world[:3, :3]), request.canbus[_ROTATION]
-    alike = float(found @ said)
-    if abs(float(said @ said) - 1.0) < _SAME and abs(abs(alike) - 1.0) < _SAME:
-        return said.copy()
-    return -found if alike < 0.0 else found
+    computed, reported = quaternion_of(request.ego2world[:3, :3]), request.canbus[_ROTATION]
+    alike = float(computed @ reported)
+    if abs(float(reported @ reported) - 1.0) < _SAME and abs(abs(alike) - 1.0) < _SAME:
+        return reported.copy()
+    return -computed if alike < 0.0 else computed
 
 
 def _view(request: InferRequest, name: str, pixels: NDArray[np.uint8]) -> CameraView:

@@ -38,12 +38,12 @@ def numbers_of(value: Any, where: str) -> Floats:
 
 def matrix_of(value: Any, shape: tuple[int, ...], where: str) -> Floats:
     """Finite numbers of one shape."""
-    found = numbers_of(value, where)
-    if found.shape != shape:
-        raise WireError(f"{where} has the shape {_said(found.shape)}, not {_said(shape)}")
-    if not np.isfinite(found).all():
+    matrix = numbers_of(value, where)
+    if matrix.shape != shape:
+        raise WireError(f"{where} has the shape {_said(matrix.shape)}, not {_said(shape)}")
+    if not np.isfinite(matrix).all():
         raise WireError(f"{where} has NaN or infinity in it")
-    return found
+    return matrix
 
 
 def pose_of(value: Any, where: str) -> Floats:
@@ -52,15 +52,15 @@ def pose_of(value: Any, where: str) -> Floats:
     Raises:
         WireError: If its rotation is none, its last row is another, or it is farther away than any map.
     """
-    found = matrix_of(value, (4, 4), where)
-    turn = found[:3, :3]
+    pose = matrix_of(value, (4, 4), where)
+    turn = pose[:3, :3]
     # Only numbers that cannot overflow are multiplied.
     sound = np.abs(turn).max() < 2.0 and np.abs(turn @ turn.T - np.eye(3)).max() < _ROTATION_TOLERANCE
-    if not sound or np.linalg.det(turn) < 0.0 or np.abs(found[3] - [0.0, 0.0, 0.0, 1.0]).max() > _ROTATION_TOLERANCE:
+    if not sound or np.linalg.det(turn) < 0.0 or np.abs(pose[3] - [0.0, 0.0, 0.0, 1.0]).max() > _ROTATION_TOLERANCE:
         raise WireError(f"{where} is no pose: four rows, a rotation and a translation, then 0 0 0 1")
-    if np.abs(found[:3, 3]).max() > FARTHEST_M:
-        raise WireError(f"{where} is {np.abs(found[:3, 3]).max():.3g} m away")
-    return found
+    if np.abs(pose[:3, 3]).max() > FARTHEST_M:
+        raise WireError(f"{where} is {np.abs(pose[:3, 3]).max():.3g} m away")
+    return pose
 
 
 def whole_number(value: Any, most: int, where: str) -> int:
@@ -83,11 +83,11 @@ def _require_numbers(value: Any, where: str) -> None:
     """Only lists and numbers: what numpy would make numbers of texts and truth values for is refused."""
     waiting = [value]
     while waiting:
-        each = waiting.pop()
-        if type(each) is list:
-            waiting += each
-        elif type(each) not in (int, float):
-            raise WireError(f"{where} holds {one_line(repr(each), 40)}, which is no number")
+        item = waiting.pop()
+        if type(item) is list:
+            waiting += item
+        elif type(item) not in (int, float):
+            raise WireError(f"{where} holds {one_line(repr(item), 40)}, which is no number")
 
 
 def _said(shape: Sequence[int]) -> str:
@@ -143,9 +143,9 @@ def image_from(text: str | bytes, where: str, *, tensors: bool) -> NDArray[np.ui
 def picture_from(data: bytes, where: str, *, tensors: bool) -> NDArray[np.uint8]:
     """A picture from the bytes of a file; arguments and errors as of `image_from`."""
     try:
-        found: NDArray[Any] = image_of(data, tensors=tensors)
+        picture: NDArray[Any] = image_of(data, tensors=tensors)
     except TensorRefused as refused:
         raise TensorRefused(f"{where} {refused}") from refused
     except ValueError as error:
         raise WireError(f"{where} {one_line(error)}") from error
-    return found
+    return picture

@@ -43,34 +43,34 @@ class SceneBoxes:
     @classmethod
     def of(cls, rows: SceneRows) -> Self:
         """All annotations of a scene."""
-        found = tuple(rows.annotations.values())
-        index = {row["token"]: number for number, row in enumerate(found)}
+        annotations = tuple(rows.annotations.values())
+        index = {row["token"]: number for number, row in enumerate(annotations)}
         time_us = {row["token"]: row["timestamp"] for row in rows.samples}
 
         def column(name: str, width: int) -> Floats:
-            return np.array([row[name] for row in found], np.float64).reshape(len(found), width)
+            return np.array([row[name] for row in annotations], np.float64).reshape(len(annotations), width)
 
         def linked(name: str) -> Indices:
-            return np.array([index[row[name]] if row[name] else NO_BOX for row in found], np.int64)
+            return np.array([index[row[name]] if row[name] else NO_BOX for row in annotations], np.int64)
 
         return cls(
-            rows=found,
+            rows=annotations,
             position=column("translation", 3),
             size=column("size", 3),
             rotation=rotation_matrix(column("rotation", 4)),
-            time_us=np.array([time_us[row["sample_token"]] for row in found], np.int64),
+            time_us=np.array([time_us[row["sample_token"]] for row in annotations], np.int64),
             prev=linked("prev"),
             next=linked("next"),
         )
 
     def following(self, boxes: Indices, steps: int) -> Indices:
         """The next K annotations of objects, however far away in time: (N, K) indices, -1 from where a track ends."""
-        found = np.full((len(boxes), steps), NO_BOX)
+        following_boxes = np.full((len(boxes), steps), NO_BOX)
         at = boxes
         for step in range(steps):
             at = np.where(at == NO_BOX, NO_BOX, self.next[at])
-            found[:, step] = at
-        return found
+            following_boxes[:, step] = at
+        return following_boxes
 
     def velocity(self, boxes: Indices) -> Floats:
         """Global velocities from the boxes before and after, as nuscenes-devkit takes them: (N, 3) m/s.

@@ -52,12 +52,12 @@ def export_infos_command(options: ExportInfosOptions) -> None:
     exported = export_infos(folder, options.to, settings)
     if options.json_output:
         files = {str(path): count for path, count in exported.files.items()}
-        departures = [departure.as_json() for departure in exported.departures]
+        departures = [difference.as_json() for difference in exported.departures]
         print_json({"files": files, "departures": departures, "not_cured": list(exported.not_cured)})
         return
     for path, count in exported.files.items():
         typer.echo(f"{counted(count, 'info')} in {path}")
-    for departure in exported.departures:
-        typer.echo(f"otherwise than converted: {departure.what}")
+    for difference in exported.departures:
+        typer.echo(f"otherwise than converted: {difference.what}")
     for sentence in exported.not_cured:
         typer.echo(f"not to be cured here: {sentence}")

@@ -186,9 +186,9 @@ def read_can_bus(repository: Repository, names: Collection[str]) -> Departure:
 
 def in_val_file(split: str, elsewhere: Collection[str], others: int) -> list[Departure]:
     """The departure that another choice of scenes is than the converter's by official names."""
-    found = []
+    differences = []
     if elsewhere:
-        found.append(
+        differences.append(
             Departure(
                 f"scenes of {split} that nuScenes names among its training scenes are in the val file",
                 "official configurations evaluate the val file alone",
@@ -197,14 +197,14 @@ def in_val_file(split: str, elsewhere: Collection[str], others: int) -> list[Dep
             )
         )
     if others:
-        found.append(
+        differences.append(
             Departure(
                 f"{counted(others, 'scene')} of the root that {split} does not have are left out",
                 "the converters put every scene into one of their two files",
                 (),
             )
         )
-    return found
+    return differences
 
 
 def seen_in_full(boxes: Mapping[str, int]) -> Departure:
@@ -248,7 +248,7 @@ class Seen:
 def not_cured(repository: Repository, seen: Seen) -> list[str]:
     """Sentences on what a reader of the results should know, since no info file can change it."""
     last = repository.name == "sparsedrive"
-    found = [
+    sentences = [
         "detection, tracking and motion are evaluated against nuScenes' own lists of scenes, in which those of other "
         "data sets are not: "
         + (
@@ -259,8 +259,10 @@ def not_cured(repository: Repository, seen: Seen) -> list[str]:
     ]
     other = sorted(size for size in seen.sizes if size != _TRAINED_SIZE)
     if other:
-        drawn, trained = (", ".join(f"{width}x{height}" for width, height in each) for each in (other, [_TRAINED_SIZE]))
-        found.append(
+        drawn, trained = (
+            ", ".join(f"{width}x{height}" for width, height in sizes) for sizes in (other, [_TRAINED_SIZE])
+        )
+        sentences.append(
             f"images are {drawn}, and published networks were trained on {trained} "
             f"({_SIZE_OPTIONS.format(size=trained)})"
         )
@@ -271,16 +273,16 @@ def not_cured(repository: Repository, seen: Seen) -> list[str]:
             if repository.name == "uniad"
             else ("the evaluation does not know of these objects at these samples")
         )
-        found.append(f"{boxes} no lidar point: {known}")
+        sentences.append(f"{boxes} no lidar point: {known}")
     if seen.without_can_bus:
         scenes = counted(len(seen.without_can_bus), "scene has", "scenes have")
-        found.append(
+        sentences.append(
             f"{scenes} no CAN bus, so that models see zeros for "
             f"the motion of the ego: {', '.join(seen.without_can_bus[:3])}"
         )
     if seen.off_the_map:
-        found.append(
+        sentences.append(
             f"{counted(seen.off_the_map, 'sample has', 'samples have')} nothing of the map within {AROUND_M:g} m, "
             "which UniAD's reader fails at"
         )
-    return found
+    return sentences

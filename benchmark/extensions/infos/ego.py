@@ -64,12 +64,12 @@ class CanMessages:
         if hidden or (as_converted and not OFFICIAL_NAME.fullmatch(scene)):
             return cls((), ())
         kinds = {**CAN_BUS, "pose": {**CAN_BUS["pose"], **CAN_BUS_POSE}}
-        found = []
+        message_lists = []
         for kind in ("pose", "steeranglefeedback"):
             path = root / "can_bus" / f"{scene}_{kind}.json"
             messages = read_json(path) if path.is_file() else []
-            found.append(require_records(path, "message", messages, kinds[kind]))
-        return cls(*found)
+            message_lists.append(require_records(path, "message", messages, kinds[kind]))
+        return cls(*message_lists)
 
     def vector(self, time_us: int) -> Floats:
         """The vector ``can_bus`` of an info.
@@ -213,10 +213,10 @@ def ego_status(can: CanMessages, time_us: int) -> Floats:
     Returns:
         (10,) acceleration, rotation rate, velocity, steering angle; zeros where any of them is missing.
     """
-    found = can.nearest(time_us)
-    if found is None:
+    messages = can.nearest(time_us)
+    if messages is None:
         return np.zeros(STATUS_VALUES)
-    return np.array([*found.acceleration, *found.rotation_rate, *found.velocity, found.steering])
+    return np.array([*messages.acceleration, *messages.rotation_rate, *messages.velocity, messages.steering])
 
 
 def in_single_precision(values: dict[str, Any]) -> dict[str, Any]:

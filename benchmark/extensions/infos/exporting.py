@@ -69,9 +69,9 @@ class StandIn:
         parts += [f"maps/{path.name}" for path in sorted((root / "maps").glob("*")) if path.name != "expansion"]
         parts += [f"{_MAPS}/{path.name}" for path in sorted((root / _MAPS).glob("*.json"))]
         links = {folder / part: source / part for part in parts} | {folder / name: Path("..") / name for name in beside}
-        found = cls(folder, links, [folder / _MAPS / f"{city}.json" for city in missing_cities(root)])
-        found._require_free()
-        return found
+        stand_in = cls(folder, links, [folder / _MAPS / f"{city}.json" for city in missing_cities(root)])
+        stand_in._require_free()
+        return stand_in
 
     def write(self) -> None:
         """Write it; raises `InputError` if the disk refuses."""
@@ -93,8 +93,8 @@ class StandIn:
                     f"{path} leads to {path.readlink()}, for {self.folder.parent} was exported from another root; "
                     "choose another --to"
                 )
-            taken = path.exists() and not path.is_symlink()
-            if taken and not (path.is_file() and path.parent == self.folder / _MAPS):
+            occupied = path.exists() and not path.is_symlink()
+            if occupied and not (path.is_file() and path.parent == self.folder / _MAPS):
                 raise InputError(f"{path} is in the way of a link; choose another --to, or remove it")
 
 
@@ -161,20 +161,24 @@ def export_infos(root: Path, to: Path, settings: InfoSettings) -> Exported:
     reader = repository(settings.repository)
     variants = variant_folders(root)
     roots = {to / name: root / name for name in variants} or {to: root}
-    each = {target: _settings_for(target.name, settings) if variants else settings for target in roots}
-    made = {target: info_files(source, reader, each[target]) for target, source in roots.items()}
+    settings_by_target = {target: _settings_for(target.name, settings) if variants else settings for target in roots}
+    infos_by_target = {
+        target: info_files(source, reader, settings_by_target[target]) for target, source in roots.items()
+    }
     folders = {} if settings.as_converted else {
-        target: _folder_for(reader, roots[target], target, found, each[target]) for target, found in made.items()
+        target: _folder_for(reader, roots[target], target, infos, settings_by_target[target]) for target, infos in infos_by_target.items()
     }  # fmt: skip
     files: dict[Path, int] = {}
-    for target, found in made.items():
-        files |= _write(target, reader, found)
+    for target, infos in infos_by_target.items():
+        files |= _write(target, reader, infos)
     for target, folder in folders.items():
         folder.write()
-        _write_departures(target, reader, made[target])
-    departures = tuple(departure for found in made.values() for departure in found.departures)
+        _write_departures(target, reader, infos_by_target[target])
+    differences = tuple(difference for infos in infos_by_target.values() for difference in infos.departures)
     return Exported(
-        files, departures, tuple(dict.fromkeys(said for found in made.values() for said in found.not_cured))
+        files,
+        differences,
+        tuple(dict.fromkeys(sentence for infos in infos_by_target.values() for sentence in infos.not_cured)),
     )
 
 
@@ -290,8 +294,8 @@ class _Curing(_Converting):
         present = [scene["name"] for scene in self.tables.scenes]
         custom = read_splits(self.root, self.found.version)
         provenance = self.root / self.found.version / "challenger.json"
-        said = read_json(provenance) if provenance.is_file() else None
-        built_as = said.get("split") if isinstance(said, dict) else None
+        provenance_values = read_json(provenance) if provenance.is_file() else None
+        built_as = provenance_values.get("split") if isinstance(provenance_values, dict) else None
         split = self.settings.split or evaluated_split(present, custom, where=str(self.root), built_as=built_as)
         return split, scenes_of_split(split, present, custom, where=str(self.root), built_as=built_as)
 
@@ -302,16 +306,16 @@ class _Curing(_Converting):
         times = [sample["timestamp"] for sample in rows.samples]
         self._times.append((rows.name, min(times), max(times)))
         self._infos[rows.name] = infos
-        seen = self._seen
-        seen.sizes.update((row["width"], row["height"]) for row in rows.data.values() if row["width"])
-        seen.without_points += sum(row["num_lidar_pts"] == 0 for row in rows.annotations.values())
+        observations = self._seen
+        observations.sizes.update((row["width"], row["height"]) for row in rows.data.values() if row["width"])
+        observations.without_points += sum(row["num_lidar_pts"] == 0 for row in rows.annotations.values())
         if not self._can_bus(rows).pose:
-            seen.without_can_bus.append(rows.name)
+            observations.without_can_bus.append(rows.name)
         unknown = sum(not is_level(row["visibility_token"]) for row in rows.annotations.values())
         if unknown:
-            seen.without_visibility[rows.name] = unknown
+            observations.without_visibility[rows.name] = unknown
         if self.reader.name == "uniad":
-            seen.off_the_map += self._samples_off_the_map(rows)
+            observations.off_the_map += self._samples_off_the_map(rows)
         return infos
 
     def _samples_off_the_map(self, rows: SceneRows) -> int:
@@ -330,20 +334,20 @@ class _Curing(_Converting):
     def _departures(self, split: str, names: Sequence[str], shifts: dict[str, int]) -> list[cures.Departure]:
         training = official_training_scenes(self.found.version)
         others = len(self.tables.scenes) - len(names)
-        found = [cures.paths(self.prefix), *cures.in_val_file(split, training & set(names), others)]
+        differences = [cures.paths(self.prefix), *cures.in_val_file(split, training & set(names), others)]
         refused = {name for name in names if not OFFICIAL_NAME.fullmatch(name)} - set(self._seen.without_can_bus)
         if refused:
-            found.append(cures.read_can_bus(self.reader, refused))
+            differences.append(cures.read_can_bus(self.reader, refused))
         if shifts:
-            found.append(cures.shifted(shifts))
+            differences.append(cures.shifted(shifts))
         if self.reader.name == "vad":
-            found += cures.numbered(super()._category_numbers())
+            differences += cures.numbered(super()._category_numbers())
         if self.reader.name == "uniad" and self._seen.without_visibility:
-            found.append(cures.seen_in_full(self._seen.without_visibility))
+            differences.append(cures.seen_in_full(self._seen.without_visibility))
         cities = missing_cities(self.root)
         if cities:
-            found.append(cures.empty_maps(cities))
-        return found
+            differences.append(cures.empty_maps(cities))
+        return differences
 
 
 def _settings_for(variant: str, settings: InfoSettings) -> InfoSettings:
@@ -351,23 +355,23 @@ def _settings_for(variant: str, settings: InfoSettings) -> InfoSettings:
     return settings if settings.root_as is None else replace(settings, root_as=f"{settings.root_as}/{variant}")
 
 
-def _folder_for(reader: Repository, root: Path, to: Path, found: InfoFiles, settings: InfoSettings) -> StandIn:
+def _folder_for(reader: Repository, root: Path, to: Path, infos: InfoFiles, settings: InfoSettings) -> StandIn:
     """VAD looks for its info files in the root, the others beside it."""
-    beside = [reader.file_name(found.version, part) for part in found.parts] if reader.name == "vad" else []
-    return StandIn.of(root, to, found.version, root_as=settings.root_as, beside=beside)
+    beside = [reader.file_name(infos.version, part) for part in infos.parts] if reader.name == "vad" else []
+    return StandIn.of(root, to, infos.version, root_as=settings.root_as, beside=beside)
 
 
-def _write(to: Path, reader: Repository, found: InfoFiles) -> dict[Path, int]:
+def _write(to: Path, reader: Repository, info_files_of_root: InfoFiles) -> dict[Path, int]:
     files = {}
-    for part, infos in found.parts.items():
-        path = to / reader.file_name(found.version, part)
-        content = {"infos": infos, "metadata": {"version": found.version}}
+    for part, infos in info_files_of_root.parts.items():
+        path = to / reader.file_name(info_files_of_root.version, part)
+        content = {"infos": infos, "metadata": {"version": info_files_of_root.version}}
         write_bytes(path, pickle.dumps(content, protocol=PROTOCOL))
         files[path] = len(infos)
     return files
 
 
-def _write_departures(to: Path, reader: Repository, found: InfoFiles) -> None:
-    departures = [departure.as_json() for departure in found.departures]
-    said = {"for": reader.title, "departures": departures, "not_cured": found.not_cured}
-    write_json(to / f"{reader.name}_departures.json", said)
+def _write_departures(to: Path, reader: Repository, info_files_of_root: InfoFiles) -> None:
+    differences = [difference.as_json() for difference in info_files_of_root.departures]
+    report = {"for": reader.title, "departures": differences, "not_cured": info_files_of_root.not_cured}
+    write_json(to / f"{reader.name}_departures.json", report)

@@ -107,22 +107,22 @@ def camera_infos(rows: SceneRows, sample: Row, lidar: SensorFrame, prefix: str) 
     Raises:
         KeyError: If a camera has no image; `benchmark.extensions.infos.cures.require_cameras` says so in a sentence.
     """
-    found = {}
+    infos = {}
     for channel in CAMERA_NAMES:
         data = rows.key_frames[sample["token"]][channel]
         intrinsic = rows.mounts[data["calibrated_sensor_token"]]["camera_intrinsic"]
-        found[channel] = sensor_info(rows, data, channel, lidar, prefix)
-        found[channel]["cam_intrinsic"] = np.array(intrinsic, np.float64)
-    return found
+        infos[channel] = sensor_info(rows, data, channel, lidar, prefix)
+        infos[channel]["cam_intrinsic"] = np.array(intrinsic, np.float64)
+    return infos
 
 
 def sweep_infos(rows: SceneRows, data: Row, lidar: SensorFrame, prefix: str) -> list[SensorInfo]:
     """Lidar measurements before that of a sample, newest first; arguments as in `camera_infos`."""
-    found: list[SensorInfo] = []
-    while data["prev"] and len(found) < SWEEPS:
+    sweeps: list[SensorInfo] = []
+    while data["prev"] and len(sweeps) < SWEEPS:
         data = rows.data[data["prev"]]
-        found.append(sensor_info(rows, data, "lidar", lidar, prefix))
-    return found
+        sweeps.append(sensor_info(rows, data, "lidar", lidar, prefix))
+    return sweeps
 
 
 def sensor_info(rows: SceneRows, data: Row, kind: str, lidar: SensorFrame, prefix: str) -> SensorInfo:
@@ -239,10 +239,10 @@ _BEFORE_BOXES: Final[Mapping[RepositoryName, Callable[[SceneSources, _Moment], I
 
 
 def _annotations(repository: Repository, sources: SceneSources, moment: _Moment) -> Info:
-    found = annotation_keys(sources.rows, sources.boxes, moment.here, moment.lidar)
-    further = _OF_BOXES[repository.name](sources, moment, found)
-    found["gt_boxes"] = _boxes_for(repository.name, found["gt_boxes"])
-    return {**found, **further}
+    keys = annotation_keys(sources.rows, sources.boxes, moment.here, moment.lidar)
+    further = _OF_BOXES[repository.name](sources, moment, keys)
+    keys["gt_boxes"] = _boxes_for(repository.name, keys["gt_boxes"])
+    return {**keys, **further}
 
 
 def _boxes_for(name: RepositoryName, boxes: Any) -> Any:
@@ -287,11 +287,11 @@ def _visibility(sources: SceneSources, moment: _Moment, level: str) -> int:
     )
 
 
-def _of_vad(sources: SceneSources, moment: _Moment, found: Info) -> Info:
+def _of_vad(sources: SceneSources, moment: _Moment, box_keys: Info) -> Info:
     path = sources.drive.path(moment.at)
-    boxes, names = found["gt_boxes"], [sources.rows.categories[token] for token in _instances(sources, moment)]
+    boxes, names = box_keys["gt_boxes"], [sources.rows.categories[token] for token in _instances(sources, moment)]
     categories = np.array([sources.category_numbers[name] for name in names], np.float64)
-    features = [boxes[:, :2], boxes[:, 6:], found["gt_velocity"], boxes[:, 3:6], categories[:, None]]
+    features = [boxes[:, :2], boxes[:, 6:], box_keys["gt_velocity"], boxes[:, 3:6], categories[:, None]]
     futures = vad_futures(sources.boxes, moment.here, moment.lidar)
     ego = sources.drive.features(moment.at, path, sources.can, sources.rows.location)
     return in_single_precision(

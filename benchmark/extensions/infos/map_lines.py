@@ -135,10 +135,12 @@ class _Patch:
 
 def _pieces(shapes: Iterable[shapely.Geometry], kind: type[shapely.Geometry]) -> list[Any]:
     """Single lines or polygons; points, which are left where shapes touch the patch, are none."""
-    found: list[shapely.Geometry] = []
+    pieces: list[shapely.Geometry] = []
     for shape in shapes:
-        found += [piece for piece in getattr(shape, "geoms", [shape]) if isinstance(piece, kind) and not piece.is_empty]
-    return found
+        pieces += [
+            piece for piece in getattr(shape, "geoms", [shape]) if isinstance(piece, kind) and not piece.is_empty
+        ]
+    return pieces
 
 
 def _points(lines: Iterable[shapely.Geometry]) -> list[Floats]:
@@ -152,15 +154,15 @@ def _local_area(margin_m: float) -> Polygon:
 
 def _crossings(shapes: Sequence[shapely.Geometry]) -> list[Floats]:
     """Outlines of crossings, of which those that run alike and meet are one."""
-    area, found = _local_area(0.0), []
+    area, outlines = _local_area(0.0), []
     for crossing in _pieces(_joined(_pieces(shapes, Polygon)), Polygon):
         outline = _wound(crossing.exterior, clockwise=False).intersection(area)
         if isinstance(outline, MultiLineString):
             outline = linemerge(outline)
         parts = _points([outline])
         if parts:
-            found.append(np.concatenate(parts))
-    return found
+            outlines.append(np.concatenate(parts))
+    return outlines
 
 
 def _joined(crossings: Sequence[Polygon]) -> list[Polygon | MultiPolygon]:
@@ -169,18 +171,18 @@ def _joined(crossings: Sequence[Polygon]) -> list[Polygon | MultiPolygon]:
         return []
     bounds = shapely.bounds(crossings)
     sides = np.array([_long_side(crossing) for crossing in crossings])
-    waiting, found = list(range(len(crossings))), []
+    waiting, joined = list(range(len(crossings))), []
     while waiting:
         first, *rest = waiting
         apart = (bounds[rest, :2] > bounds[first, 2:]).any(axis=1) | (bounds[rest, 2:] < bounds[first, :2]).any(axis=1)
         parallel = 1 - np.abs(sides[rest] @ sides[first]) < _PARALLEL
         own = [number for number, joins in zip(rest, ~apart & parallel, strict=True) if joins]
-        whole: Polygon | MultiPolygon = crossings[first]
+        union: Polygon | MultiPolygon = crossings[first]
         for number in own:
-            whole = whole.union(crossings[number])
-        found.append(whole)
+            union = union.union(crossings[number])
+        joined.append(union)
         waiting = [number for number in rest if number not in own]
-    return found
+    return joined
 
 
 def _long_side(crossing: Polygon) -> Floats:

@@ -60,9 +60,9 @@ REPOSITORIES: Final = {
 
 def repository(name: str) -> Repository:
     """A repository by name; raises `InputError` for any other name."""
-    for found in REPOSITORIES.values():
-        if found.name == name:
-            return found
+    for candidate in REPOSITORIES.values():
+        if candidate.name == name:
+            return candidate
     raise InputError(f"--for {name} is no repository with info files; they are {', '.join(REPOSITORIES)}")
 
 

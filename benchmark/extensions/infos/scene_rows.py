@@ -60,29 +60,29 @@ class SceneRows:
     @cached_property
     def key_frames(self) -> Mapping[str, Mapping[str, Row]]:
         """Rows of ``sample_data`` by token of the sample and channel."""
-        found: defaultdict[str, dict[str, Row]] = defaultdict(dict)
+        frames: defaultdict[str, dict[str, Row]] = defaultdict(dict)
         for row in self.data.values():
             if row["is_key_frame"]:
-                found[row["sample_token"]][self.channels[row["calibrated_sensor_token"]]] = row
-        return found
+                frames[row["sample_token"]][self.channels[row["calibrated_sensor_token"]]] = row
+        return frames
 
     @cached_property
     def annotations_of(self) -> Mapping[str, list[Row]]:
         """Rows of ``sample_annotation`` by token of the sample, in the order of the file."""
-        found: defaultdict[str, list[Row]] = defaultdict(list)
+        annotations: defaultdict[str, list[Row]] = defaultdict(list)
         for row in self.annotations.values():
-            found[row["sample_token"]].append(row)
-        return found
+            annotations[row["sample_token"]].append(row)
+        return annotations
 
     def lidar(self, sample: Row) -> Row:
         """The lidar's row of ``sample_data`` at a sample; raises `InputError` where there is none."""
-        found = self.key_frames[sample["token"]].get(LIDAR_NAME)
-        if found is None:
+        lidar_row = self.key_frames[sample["token"]].get(LIDAR_NAME)
+        if lidar_row is None:
             raise InputError(
                 f"{self.name} has no {LIDAR_NAME}, whose frame info files are in; write the data set with one (an "
                 "empty file is enough)"
             )
-        return found
+        return lidar_row
 
     def frame(self, data: Row) -> SensorFrame:
         """Where the sensor of a row of ``sample_data`` is."""

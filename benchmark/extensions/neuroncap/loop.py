@@ -83,8 +83,8 @@ _STILL_M: Final = 0.2
 
 def future_hits(future: Sequence[EgoMoment], actors: Sequence[Actor], car: Car, switches: Switches) -> tuple[bool, ...]:
     """Whether a plan touches an actor at 0.5, 1.0 .. 3.0 s: six verdicts on `future_moments`."""
-    found = (touched(moment, actors, car, switches) for moment in future)
-    return tuple(contact is not None for contact in found)
+    contacts = (touched(moment, actors, car, switches) for moment in future)
+    return tuple(contact is not None for contact in contacts)
 
 
 def future_moments(time_us: int, pose: Floats, plan: ArrayLike, switches: Switches) -> list[EgoMoment]:
@@ -99,15 +99,15 @@ def future_moments(time_us: int, pose: Floats, plan: ArrayLike, switches: Switch
     waypoints = np.asarray(plan, np.float64)[:, :2]
     around = np.concatenate([np.zeros((1, 2)), waypoints, waypoints[-1:]])
     spans = np.linalg.norm(around[2:] - around[:-2], axis=1)
-    found, last = [], PLAN_STEPS - 2
+    moments, last = [], PLAN_STEPS - 2
     for step in range(PLAN_STEPS):
         chord, end = waypoints[min(step, last) + 1] - waypoints[min(step, last)], waypoints[min(step, last) + 1]
         yaw = float(np.arctan2(chord[1], chord[0])) if np.linalg.norm(end) >= _STILL_M else 0.0
         position = waypoints[min(step, last) if switches.plan_3s == "code" else step]
         planned = transform_matrix(quaternion_from_yaw(np.array(yaw)), [*position, 0.0])
         seconds = PLAN_STEP_S * (step + 1)
-        found.append(EgoMoment(time_us + WAYPOINT_US * (step + 1), pose @ planned, float(spans[step] / seconds)))
-    return found
+        moments.append(EgoMoment(time_us + WAYPOINT_US * (step + 1), pose @ planned, float(spans[step] / seconds)))
+    return moments
 
 
 _INSTANTS: Final = 10
@@ -315,8 +315,8 @@ def _checked(engine: Engine, world: World) -> World:
     if engine.check_futures and waiting.plan is not None and len(waiting.plan) == PLAN_STEPS:
         state = waiting.state
         future = future_moments(state.time_us, state.pose, waiting.plan, switches)
-        found = future_hits(future, engine.actors, engine.car, switches)
-        hits = tuple(count + hit for count, hit in zip(hits, found))
+        plan_hits = future_hits(future, engine.actors, engine.car, switches)
+        hits = tuple(count + hit for count, hit in zip(hits, plan_hits))
     return replace(world, waiting=None, checked=world.checked + 1, contact=contact, future_hits=hits)
 
 
@@ -329,11 +329,11 @@ def moments(before: State | None, state: State, switches: Switches) -> list[EgoM
     on_the_way = before is not None and state.is_driven and (before.is_driven or switches.first_gap == "paper")
     if before is None or not on_the_way:
         return [state.moment(switches)]
-    found = []
+    instants = []
     for instant in range(1, _INSTANTS + 1):
         fraction = instant * _INSTANT_US / 1e6 / (_STEP_S + _NO_TIME_S)
         first, second = before.impact_speed(switches), state.impact_speed(switches)
         speed = np.float32(first + np.float32(instant / _INSTANTS) * np.float32(second - first))
         pose = pose_between(before.pose, state.pose, fraction)
-        found.append(EgoMoment(before.time_us + instant * _INSTANT_US, pose, float(speed)))
-    return found
+        instants.append(EgoMoment(before.time_us + instant * _INSTANT_US, pose, float(speed)))
+    return instants

@@ -91,14 +91,14 @@ def path_of(waypoints: Waypoints, plan_us: int, start_us: int) -> PlanPath:
         plan_us: Time that the plan was made for; waypoint i is 0.5 (i + 1) s later.
         start_us: Time at which the path leaves the origin of the plan's frame, less than 0.5 s later.
     """
-    kept = np.linalg.norm(waypoints, axis=1) >= NEAREST_M
-    times = np.concatenate([[start_us], plan_us + WAYPOINT_US * (1 + np.flatnonzero(kept))])
+    far_enough = np.linalg.norm(waypoints, axis=1) >= NEAREST_M
+    times = np.concatenate([[start_us], plan_us + WAYPOINT_US * (1 + np.flatnonzero(far_enough))])
     knots = np.zeros((len(times), 3))
-    knots[1:, :2] = waypoints[kept, :2]
-    knots[1:, 2] = _headings(waypoints)[kept]
+    knots[1:, :2] = waypoints[far_enough, :2]
+    knots[1:, 2] = _headings(waypoints)[far_enough]
     knots[:, 2] = np.unwrap(knots[:, 2])
-    asked = np.arange(start_us, int(times[-1]) + 1, SUBSTEP_US) - start_us
-    poses = np.column_stack([np.interp(asked, times - start_us, column) for column in knots.T])
+    offsets_us = np.arange(start_us, int(times[-1]) + 1, SUBSTEP_US) - start_us
+    poses = np.column_stack([np.interp(offsets_us, times - start_us, column) for column in knots.T])
     poses[:, 2] = wrap_angle(poses[:, 2])
     step, heading = np.diff(poses, axis=0), poses[:-1, 2]
     speed = _speed_fit(len(step)) @ (step[:, 0] * np.cos(heading) + step[:, 1] * np.sin(heading))

@@ -95,11 +95,11 @@ def actors_of(annotations: Annotations, times: Integers, switches: Switches) -> 
     The size is that of the first annotation, and a gap between annotations is driven through in a straight line. The
     switches decide whether construction and emergency vehicles are kept.
     """
-    kept = {*KEPT_CLASSES, *(FURTHER_VEHICLES if switches.classes == "paper" else ())}
+    kept_classes = {*KEPT_CLASSES, *(FURTHER_VEHICLES if switches.classes == "paper" else ())}
     actors = []
     for instance in dict.fromkeys(annotations.instance.tolist()):
         kind = [*annotations.categories[instance].split("."), ""][1]
-        if kind not in kept:
+        if kind not in kept_classes:
             continue
         rows = np.flatnonzero(annotations.instance == instance)
         rows = rows[np.argsort(annotations.frame[rows], kind="stable")]
@@ -151,10 +151,10 @@ def _oncoming(recording: Recording, seconds: Floats, meeting: int) -> tuple[Floa
     nothing.
     """
     times = seconds[START_FRAME] - 1.0 + np.arange(0.0, DURATION_S + 3.0)
-    asked = 2 * seconds[meeting] - times
-    places = np.column_stack([np.interp(asked, seconds, column) for column in recording.poses[:, :3, 3].T])
+    mirrored_times = 2 * seconds[meeting] - times
+    places = np.column_stack([np.interp(mirrored_times, seconds, column) for column in recording.poses[:, :3, 3].T])
     last = (recording.poses[-1, :3, 3] - recording.poses[-2, :3, 3]) / STEP_S
-    return times, places + np.maximum(asked - seconds[-1], 0.0)[:, None] * last
+    return times, places + np.maximum(mirrored_times - seconds[-1], 0.0)[:, None] * last
 
 
 def _scenario(cars: tuple[str, ...], times: Floats, positions: Floats, yaw: float, jitter: Jitter) -> Scenario:
@@ -205,13 +205,13 @@ def has_can_bus(scene: str, root: Path) -> bool:
 
 def _messages(root: Path, scene: str, message: str, fields: dict[str, Kind]) -> CanMessages:
     path = root / "can_bus" / f"{scene}_{message}.json"
-    found = CanMessages.read(path, fields)
-    if found is None:
+    messages = CanMessages.read(path, fields)
+    if messages is None:
         raise InputError(
             f"NeuroNCAP's engine starts its car from the CAN bus, and there is nothing in {path}; get the CAN bus "
             "expansion, or leave the scene out"
         )
-    return found
+    return messages
 
 
 def annotations_of(scene: Scene) -> Annotations:

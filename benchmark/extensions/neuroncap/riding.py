@@ -87,7 +87,7 @@ class NeuroncapRides:
 
     def after_together(self, rides: Sequence[Ride], plans: Sequence[Plan]) -> list[Ride | UndrivablePlanError]:
         """Half a second of several rides, one after the other: this engine knows one car."""
-        return [_after(ride, plan) for ride, plan in zip(rides, plans, strict=True)]
+        return [_after(state, plan) for state, plan in zip(rides, plans, strict=True)]
 
     def begin(self, scene: Scene, run: int, can: RecordedCan, family: str = "") -> "NeuroncapRide":
         """The ride at its first planning instant.
@@ -99,7 +99,9 @@ class NeuroncapRides:
         recording = recording_for(scene, can, self.switches)
         scenario = WITHOUT_SCENARIO
         if family:
-            recording = replace(recording, actors=tuple(replace(each, is_target=False) for each in recording.actors))
+            recording = replace(
+                recording, actors=tuple(replace(recorded_actor, is_target=False) for recorded_actor in recording.actors)
+            )
             scenario = scenarios_of(scene.name, recording, self.scenarios)[family]
         drawn = staged(scenario, run, recording.times, Cast.of(recording.actors), self.switches)
         engine = Engine.of(
@@ -210,9 +212,9 @@ class NeuroncapRide:
 
     def neuroncap_score(self) -> NeuroncapScore:
         """The engine's score of a finished ride."""
-        found = score_of(self.engine, self.world)
-        score = None if np.isnan(found.score) else found.score
-        return NeuroncapScore(score, found.impact_speed, found.reference_speed)
+        run_score = score_of(self.engine, self.world)
+        score = None if np.isnan(run_score.score) else run_score.score
+        return NeuroncapScore(score, run_score.impact_speed, run_score.reference_speed)
 
 
 def scenarios_of(name: str, recording: Recording, which: str) -> dict[str, Scenario]:
@@ -223,9 +225,9 @@ def scenarios_of(name: str, recording: Recording, which: str) -> dict[str, Scena
     if which == OWN:
         return own_scenarios(recording)
     return {
-        each.family: each.scenario
-        for each in official_scenarios()
-        if each.evaluated and name == f"scene-{each.sequence}"
+        official.family: official.scenario
+        for official in official_scenarios()
+        if official.evaluated and name == f"scene-{official.sequence}"
     }
 
 
@@ -277,9 +279,9 @@ class Crowd:
     def of(cls, scene: Scene, engine: Engine) -> "Crowd":
         """The agents of a run."""
         place = {name: number for number, name in enumerate(scene.agents.ids)}
-        there = {place[each.uuid]: each for each in engine.actors}
-        gone = (place[each.uuid] for each in engine.recording.actors)
-        return cls(scene, Tracks.of_scene(scene), there, tuple(agent for agent in gone if agent not in there))
+        there = {place[actor.uuid]: actor for actor in engine.actors}
+        recorded = (place[actor.uuid] for actor in engine.recording.actors)
+        return cls(scene, Tracks.of_scene(scene), there, tuple(agent for agent in recorded if agent not in there))
 
     def around(self, motion: Motion) -> Motion:
         """A piece of the recorded ego's motion, with all other objects as they are in this run."""
@@ -315,9 +317,9 @@ def _driven(before: State, world: World) -> tuple[Integers, Floats]:
     return times, states[:, _COLUMNS]
 
 
-def _after(ride: Ride, plan: Plan) -> Ride | UndrivablePlanError:
+def _after(state: Ride, plan: Plan) -> Ride | UndrivablePlanError:
     try:
-        return ride.after(plan)
+        return state.after(plan)
     except UndrivablePlanError as error:
         return error
 

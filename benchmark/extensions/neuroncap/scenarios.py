@@ -103,7 +103,9 @@ class Scenario:
         actors = facts.get("actors") or []
         if not isinstance(actors, list):
             raise InputError(f"{where}: actors is no list")
-        listed = tuple(_actor(_Facts(each, f"{where}, actor {number}")) for number, each in enumerate(actors))
+        listed = tuple(
+            _actor(_Facts(actor_value, f"{where}, actor {number}")) for number, actor_value in enumerate(actors)
+        )
         if sum(actor.is_target for actor in listed) > 1:
             raise InputError(f"{where} has more than one target actor; leave one")
         return cls(
@@ -193,7 +195,7 @@ class _Facts:
     def texts(self, name: str) -> tuple[str, ...]:
         value = self._values.get(name, [])
         listed = [value] if isinstance(value, str) else value
-        if not isinstance(listed, list) or not all(isinstance(each, str) for each in listed):
+        if not isinstance(listed, list) or not all(isinstance(text, str) for text in listed):
             raise InputError(f"{self.where}: {name} is no list of names")
         return tuple(listed)
 

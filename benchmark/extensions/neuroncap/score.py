@@ -57,8 +57,8 @@ def reference_speed(recording: Recording, start_frame: int, target: Actor | None
     real = int(recording.times[frame + 1] - recording.times[frame]) / 1e6
     velocity = moved / (STEP_S if switches.reference_dt == "code" else real)
     if target is not None and len(target.times) > 1:
-        asked = int(recording.times[min(ahead, count - 1)])
-        nearest = min(int(np.argmin(np.abs(target.times - asked))), len(target.times) - 2)
+        time_us = int(recording.times[min(ahead, count - 1)])
+        nearest = min(int(np.argmin(np.abs(target.times - time_us))), len(target.times) - 2)
         step = target.poses[nearest + 1, :2, 3] - target.poses[nearest, :2, 3]
         velocity = velocity - step / (int(target.times[nearest + 1] - target.times[nearest]) / 1e6)
     return float(np.linalg.norm(velocity))

@@ -138,17 +138,19 @@ def staged(
     order = draws.permutation(len(scenario.actors)) if jitter else range(len(scenario.actors))
     actors, groups = [], set()
     for index in order:
-        each = scenario.actors[index]
-        if each.exclusive_group is not None:
-            if each.exclusive_group in groups:
+        scenario_actor = scenario.actors[index]
+        if scenario_actor.exclusive_group is not None:
+            if scenario_actor.exclusive_group in groups:
                 continue
-            groups.add(each.exclusive_group)
-        actors.append(_actor(each, draws, stage))
+            groups.add(scenario_actor.exclusive_group)
+        actors.append(_actor(scenario_actor, draws, stage))
     # The published code scales the renderer's sizes where they are, so that they grow from run to run.
     scaled = {actor.uuid: actor.size for actor in actors} if scale and switches.dims_jitter == "code" else {}
-    own = {uuid for each in scenario.actors if each.size is not None for uuid in each.uuids}
-    kept = {uuid: size for uuid, size in scaled.items() if uuid not in own}
-    return Staged(start, end, tuple(actors), tuple(draws.made), scale, {**cast.sizes, **kept})
+    own = {
+        uuid for scenario_actor in scenario.actors if scenario_actor.size is not None for uuid in scenario_actor.uuids
+    }
+    renderer_sizes = {uuid: size for uuid, size in scaled.items() if uuid not in own}
+    return Staged(start, end, tuple(actors), tuple(draws.made), scale, {**cast.sizes, **renderer_sizes})
 
 
 @dataclass(frozen=True, slots=True)

@@ -214,18 +214,18 @@ def driven(vehicle: Vehicle, plan: ArrayLike, time_us: int, car: Car, switches: 
     for number in range(SUBSTEPS):
         now_us = time_us + number * SUBSTEP_US
         if stopping:
-            asked = -STOPPING_GAIN * vehicle.speed, 0.0
+            controls = -STOPPING_GAIN * vehicle.speed, 0.0
         else:
             if path is None or reinserted:
                 path = path_of(waypoints, time_us, now_us)
             pose = np.zeros(3) if reinserted else _seen_from(origin, vehicle)
-            seen = Tracked(pose, vehicle.speed, vehicle.steering, car.wheelbase_m)
-            asked = asked_for(path, now_us, seen, clip_first=switches.acceleration_clip == "paper")
-        limited = float(np.clip(asked[0], -LARGEST_ACCELERATION, LARGEST_ACCELERATION))
-        vehicle = _moved(vehicle, limited, asked[1], car, rounded=switches.float32 == "code")
+            tracked = Tracked(pose, vehicle.speed, vehicle.steering, car.wheelbase_m)
+            controls = asked_for(path, now_us, tracked, clip_first=switches.acceleration_clip == "paper")
+        limited = float(np.clip(controls[0], -LARGEST_ACCELERATION, LARGEST_ACCELERATION))
+        vehicle = _moved(vehicle, limited, controls[1], car, rounded=switches.float32 == "code")
         states.append(vehicle.columns)
-        commands.append((limited, asked[1]))
-        unlimited.append(asked)
+        commands.append((limited, controls[1]))
+        unlimited.append(controls)
     return DrivenStep(vehicle, np.array(states), np.array(commands), np.array(unlimited))
 
 

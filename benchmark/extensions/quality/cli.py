@@ -77,9 +77,9 @@ def quality_command(options: QualityOptions) -> None:
         return
     root = api.workspace(options.out).quality_root()
     if mine is not None:
-        done = measure_shard(dataset, options.split, root, settings, mine)
+        finished = measure_shard(dataset, options.split, root, settings, mine)
         step = (f"quality{same_place(options)}", "with the same options and no --shard, when all shards are")
-        say_shard(mine, [done], "scored", step, json_output=options.json_output)
+        say_shard(mine, [finished], "scored", step, json_output=options.json_output)
         return
     record = measure_quality(dataset, options.split, root, settings)
     for caveat in record.caveats:
@@ -94,14 +94,14 @@ def quality_command(options: QualityOptions) -> None:
     )
 
 
-def _require_weights(definition: "Definition", given: Path | None) -> None:
+def _require_weights(definition: "Definition", weights_folder: Path | None) -> None:
     """Refuse networks that are not here, before a split is built for them."""
     from benchmark.extensions.quality.definition import needed_for
     from benchmark.machine.extension import require_package
     from benchmark.weights.folders import folder_of
 
     for weights in needed_for(definition.masks):
-        folder_of(weights, given)
+        folder_of(weights, weights_folder)
     require_package(
         "transformers",
         "video quality needs the package transformers; install it with: pip install 'challenger-bench[quality]'",

@@ -73,13 +73,13 @@ class Definition:
 
 def mask_source(name: str) -> MaskSource:
     """A source of masks by name; raises `InputError` if there is none."""
-    found = next((source for source in MASK_SOURCES if source == name), None)
-    if found is None:
+    known_source = next((source for source in MASK_SOURCES if source == name), None)
+    if known_source is None:
         raise InputError(
             f"there is no source of masks {name!r}; {did_you_mean(name, MASK_SOURCES)}use one of "
             f"{', '.join(MASK_SOURCES)}"
         )
-    return found
+    return known_source
 
 
 def needed_for(masks: MaskSource) -> tuple[PublishedWeights, ...]:

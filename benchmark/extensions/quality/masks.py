@@ -71,7 +71,7 @@ def boxes_in_view(
     """
     camera = view.camera.resized(*size)
     poses = agents_at(scene, view.timestamp_us)
-    found = []
+    boxes = []
     for agent, (position, yaw, there) in enumerate(zip(*poses)):
         if not there or scene.agents.categories[agent] not in categories:
             continue
@@ -81,8 +81,8 @@ def boxes_in_view(
         if polygon is None:
             continue
         distance_m = float(np.linalg.norm(in_camera[8]))
-        found.append(ProjectedBox(scene.agents.ids[agent], scene.agents.categories[agent], polygon, distance_m))
-    return tuple(found)
+        boxes.append(ProjectedBox(scene.agents.ids[agent], scene.agents.categories[agent], polygon, distance_m))
+    return tuple(boxes)
 
 
 def visible_parts(boxes: Sequence[ProjectedBox], height: int, width: int) -> dict[str, Bools]:
@@ -222,17 +222,17 @@ class BoxMasks:
 
     def masks(self, video: CameraVideo) -> list[FrameMasks]:
         """Masks of one video, as `MaskMaker` promises."""
-        found = []
+        frame_masks = []
         for frame, boxes in enumerate(video.boxes):
             height, width = video.frames[frame].shape[:2]
             whole_px = {box.instance: np.count_nonzero(box.filled(height, width)) for box in boxes}
-            seen = {
+            visible = {
                 name: part
                 for name, part in video.visible(frame).items()
                 if np.count_nonzero(part) >= self.definition.min_visible * whole_px[name]
             }
-            found.append(_large_enough(seen, self.definition.min_mask_px))
-        return found
+            frame_masks.append(_large_enough(visible, self.definition.min_mask_px))
+        return frame_masks
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +253,7 @@ class TrackedMasks:
         visible = [_in_view(video.visible(frame), self.definition.min_mask_px) for frame in range(len(video.frames))]
         prompts = [self._prompts(video, frame, parts) for frame, parts in enumerate(visible)]
         instances = sorted({name for frame in prompts for name in frame})
-        found: list[dict[str, Bools]] = [{} for _ in video.frames]
+        frame_masks: list[dict[str, Bools]] = [{} for _ in video.frames]
         if instances:
             segments = self.segmenter.open(video.frames)
             for name in instances:
@@ -261,8 +261,8 @@ class TrackedMasks:
                 boxes = [frame.get(name) for frame in prompts]
                 followed = _followed(parts, boxes, segments.begin, segments.follow, self.definition.min_overlap)
                 for frame, mask in followed.items():
-                    found[frame][name] = mask
-        return [_large_enough(frame, self.definition.min_mask_px) for frame in found]
+                    frame_masks[frame][name] = mask
+        return [_large_enough(frame, self.definition.min_mask_px) for frame in frame_masks]
 
     def _prompts(self, video: CameraVideo, frame: int, visible: dict[str, Bools]) -> dict[str, Box]:
         projected = {name: rectangle for name, part in visible.items() if (rectangle := _rectangle(part)) is not None}
@@ -284,13 +284,13 @@ def tied(detections: Sequence[Box], projected: dict[str, Box], min_overlap: floa
         for index, box in enumerate(detections)
         for name, rectangle in projected.items()
     )
-    found: dict[str, Box] = {}
-    taken: set[int] = set()
+    matches: dict[str, Box] = {}
+    matched: set[int] = set()
     for negative, index, name in pairs:
-        if -negative >= min_overlap and index not in taken and name not in found:
-            found[name] = detections[index]
-            taken.add(index)
-    return found
+        if -negative >= min_overlap and index not in matched and name not in matches:
+            matches[name] = detections[index]
+            matched.add(index)
+    return matches
 
 
 def _followed(
@@ -301,7 +301,7 @@ def _followed(
     min_overlap: float,
 ) -> dict[int, Bools]:
     """Masks of one subject by frame."""
-    found, on_track = {}, False
+    masks, on_track = {}, False
     for frame, part in enumerate(parts):
         prompt = prompts[frame]
         if part is None:
@@ -316,8 +316,8 @@ def _followed(
                 mask = None
         on_track = mask is not None
         if mask is not None:
-            found[frame] = mask
-    return found
+            masks[frame] = mask
+    return masks
 
 
 def _in_view(parts: dict[str, Bools], min_px: int) -> dict[str, Bools]:
@@ -325,7 +325,7 @@ def _in_view(parts: dict[str, Bools], min_px: int) -> dict[str, Bools]:
 
 
 def _large_enough(masks: dict[str, Bools], min_px: int) -> FrameMasks:
-    cut = {name: Mask.of(whole) for name, whole in masks.items()}
+    cut = {name: Mask.of(full_mask) for name, full_mask in masks.items()}
     return {name: mask for name, mask in sorted(cut.items()) if mask is not None and mask.area_px >= min_px}
 
 

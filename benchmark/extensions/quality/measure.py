@@ -103,17 +103,17 @@ def measure_quality(
             broken, or another command is writing the same record.
     """
     chosen = _chosen(settings, data, split)
-    job, used, libraries = _job_of(data, split, out, settings, chosen)
-    said = described(JudgedScenes(data, split, chosen), "scene_facts", "review") | {
+    job, weight_facts, libraries = _job_of(data, split, out, settings, chosen)
+    facts = described(JudgedScenes(data, split, chosen), "scene_facts", "review") | {
         "definition": settings.definition.as_json(),
-        "weights": used,
+        "weights": weight_facts,
         "device": _first(job).type,
     }
-    said["environment"] |= {"transformers": libraries["transformers"]}
+    facts["environment"] |= {"transformers": libraries["transformers"]}
     with only_writer(job.directory):
         opener = reopen or reopening(data)
         rows = list(_scored(job, data, opener, _processes(settings)))
-        record = write_quality(job.directory, said, rows)
+        record = write_quality(job.directory, facts, rows)
         job.store.tidy(job.keys)
     return record
 
@@ -144,7 +144,7 @@ def _job_of(
     definition, needed = settings.definition, needed_for(settings.definition.masks)
     device = device_of(device_names(settings.device)[0])
     folders = {weights.name: folder_of(weights, settings.weights) for weights in needed}
-    used = {
+    weight_facts = {
         weights.name: WeightsFacts(
             repository=weights.repository,
             revision=weights.revision,
@@ -152,14 +152,14 @@ def _job_of(
         )
         for weights in needed
     }
-    contents = {name: of.content for name, of in used.items()}
+    contents = {name: of.content for name, of in weight_facts.items()}
     # Rows that another version of these libraries made may differ in the last digits.
     libraries = {"torch": torch.__version__, "transformers": transformers_version()}
     identity = content_key(QUALITY_SCHEMA, data.fingerprint(), definition.as_json(), contents, device.type, libraries)
     part = () if len(chosen) == len(data.scene_names(split)) else chosen
     directory = _quality_directory(out, data.name, split, definition, part)
     keys = {name: content_key(identity, name, _image_sizes(data, name, definition)) for name in chosen}
-    return _Job(directory, definition, folders, settings.device, keys), used, libraries
+    return _Job(directory, definition, folders, settings.device, keys), weight_facts, libraries
 
 
 def _quality_directory(out: Path, data_name: str, split: str, definition: Definition, part: tuple[str, ...]) -> Path:
@@ -189,15 +189,15 @@ def plan_of(data: "DataSet", split: str, settings: QualitySettings) -> str:
 
 def _scored(job: _Job, data: "DataSet", reopen: Callable[[], "DataSet"], workers: int) -> Iterator[SceneRows]:
     """Rows in the order of the scenes; those that are kept are not made again, and networks load only for others."""
-    found = {name: job.store.get(key, name) for name, key in job.keys.items()}
-    open_scenes = [name for name, kept in found.items() if kept is None]
+    stored_rows = {name: job.store.get(key, name) for name, key in job.keys.items()}
+    open_scenes = [name for name, stored in stored_rows.items() if stored is None]
     work = partial(_in_worker, job, reopen)
     if open_scenes and workers == 1:
         work = partial(_here, job, data, load_networks(job.definition, job.folders, _first(job)))
     where, before = LocalProcesses(workers), len(job.keys) - len(open_scenes)
     scored = run_units(work, open_scenes, where, total=len(open_scenes), label="video quality", before=before)
-    made = {rows.scene: rows for rows in scored}
-    yield from (found[name] or made[name] for name in job.keys)
+    new_rows = {rows.scene: rows for rows in scored}
+    yield from (stored_rows[name] or new_rows[name] for name in job.keys)
 
 
 def _here(job: _Job, data: "DataSet", networks: Networks, scene: str) -> SceneRows:
@@ -236,8 +236,8 @@ def _chosen(settings: QualitySettings, data: "DataSet", split: str) -> tuple[str
 
 def _processes(settings: QualitySettings) -> int:
     """Number of processes, where 0 has been decided; raises `InputError` if a device would be without work."""
-    if asked := workers_for(settings.workers, settings.device):
-        return asked
+    if count := workers_for(settings.workers, settings.device):
+        return count
     device = device_of(device_names(settings.device)[0])
     if device.type != "cuda":
         return default_workers()

@@ -89,13 +89,13 @@ def multiscale_patches(picture: Tensor, grid: int = 10) -> Patches:
     height, width = picture.shape[1:]
     pixels, position, scale = [], [], []
     for index, longer_px in enumerate((*LONGER_SIDES_PX, None)):
-        seen = picture[None]
+        scaled = picture[None]
         if longer_px is not None:
             ratio = longer_px / max(height, width)
             size = max(round(height * ratio), 1), max(round(width * ratio), 1)
-            seen = functional.interpolate(seen, size, mode="bicubic", align_corners=False)
-        rows, columns = math.ceil(seen.shape[2] / PATCH_PX), math.ceil(seen.shape[3] / PATCH_PX)
-        padded = functional.pad(seen, _same_padding(seen.shape[2:], PATCH_PX, PATCH_PX))
+            scaled = functional.interpolate(scaled, size, mode="bicubic", align_corners=False)
+        rows, columns = math.ceil(scaled.shape[2] / PATCH_PX), math.ceil(scaled.shape[3] / PATCH_PX)
+        padded = functional.pad(scaled, _same_padding(scaled.shape[2:], PATCH_PX, PATCH_PX))
         cut = padded.reshape(3, rows, PATCH_PX, columns, PATCH_PX).permute(1, 3, 0, 2, 4)
         pixels.append(cut.reshape(-1, 3, PATCH_PX, PATCH_PX))
         position.append((grid * _hashed(rows, grid)[:, None] + _hashed(columns, grid)[None]).reshape(-1))
@@ -121,13 +121,13 @@ class Musiq(nn.Module):
     def load(cls, path: Path) -> Self:
         """Network in evaluation mode with a bare state dict, read without running anything in the file."""
         tensors = read_checkpoint(path).tensors
-        found = cls(MusiqConfig.of(tensors, path))
+        network = cls(MusiqConfig.of(tensors, path))
         try:
-            found.load_state_dict(tensors, strict=True)
+            network.load_state_dict(tensors, strict=True)
         except RuntimeError as error:
             reason = str(error).splitlines()[-1].strip()
             raise InputError(f"the weights in {path} do not fit MUSIQ: {reason}; get the published file") from error
-        return found.eval()
+        return network.eval()
 
     def forward(self, pictures: Sequence[Patches]) -> Tensor:
         """(B,) scores of pictures of any sizes; each depends on its own picture only."""
@@ -142,11 +142,11 @@ class Musiq(nn.Module):
         return scores[:, 0]
 
     def _tokens(self, patches: Tensor) -> Tensor:
-        found = functional.relu(self.gn_root(self.conv_root(patches)))
-        found = functional.max_pool2d(functional.pad(found, _same_padding(found.shape[2:], 3, 2)), 3, 2)
-        found = self.block1(found)
+        features = functional.relu(self.gn_root(self.conv_root(patches)))
+        features = functional.max_pool2d(functional.pad(features, _same_padding(features.shape[2:], 3, 2)), 3, 2)
+        features = self.block1(features)
         # Channels last, as the weights were trained.
-        tokens: Tensor = self.embedding(found.permute(0, 2, 3, 1).flatten(1))
+        tokens: Tensor = self.embedding(features.permute(0, 2, 3, 1).flatten(1))
         return tokens
 
 
@@ -172,11 +172,11 @@ class _Bottleneck(nn.Module):
         self.conv_proj = _StandardisedConv(width, wide, 1, bias=False)
         self.gn_proj = nn.GroupNorm(_GROUPS, wide, eps=1e-4)
 
-    def forward(self, found: Tensor) -> Tensor:
-        past = self.gn_proj(self.conv_proj(found))
-        found = functional.relu(self.gn1(self.conv1(found)))
-        found = functional.relu(self.gn2(self.conv2(found)))
-        return functional.relu(self.gn3(self.conv3(found)) + past)
+    def forward(self, features: Tensor) -> Tensor:
+        past = self.gn_proj(self.conv_proj(features))
+        features = functional.relu(self.gn1(self.conv1(features)))
+        features = functional.relu(self.gn2(self.conv2(features)))
+        return functional.relu(self.gn3(self.conv3(features)) + past)
 
 
 class _PositionEmbedding(nn.Module):
@@ -209,8 +209,8 @@ class _Attention(nn.Module):
             layer(tokens).view(count, length, self.heads, -1).transpose(1, 2)
             for layer in (self.query, self.key, self.value)
         )
-        found = functional.scaled_dot_product_attention(query, key, value, attn_mask=there[:, None, None])
-        mixed: Tensor = self.out(found.transpose(1, 2).reshape(count, length, width))
+        attended = functional.scaled_dot_product_attention(query, key, value, attn_mask=there[:, None, None])
+        mixed: Tensor = self.out(attended.transpose(1, 2).reshape(count, length, width))
         return mixed
 
 
@@ -220,8 +220,8 @@ class _FeedForward(nn.Module):
         self.fc1, self.fc2 = nn.Linear(width, inside), nn.Linear(inside, width)
 
     def forward(self, tokens: Tensor) -> Tensor:
-        found: Tensor = self.fc2(functional.gelu(self.fc1(tokens)))
-        return found
+        transformed: Tensor = self.fc2(functional.gelu(self.fc1(tokens)))
+        return transformed
 
 
 class _Layer(nn.Module):
@@ -234,8 +234,8 @@ class _Layer(nn.Module):
 
     def forward(self, tokens: Tensor, there: Tensor) -> Tensor:
         tokens = tokens + self.attention(self.norm1(tokens), there)
-        found: Tensor = tokens + self.mlp(self.norm2(tokens))
-        return found
+        transformed: Tensor = tokens + self.mlp(self.norm2(tokens))
+        return transformed
 
 
 class _Encoder(nn.Module):
@@ -254,8 +254,8 @@ class _Encoder(nn.Module):
         there = torch.cat([there.new_ones(count, 1), there], dim=1)
         for layer in self.transformer.values():
             tokens = layer(tokens, there)
-        found: Tensor = self.encoder_norm(tokens[:, 0])
-        return found
+        encoded: Tensor = self.encoder_norm(tokens[:, 0])
+        return encoded
 
 
 def _hashed(count: int, grid: int) -> Tensor:

@@ -66,13 +66,13 @@ class SubjectFeatures:
     @torch.inference_mode()
     def features(self, appearances: Sequence[tuple[NDArray[np.uint8], Mask]]) -> Floats:
         """(A, D) features of unit length of A appearances, each an image and the mask in it."""
-        found = []
+        parts = []
         for start in range(0, len(appearances), self._batch):
             squares = [subject_square(*appearance, self._crop_px) for appearance in appearances[start:][: self._batch]]
             pixels = torch.stack(squares).to(self._device)
             states = self._network(pixel_values=pixels, interpolate_pos_encoding=True).last_hidden_state
-            found.append(functional.normalize(states[:, 0].double(), dim=-1).cpu())
-        features = np.asarray(torch.cat(found)) if found else np.zeros((0, 0))
+            parts.append(functional.normalize(states[:, 0].double(), dim=-1).cpu())
+        features = np.asarray(torch.cat(parts)) if parts else np.zeros((0, 0))
         if not np.isfinite(features).all():
             raise InputError(f"the weights in {self._folder} give features that are no numbers; get them again")
         return features
@@ -104,13 +104,13 @@ def subject_square(image: NDArray[np.uint8], mask: Mask, side_px: int) -> Tensor
     so that shapes keep their proportions, and resized bilinearly without smoothing.
     """
     mean = torch.tensor(_MEAN)[:, None, None]
-    found = torch.tensor(mask.cut(image), dtype=torch.float32).permute(2, 0, 1)
-    found = torch.where(torch.tensor(mask.pixels)[None], found, 255 * mean)
-    height, width = found.shape[1:]
+    subject = torch.tensor(mask.cut(image), dtype=torch.float32).permute(2, 0, 1)
+    subject = torch.where(torch.tensor(mask.pixels)[None], subject, 255 * mean)
+    height, width = subject.shape[1:]
     side = max(height, width)
     top, left = (side - height) // 2, (side - width) // 2
     square = (255 * mean).expand(3, side, side).clone()
-    square[:, top : top + height, left : left + width] = found
+    square[:, top : top + height, left : left + width] = subject
     resized = functional.interpolate(square[None], (side_px, side_px), mode="bilinear", align_corners=False)[0]
     return (resized / 255 - mean) / torch.tensor(_DEVIATION)[:, None, None]
 
@@ -134,15 +134,15 @@ class ImagingQuality:
     @torch.inference_mode()
     def scores(self, pictures: Sequence[NDArray[np.uint8]]) -> list[float]:
         """Score (height, width, 3) RGB pictures of any sizes: about 0 (bad) to 1 (good) each."""
-        found: list[float] = []
+        values: list[float] = []
         grid = self._network.config.grid
         for start in range(0, len(pictures), self._batch):
             some = [prepared(picture, self._longer_px).to(self._device) for picture in pictures[start:][: self._batch]]
             scores = self._network([multiscale_patches(picture, grid) for picture in some])
-            found += (scores.double() / _FULL_SCORE).tolist()
-        if not np.isfinite(found).all():
+            values += (scores.double() / _FULL_SCORE).tolist()
+        if not np.isfinite(values).all():
             raise InputError(f"the weights in {self._weights} give scores that are no numbers; get them again")
-        return found
+        return values
 
 
 def prepared(picture: NDArray[np.uint8], longer_px: int) -> Tensor:
@@ -150,13 +150,13 @@ def prepared(picture: NDArray[np.uint8], longer_px: int) -> Tensor:
 
     Above a longer side it is brought down bilinearly without smoothing, rounded to 8 bits, then scaled to -1 to 1.
     """
-    found = torch.tensor(picture, dtype=torch.float32).permute(2, 0, 1)
-    height, width = found.shape[1:]
+    pixels = torch.tensor(picture, dtype=torch.float32).permute(2, 0, 1)
+    height, width = pixels.shape[1:]
     if max(height, width) > longer_px:
         scale = longer_px / max(height, width)
         size = max(int(scale * height), 1), max(int(scale * width), 1)
-        found = functional.interpolate(found[None], size, mode="bilinear", align_corners=False)[0].round()
-    return found / 255 * 2 - 1
+        pixels = functional.interpolate(pixels[None], size, mode="bilinear", align_corners=False)[0].round()
+    return pixels / 255 * 2 - 1
 
 
 _TURNED: Final = 0.02
@@ -249,20 +249,20 @@ def _load(view: "CameraView", definition: Definition) -> NDArray[np.uint8]:
 
 def _subjects(scene: "Scene", video: CameraVideo, networks: Networks) -> list[SubjectRow]:
     masks = networks.masks.masks(video)
-    seen = [
+    appearances = [
         (name, frame, mask)
         for name in sorted({name for masked in masks for name in masked})
         for frame, mask in _appearances(masks, name)
     ]
-    if not seen:
+    if not appearances:
         return []
-    features = networks.features.features([(video.frames[frame], mask) for _, frame, mask in seen])
-    quality = networks.imaging.scores([mask.cut(video.frames[frame]) for _, frame, mask in seen])
+    features = networks.features.features([(video.frames[frame], mask) for _, frame, mask in appearances])
+    quality = networks.imaging.scores([mask.cut(video.frames[frame]) for _, frame, mask in appearances])
     category = dict(zip(scene.agents.ids, scene.agents.categories))
     rows = []
-    for name in dict.fromkeys(name for name, _, _ in seen):
-        at = [index for index, (of, _, _) in enumerate(seen) if of == name]
-        frames = [seen[index][1] for index in at]
+    for name in dict.fromkeys(name for name, _, _ in appearances):
+        at = [index for index, (of, _, _) in enumerate(appearances) if of == name]
+        frames = [appearances[index][1] for index in at]
         rows.append(
             SubjectRow(
                 scene=scene.name,
@@ -274,7 +274,7 @@ def _subjects(scene: "Scene", video: CameraVideo, networks: Networks) -> list[Su
                 returns=sum(later > earlier + 1 for earlier, later in pairwise(frames)),
                 first_us=video.times_us[frames[0]],
                 last_us=video.times_us[frames[-1]],
-                mean_area_px=sum(seen[index][2].area_px for index in at) / len(at),
+                mean_area_px=sum(appearances[index][2].area_px for index in at) / len(at),
                 consistency=Sum.of(similarities(features[at]).tolist()),
                 imaging=Sum.of([quality[index] for index in at]),
             )

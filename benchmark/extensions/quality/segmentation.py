@@ -31,8 +31,8 @@ def load_pretrained(name: str, folder: Path, device: torch.device, **settings: A
         name: Class of transformers.
         settings: Further arguments of ``from_pretrained``.
     """
-    found = _TRANSFORMERS.load(name, folder, **settings)
-    return found.to(device) if isinstance(found, torch.nn.Module) else found
+    pretrained = _TRANSFORMERS.load(name, folder, **settings)
+    return pretrained.to(device) if isinstance(pretrained, torch.nn.Module) else pretrained
 
 
 def transformers_version() -> str:
@@ -113,8 +113,8 @@ class VideoSegments:
         """
         logits: Tensor = self._segmenter.network(self._session, frame_idx=frame).pred_masks
         size = (self._height, self._width)
-        whole = functional.interpolate(logits.float().reshape(1, 1, *logits.shape[-2:]), size, mode="bilinear")
-        return np.asarray((whole[0, 0] > 0).cpu())
+        full_size = functional.interpolate(logits.float().reshape(1, 1, *logits.shape[-2:]), size, mode="bilinear")
+        return np.asarray((full_size[0, 0] > 0).cpu())
 
 
 def prepared_frame(frame: NDArray[np.uint8], side_px: int) -> Tensor:
@@ -148,15 +148,15 @@ class Detector:
 
         height, width = image.shape[:2]
         inputs = self._processor(images=Image.fromarray(image), text=self._prompt, return_tensors="pt").to(self._device)
-        found = self._processor.post_process_grounded_object_detection(
+        detections = self._processor.post_process_grounded_object_detection(
             self._network(**inputs),
             inputs["input_ids"],
             threshold=self._box_threshold,
             text_threshold=self._text_threshold,
             target_sizes=[(height, width)],
         )[0]
-        order = torch.argsort(found["scores"], descending=True, stable=True).tolist()
-        boxes = found["boxes"].cpu().double().numpy()[order]
+        order = torch.argsort(detections["scores"], descending=True, stable=True).tolist()
+        boxes = detections["boxes"].cpu().double().numpy()[order]
         boxes = np.clip(boxes.reshape(-1, 2, 2), 0.0, (width, height)).reshape(-1, 4)
         return [
             (float(left), float(top), float(right), float(bottom))

@@ -64,21 +64,23 @@ def reproduce_command(options: ReproduceOptions) -> None:
     if options.dry_run:
         how = f"with --as-published {' '.join(published)}" if published else "as eval does by default"
         then = f"run {runs} on {ahead.counted()} of {options.split} {how}, and compare with {numbers.of}"
-        said = ahead.plan(then) if ahead.builds else (f"would {then}",)
-        say_plan(said, json_output=options.json_output)
+        sentences = ahead.plan(then) if ahead.builds else (f"would {then}",)
+        say_plan(sentences, json_output=options.json_output)
         return
     from benchmark.extensions.reproduce.reproducing import reproduce, store_expected
     from leaderboard.extensions.reproduction.tables import reproduction_table
 
     (factory,) = model.load()
     dataset, runs_root = data.open_split(options.split), api.workspace(options.out).run_root()
-    record, found = reproduce(dataset, options.split, factory, runs_root, numbers, workers=count, seed=options.seed)
+    record, reproduction = reproduce(
+        dataset, options.split, factory, runs_root, numbers, workers=count, seed=options.seed
+    )
     if options.store is not None:
         store_expected(options.store, record, numbers.protocol)
-    rows = [{**number.model_dump(mode="json"), "ok": number.ok} for number in found.numbers]
-    result = {"directory": str(record.directory), "reproduced": found.reproduced, "numbers": rows}
-    print_result(result, reproduction_table(found).plain(wide=options.wide), json_output=options.json_output)
-    if not found.reproduced:
+    rows = [{**number.model_dump(mode="json"), "ok": number.ok} for number in reproduction.numbers]
+    result = {"directory": str(record.directory), "reproduced": reproduction.reproduced, "numbers": rows}
+    print_result(result, reproduction_table(reproduction).plain(wide=options.wide), json_output=options.json_output)
+    if not reproduction.reproduced:
         raise typer.Exit(1)
     as_published = "".join(f" --as-published {option}" for option in published)
     say_next(

@@ -90,14 +90,14 @@ def published_numbers(model: str, protocol: str) -> Expected:
             f"no numbers are published of {model}; {did_you_mean(model, known)}there are those of {', '.join(known)}, "
             "and --expected FILE takes others"
         )
-    found = []
+    numbers = []
     for column in _COLUMNS:
         for place, horizon in enumerate(HORIZONS):
-            printed = [(each.values[place], each.source) for each in rows if each.column == column]
+            printed = [(row.values[place], row.source) for row in rows if row.column == column]
             values = tuple((float(text), source) for text, source in printed if text)
-            found.append(_Published(column, horizon, values, PLANNING_ALLOWED[column]))
+            numbers.append(_Published(column, horizon, values, PLANNING_ALLOWED[column]))
     counted = (float(VAL_SAMPLES[protocol]), "samples of the nuScenes validation split that the protocol counts")
-    return Expected(PUBLISHED, protocol, (*found, _Published("samples", "", (counted,), 0.0)))
+    return Expected(PUBLISHED, protocol, (*numbers, _Published("samples", "", (counted,), 0.0)))
 
 
 def expected_file(path: Path, model: str, split: str) -> Expected:
@@ -114,7 +114,7 @@ def expected_file(path: Path, model: str, split: str) -> Expected:
     Raises:
         InputError: If it is no such file, or is of another model or split.
     """
-    said = validated(
+    stored = validated(
         ExpectedValues.model_validate,
         read_json(path),
         lambda where, why: (
@@ -122,21 +122,21 @@ def expected_file(path: Path, model: str, split: str) -> Expected:
             "see docs/extensions/reproduce.md"
         ),
     )
-    if said.model != model or said.split != split:
-        raise InputError(f"{path} is of {said.model} on {said.split}, not of {model} on {split}; name another file")
-    if said.protocol not in PROTOCOLS:
-        raise InputError(f"{path} names the unknown protocol {said.protocol!r}; known are {', '.join(PROTOCOLS)}")
-    missing = sorted(set(said.values) - set(said.allowed))
-    if missing or not any(said.values.values()):
+    if stored.model != model or stored.split != split:
+        raise InputError(f"{path} is of {stored.model} on {stored.split}, not of {model} on {split}; name another file")
+    if stored.protocol not in PROTOCOLS:
+        raise InputError(f"{path} names the unknown protocol {stored.protocol!r}; known are {', '.join(PROTOCOLS)}")
+    missing = sorted(set(stored.values) - set(stored.allowed))
+    if missing or not any(stored.values.values()):
         lacks = f"allows no difference for {missing[0]}" if missing else "has no values"
         raise InputError(f"{path} {lacks}; add it (docs/extensions/reproduce.md)")
     numbers = [
-        _Published(column, horizon, ((value, said.source),), said.allowed[column])
-        for column, by_horizon in said.values.items()
+        _Published(column, horizon, ((value, stored.source),), stored.allowed[column])
+        for column, by_horizon in stored.values.items()
         for horizon, value in by_horizon.items()
     ]
     return Expected(
-        said.source, said.protocol, (*numbers, _Published("samples", "", ((said.samples, said.source),), 0))
+        stored.source, stored.protocol, (*numbers, _Published("samples", "", ((stored.samples, stored.source),), 0))
     )
 
 
@@ -169,9 +169,9 @@ def reproduce(
     """
     judges = tuple(dict.fromkeys((*STANDARD, expected.protocol)))
     record = evaluate(data, split, planner, out, EvalSettings(judges, workers=workers, seed=seed))
-    found = compared(record, expected)
-    write_reproduction(record.directory, found)
-    return record, found
+    reproduction = compared(record, expected)
+    write_reproduction(record.directory, reproduction)
+    return record, reproduction
 
 
 def compared(record: RunRecord, expected: Expected) -> Reproduction:
@@ -183,17 +183,17 @@ def compared(record: RunRecord, expected: Expected) -> Reproduction:
     require_whole(record)
     summary = record.summary.protocols[expected.protocol]
     numbers = []
-    for each in expected.numbers:
-        ours = float(summary.counted) if each.column == "samples" else _of_run(record, expected.protocol, each)
-        values: Sequence[tuple[float, str]] = each.values
+    for number in expected.numbers:
+        ours = float(summary.counted) if number.column == "samples" else _of_run(record, expected.protocol, number)
+        values: Sequence[tuple[float, str]] = number.values
         value, source = min(values, key=lambda known: abs(known[0] - (known[0] if ours is None else ours)))
         numbers.append(
             ComparedNumber(
-                column=each.column,
-                horizon=each.horizon,
+                column=number.column,
+                horizon=number.horizon,
                 published=value,
                 ours=ours,
-                allowed=each.allowed,
+                allowed=number.allowed,
                 source=source,
             )
         )

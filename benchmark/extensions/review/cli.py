@@ -79,12 +79,12 @@ def _record_file(dataset: "DataSet", path: Path) -> None:
     from benchmark.records.review import REVIEW_FILE, Verdict, checked_verdict
     from benchmark.untrusted.verdicts import read_verdicts
 
-    said = read_verdicts(path)
-    tokens = {each.name: each.token for each in dataset.review().judged} | scene_tokens(dataset.root)
-    require_scenes(said, tokens, path, dataset.root)
+    verdicts = read_verdicts(path)
+    tokens = {reviewed.name: reviewed.token for reviewed in dataset.review().judged} | scene_tokens(dataset.root)
+    require_scenes(verdicts, tokens, path, dataset.root)
     checked: dict[str, Verdict | None] = {
         name: checked_verdict({"token": tokens[name], **members}, f"{path}: the verdict on {name}")
-        for name, members in said.items()
+        for name, members in verdicts.items()
     }
     record_verdicts(dataset.root, checked)
     api.tell(f"{counted(len(checked), 'verdict')} recorded in {dataset.root / REVIEW_FILE}")
@@ -131,10 +131,10 @@ def _say(dataset: "DataSet", split: str | None, *, json_output: bool) -> None:
 
     review = dataset.review(split)
     if json_output:
-        rows = {each.name: {"verdict": each.verdict, "reason": each.reason} for each in review.judged}
+        rows = {reviewed.name: {"verdict": reviewed.verdict, "reason": reviewed.reason} for reviewed in review.judged}
         facts = None if review.facts is None else review.facts.model_dump(mode="json")
         print_json({"file": str(dataset.root / REVIEW_FILE), "review": facts, "verdicts": rows})
         return
-    for each in review.judged:
-        typer.echo(f"{each.verdict}: {each.name}{f': {each.reason}' if each.reason else ''}")
+    for reviewed in review.judged:
+        typer.echo(f"{reviewed.verdict}: {reviewed.name}{f': {reviewed.reason}' if reviewed.reason else ''}")
     typer.echo(f"{split or 'all scenes'} of {dataset.root}: {review.sentence()}")

@@ -60,13 +60,13 @@ class Inspection:
         verdicts = read_review(self.data.root)
         rows = []
         for name in self.names:
-            said = verdicts.get(name)
-            stands = said is not None and said.token == self._tokens[name]
+            verdict = verdicts.get(name)
+            stands = verdict is not None and verdict.token == self._tokens[name]
             rows.append(
                 {
                     "name": name,
-                    "verdict": said.verdict if said is not None and stands else None,
-                    "reason": said.reason if said is not None and stands else "",
+                    "verdict": verdict.verdict if verdict is not None and stands else None,
+                    "reason": verdict.reason if verdict is not None and stands else "",
                     "source": self._facts[name].source,
                     "manoeuvre": self._facts[name].manoeuvre,
                 }
@@ -76,56 +76,56 @@ class Inspection:
     def describe(self, index: int) -> dict[str, Any]:
         """One scene: times of its pictures, and places of adversaries in them."""
         with self._lock:
-            shown = self._ready(index)
-            start_us = int(shown.scene.timestamps_us[0])
-            times = [(int(shown.scene.timestamps_us[each.frame]) - start_us) / 1e6 for each in shown.frames]
-            edges = [adversary_edges(shown.scene, shown.cells, each.views) for each in shown.frames]
+            prepared = self._ready(index)
+            start_us = int(prepared.scene.timestamps_us[0])
+            times = [(int(prepared.scene.timestamps_us[frame.frame]) - start_us) / 1e6 for frame in prepared.frames]
+            edges = [adversary_edges(prepared.scene, prepared.cells, frame.views) for frame in prepared.frames]
         return {
             "name": self.names[index],
-            "description": shown.scene.description,
+            "description": prepared.scene.description,
             "seconds": times,
-            "width": max((cell.left + cell.width for cell in shown.cells), default=0),
-            "height": max((cell.top + cell.height for cell in shown.cells), default=0),
-            "cameras": [cell.model_dump(mode="json") for cell in shown.cells],
-            "edges": [[segment for of_camera in each.values() for segment in of_camera] for each in edges],
-            "adversaries": len(shown.scene.adversaries),
+            "width": max((cell.left + cell.width for cell in prepared.cells), default=0),
+            "height": max((cell.top + cell.height for cell in prepared.cells), default=0),
+            "cameras": [cell.model_dump(mode="json") for cell in prepared.cells],
+            "edges": [[segment for of_camera in frame.values() for segment in of_camera] for frame in edges],
+            "adversaries": len(prepared.scene.adversaries),
         }
 
     def cameras(self, index: int, place: int) -> bytes:
         """All cameras at one sample, as WebP."""
         with self._lock:
-            shown = self._ready(index)
-            if not shown.cells:
+            prepared = self._ready(index)
+            if not prepared.cells:
                 raise InputError(f"scene {self.names[index]} has no images")
-            return mosaic(shown.cells, self._frame(shown, place).views)
+            return mosaic(prepared.cells, self._frame(prepared, place).views)
 
     def above(self, index: int, place: int) -> bytes:
         """The scene from above at one sample, as PNG."""
         with self._lock:
-            shown = self._ready(index)
-            frame = self._frame(shown, place).frame
-            picture, _ = shown.above.draw(frame, width_px=_ABOVE_PX, height_px=_ABOVE_PX, extent_m=_EXTENT_M)
+            prepared = self._ready(index)
+            frame = self._frame(prepared, place).frame
+            picture, _ = prepared.above.draw(frame, width_px=_ABOVE_PX, height_px=_ABOVE_PX, extent_m=_EXTENT_M)
             return png(picture)
 
     def record(self, index: int, verdict: Any, reason: Any) -> None:
         """Record a verdict on a scene: ``accepted``, ``rejected`` (with a reason), or ``None`` to take it back."""
         name = self._name(index)
-        said = None
+        checked = None
         if verdict is not None:
             stored = {"verdict": verdict, "reason": reason, "inspector": self.inspector, "token": self._tokens[name]}
-            said = checked_verdict(stored, f"the verdict on {name}")
+            checked = checked_verdict(stored, f"the verdict on {name}")
         with self._lock:
-            record_verdicts(self.data.root, {name: said})
+            record_verdicts(self.data.root, {name: checked})
 
     def _name(self, index: int) -> str:
         if not 0 <= index < len(self.names):
             raise InputError(f"there is no scene number {index}; there are {len(self.names)}")
         return self.names[index]
 
-    def _frame(self, shown: _Shown, place: int) -> PicturedFrame:
-        if not 0 <= place < len(shown.frames):
-            raise InputError(f"scene {shown.scene.name} has no picture number {place}")
-        return shown.frames[place]
+    def _frame(self, prepared: _Shown, place: int) -> PicturedFrame:
+        if not 0 <= place < len(prepared.frames):
+            raise InputError(f"scene {prepared.scene.name} has no picture number {place}")
+        return prepared.frames[place]
 
     def _ready(self, index: int) -> _Shown:
         name = self._name(index)

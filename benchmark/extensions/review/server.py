@@ -126,11 +126,11 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _post(self, place: str) -> tuple[str, bytes]:
         self._require_same_origin()
-        said = self._posted()
+        posted = self._posted()
         if place == "done":
             self.server.done = True
-        elif place == "verdict" and type(said.get("scene")) is int:
-            self.server.inspection.record(said["scene"], said.get("verdict"), said.get("reason", ""))
+        elif place == "verdict" and type(posted.get("scene")) is int:
+            self.server.inspection.record(posted["scene"], posted.get("verdict"), posted.get("reason", ""))
         else:
             raise _Refused(HTTPStatus.NOT_FOUND, "there is nothing to post here")
         return "application/json", _json(self.server.inspection.state())
@@ -148,12 +148,12 @@ class _Handler(BaseHTTPRequestHandler):
         if not length.isdigit() or int(length) > _POST_BYTES:
             raise _Refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a verdict has at most {_POST_BYTES} bytes")
         try:
-            said = parse_json(self.rfile.read(int(length)), VERDICTS)
+            posted = parse_json(self.rfile.read(int(length)), VERDICTS)
         except ValueError as error:
             raise _Refused(HTTPStatus.BAD_REQUEST, f"this is no JSON: {error}") from error
-        if not isinstance(said, dict):
+        if not isinstance(posted, dict):
             raise _Refused(HTTPStatus.BAD_REQUEST, "a verdict is an object")
-        return said
+        return posted
 
     def _send(self, status: HTTPStatus, kind: str, data: bytes) -> None:
         self.send_response(status)

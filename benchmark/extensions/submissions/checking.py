@@ -60,20 +60,20 @@ def leak_findings(record: RunRecord | DriveRecord, data: "DataSet") -> Iterator[
     facts = record.run if isinstance(record, RunRecord) else record.facts
     if facts.planner.privileged:
         return
-    if said := figures_of(record, data).suspicions:
+    if suspicions := figures_of(record, data).suspicions:
         yield (
             Level.SUSPICIOUS,
-            f"{'; '.join(said)}. It proves nothing: ask how it plans (docs/extensions/submissions.md)",
+            f"{'; '.join(suspicions)}. It proves nothing: ask how it plans (docs/extensions/submissions.md)",
         )
 
 
 def figures_of(record: RunRecord | DriveRecord, data: "DataSet") -> LeakFigures:
     """Figures that compare the plans of a record with the recorded future."""
     if isinstance(record, DriveRecord):
-        return leak_figures([each for row in record.rows for each in _moments_of_drive(row, data.scene(row.scene))])
+        return leak_figures([moment for row in record.rows for moment in _moments_of_drive(row, data.scene(row.scene))])
     scenes = groupby(record.rows, key=lambda row: row.scene)
     return leak_figures(
-        [each for name, rows in scenes for each in moments_of_run(list(rows), data.truth(name)).values()]
+        [moment for name, rows in scenes for moment in moments_of_run(list(rows), data.truth(name)).values()]
     )
 
 
@@ -88,14 +88,14 @@ def moments_of_run(rows: Sequence[SampleRow], truths: Sequence[SampleTruth]) -> 
         if row.plan is not None and row.complete and before is not None and now is not None and regular:
             speeds[index] = (float(np.hypot(*before)) / PLAN_STEP_S, float(np.hypot(*now)) / PLAN_STEP_S)
     dangerous = _dangerous([truths[index] for index in speeds], [now for _, now in speeds.values()])
-    found = {}
+    moments = {}
     for (index, speed), danger in zip(speeds.items(), dangerous):
         row = rows[index]
         assert row.plan is not None, "chosen above"
         planned = plan_of(row.plan.model_dump()).judged.waypoints_in_lidar(row.lidar_ahead_m)
         recorded = np.array(row.recorded_future, float)[:, :2]
-        found[index] = Moment(planned, recorded, _FORWARD, speed, bool(danger))
-    return found
+        moments[index] = Moment(planned, recorded, _FORWARD, speed, bool(danger))
+    return moments
 
 
 def _dangerous(truths: Sequence[SampleTruth], speeds: Sequence[float]) -> Bools:
@@ -103,8 +103,8 @@ def _dangerous(truths: Sequence[SampleTruth], speeds: Sequence[float]) -> Bools:
     if not truths:
         return np.zeros(0, bool)
     times = PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
-    kept = np.array(speeds)[:, None, None] * times[:, None] * _FORWARD
-    return np.asarray(protocol("exact").evaluate(truths, kept).collision.any(axis=1))
+    constant_speed_plans = np.array(speeds)[:, None, None] * times[:, None] * _FORWARD
+    return np.asarray(protocol("exact").evaluate(truths, constant_speed_plans).collision.any(axis=1))
 
 
 def _moments_of_drive(row: DriveRow, scene: Scene) -> list[Moment]:
@@ -112,7 +112,7 @@ def _moments_of_drive(row: DriveRow, scene: Scene) -> list[Moment]:
 
     None of them counts as dangerous: the actions of others in a drive depend on the drive.
     """
-    found = []
+    moments = []
     times = np.array(row.ticks.time_us[row.primed :], np.int64)
     first, last = int(scene.timestamps_us[0]), int(scene.timestamps_us[-1])
     ahead_m = float(scene.lidar.translation[0])
@@ -127,8 +127,8 @@ def _moments_of_drive(row: DriveRow, scene: Scene) -> list[Moment]:
         before, speed = np.hypot(*np.diff(poses[: len(_BEFORE_US), :2], axis=0).T) / PLAN_STEP_S
         planned = Plan(np.array(plan.waypoints, np.float64), PlanFrame(plan.frame)).judged.waypoints_in_lidar(ahead_m)
         recorded = _lidar_of(poses[len(_BEFORE_US) :], pose, ahead_m)
-        found.append(Moment(planned, recorded, _FORWARD, (float(before), float(speed)), False))
-    return found
+        moments.append(Moment(planned, recorded, _FORWARD, (float(before), float(speed)), False))
+    return moments
 
 
 def _lidar_of(poses: Floats, seen_from: Floats, ahead_m: float) -> Floats:
@@ -180,24 +180,26 @@ def split_findings(facts: RecordFacts, data: "DataSet") -> Iterator[Said]:
     realism = stored_realism(data.root, data.version)
     if isinstance(facts, RunFacts) and realism is not None:
         pairs.append(("realism", facts.realism, realism))
-    for name, said, here in pairs:
+    for name, claimed, here in pairs:
         # Older records say nothing.
-        if said is not None and said != here:
+        if claimed is not None and claimed != here:
             yield Level.ERROR, f"says of the scenes' {name} what {data.root} does not say; run it again"
 
 
 _COUNTED_ELSEWHERE: Final = ("judgement", "truth")
 
 
-def _other_facts(facts: RecordFacts, found: Mapping[str, SceneFacts]) -> Sequence[str]:
+def _other_facts(facts: RecordFacts, scene_facts: Mapping[str, SceneFacts]) -> Sequence[str]:
     """Scenes of which a record says something else than the data set; what either does not say is no fault."""
 
-    def other(said: SceneFacts, here: SceneFacts) -> bool:
+    def other(claimed: SceneFacts, here: SceneFacts) -> bool:
         # Scenes need not be judged, and their truth is counted where the plans are judged anew.
-        asked = ((name, value) for name, value in said if name not in _COUNTED_ELSEWHERE or getattr(here, name))
-        return any(value is not None and value != getattr(here, name) for name, value in asked)
+        compared = ((name, value) for name, value in claimed if name not in _COUNTED_ELSEWHERE or getattr(here, name))
+        return any(value is not None and value != getattr(here, name) for name, value in compared)
 
-    return [name for name, said in facts.scene_facts.items() if name in found and other(said, found[name])]
+    return [
+        name for name, claimed in facts.scene_facts.items() if name in scene_facts and other(claimed, scene_facts[name])
+    ]
 
 
 OursLike = Callable[[PlannerFacts], PlannerFacts | None]
@@ -210,9 +212,9 @@ _OWN_WEIGHTS: Final = "checkpoint_sha256"
 def planner_findings(facts: RecordFacts, ours_like: OursLike) -> Iterator[Said]:
     """Compare a record's claims about its planner with the planner itself."""
     planner = facts.planner
-    for what, claimed in (("weights", planner.weights_sha256), ("code", planner.code_sha256)):
+    for kind, claimed in (("weights", planner.weights_sha256), ("code", planner.code_sha256)):
         if claimed is not None and not _SHA256.fullmatch(claimed):
-            yield Level.ERROR, f"names {what} {claimed[:80]!r}, which is no SHA-256 (64 hexadecimal digits)"
+            yield Level.ERROR, f"names {kind} {claimed[:80]!r}, which is no SHA-256 (64 hexadecimal digits)"
     if planner.native_protocol is not None and planner.native_protocol not in PROTOCOLS:
         yield Level.ERROR, f"names a protocol of its own, {planner.native_protocol!r}, which this version does not know"
     if planner.weights_sha256 is None and planner.code_sha256 is None:
@@ -234,11 +236,11 @@ def _not_as_ours(planner: PlannerFacts, ours: PlannerFacts) -> Iterator[Said]:
     if ours.name != planner.name:
         yield Level.NOTE, f"has the code of {ours.name}, whatever it is called"
     for field in ("privileged", "native_protocol", "miniature", "published_as"):
-        said, known = getattr(planner, field), getattr(ours, field)
-        if said != known:
+        claimed, known = getattr(planner, field), getattr(ours, field)
+        if claimed != known:
             yield (
                 Level.ERROR,
-                f"says {field.replace('_', ' ')}: {said}, and {ours.name}, whose code it has, is {known}; submit what "
+                f"says {field.replace('_', ' ')}: {claimed}, and {ours.name}, whose code it has, is {known}; submit what "
                 "eval wrote",
             )
     if _OWN_WEIGHTS in planner.settings:
@@ -309,19 +311,21 @@ def check_submission(
     sound: list[Record] = []
     findings: list[Finding] = []
     for directory, load in places:
-        found: list[Finding] = []
+        record_findings: list[Finding] = []
         try:
             record = load(directory)
             facts = facts_of_record(record)
-            found += [Finding(directory, level, says) for level, says in _claims(record, data_name, ours_like)]
+            record_findings += [
+                Finding(directory, level, says) for level, says in _claims(record, data_name, ours_like)
+            ]
             if facts.data.name == data_name:
                 data = opened_as(facts, opened, open_split)
-                found += [Finding(directory, level, says) for level, says in _anew(record, data)]
+                record_findings += [Finding(directory, level, says) for level, says in _anew(record, data)]
         except InputError as error:
-            findings += [*found, Finding(directory, Level.ERROR, str(error))]
+            findings += [*record_findings, Finding(directory, Level.ERROR, str(error))]
             continue
-        findings += found
-        if all(finding.level is not Level.ERROR for finding in found):
+        findings += record_findings
+        if all(finding.level is not Level.ERROR for finding in record_findings):
             sound.append(record)
     return sound, [*findings, *_twice(sound)]
 
@@ -352,12 +356,12 @@ def _anew(record: Record, data: "DataSet") -> Iterator[Said]:
 
 def _twice(records: Sequence[Record]) -> Iterator[Finding]:
     """Two records that would be one row of a table."""
-    seen: dict[tuple[Any, ...], Path] = {}
+    directories: dict[tuple[Any, ...], Path] = {}
     for record in records:
         facts = facts_of_record(record)
         measured = None if isinstance(record, RunRecord) else record.facts.measured.model_dump_json()
         key = (facts.data.name, facts.split, facts.planner.model_dump_json(exclude=_LABELS), measured)
-        first = seen.setdefault(key, record.directory)
+        first = directories.setdefault(key, record.directory)
         if first != record.directory:
             yield Finding(
                 record.directory,

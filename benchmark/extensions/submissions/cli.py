@@ -44,12 +44,15 @@ def submit_check_command(options: SubmitCheckOptions) -> None:
     sound, findings = check_submission(options.folder, source.name, opener, own_planner_like)
     if options.json_output:
         print_json(
-            {"sound": [str(record.directory) for record in sound], "findings": [found.as_json() for found in findings]}
+            {
+                "sound": [str(record.directory) for record in sound],
+                "findings": [finding.as_json() for finding in findings],
+            }
         )
     else:
-        for found in findings:
-            typer.echo(f"{found.level}: {found.directory}: {found.sentence}")
+        for finding in findings:
+            typer.echo(f"{finding.level}: {finding.directory}: {finding.sentence}")
         for record in sound:
             rows = counted(len(record.rows), "sample" if isinstance(record, RunRecord) else "drive")
             typer.echo(f"fit: {record.directory}: {record.planner} on {facts_of_record(record).split}, {rows}")
-    raise typer.Exit(1 if any(found.level is Level.ERROR for found in findings) else 0)
+    raise typer.Exit(1 if any(finding.level is Level.ERROR for finding in findings) else 0)

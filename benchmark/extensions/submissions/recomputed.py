@@ -178,10 +178,10 @@ def drives_anew(record: DriveRecord, data: "DataSet") -> Iterator[Said]:
         if [row] != with_labels([driven_again(maker, data.scene(row.scene), data, row)], truths):
             yield Level.ERROR, f"claims other scores than its plans give on {row.scene}, run {row.run}; drive again"
             return
-    found = summarise_drives(record.rows, facts.scene_facts, seed=facts.seed)
+    summary = summarise_drives(record.rows, facts.scene_facts, seed=facts.seed)
     claimed = record.summary.model_copy(update={"columns": columns_of(record)})
-    if said := _first_difference(claimed, found):
-        yield Level.ERROR, f"claims {said} in its summary; run the same drive again"
+    if difference := _first_difference(claimed, summary):
+        yield Level.ERROR, f"claims {difference} in its summary; run the same drive again"
 
 
 def _says_the_same(row: SampleRow, computed: SampleRow, protocols: Sequence[str]) -> bool:
@@ -194,29 +194,29 @@ def _says_the_same(row: SampleRow, computed: SampleRow, protocols: Sequence[str]
     )
 
 
-def _same_circumstances(said: SampleRow, computed: SampleRow) -> bool:
+def _same_circumstances(claimed: SampleRow, computed: SampleRow) -> bool:
     """Whether a row says the place and speed that the data have; an older one says neither."""
-    if said.speed_m_s is None or computed.speed_m_s is None:
-        return said.place is None or said.place == computed.place
-    return said.place == computed.place and abs(said.speed_m_s - computed.speed_m_s) <= SAME_M_S
+    if claimed.speed_m_s is None or computed.speed_m_s is None:
+        return claimed.place is None or claimed.place == computed.place
+    return claimed.place == computed.place and abs(claimed.speed_m_s - computed.speed_m_s) <= SAME_M_S
 
 
-def _same_verdict(said: OutcomeRow | None, computed: OutcomeRow | None) -> bool:
+def _same_verdict(claimed: OutcomeRow | None, computed: OutcomeRow | None) -> bool:
     """Whether two verdicts are equal; a record that was written before a column was kept cannot have it."""
-    if said is None or computed is None:
-        return said is computed
-    steps = {name: column for name, column in computed.steps.items() if name in said.steps or name not in _LATER}
-    facts = {name: fact for name, fact in computed.facts.items() if name in said.facts or name not in _LATER}
-    return said == computed.model_copy(update={"steps": steps, "facts": facts})
+    if claimed is None or computed is None:
+        return claimed is computed
+    steps = {name: column for name, column in computed.steps.items() if name in claimed.steps or name not in _LATER}
+    facts = {name: fact for name, fact in computed.facts.items() if name in claimed.facts or name not in _LATER}
+    return claimed == computed.model_copy(update={"steps": steps, "facts": facts})
 
 
-def _drives_the_same(said: DrivenPlan | None, computed: DrivenPlan | None) -> bool:
+def _drives_the_same(claimed: DrivenPlan | None, computed: DrivenPlan | None) -> bool:
     """Whether two verdicts are equal; a record that was written before whom plans touch was kept cannot have it."""
-    if said is None or computed is None or said.hit_adversary is not None:
-        return said == computed
+    if claimed is None or computed is None or claimed.hit_adversary is not None:
+        return claimed == computed
     one, other = (
         replace(each, hit=None, first_contact_s=None, hit_adversary=None, adversary_contact_s=None)
-        for each in (said, computed)
+        for each in (claimed, computed)
     )
     return one == other
 
@@ -225,36 +225,36 @@ def _driving_is_of_now(summary: Summary) -> bool:
     return summary.driving is None or summary.driving.version == VERSION
 
 
-def _summary_anew(claimed: Summary, found: Summary, protocols: Sequence[str]) -> Iterator[Said]:
+def _summary_anew(claimed: Summary, computed: Summary, protocols: Sequence[str]) -> Iterator[Said]:
     """Every field of a summary; protocols that this version cannot judge with are left to `protocols_of`."""
     for name in protocols:
         if name not in claimed.protocols:
             yield Level.ERROR, f"has no rates under {name}; {_RESCORE}"
-        elif said := _first_difference(claimed.protocols[name], found.protocols[name], may_lack=_LATER_COUNTS):
-            yield Level.ERROR, f"claims {said} under {name}; {_RESCORE}"
+        elif difference := _first_difference(claimed.protocols[name], computed.protocols[name], may_lack=_LATER_COUNTS):
+            yield Level.ERROR, f"claims {difference} under {name}; {_RESCORE}"
     if others := sorted(set(claimed.protocols) - set(protocols) - set(PROTOCOLS)):
         yield Level.ERROR, f"has rates under {', '.join(others)}, which no protocol here gives; {_RESCORE}"
-    if claimed.driving is None and found.driving is not None:
+    if claimed.driving is None and computed.driving is not None:
         yield Level.ERROR, f"has no driving scores; {_RESCORE}"
-    elif _driving_is_of_now(claimed) and (said := _first_difference(claimed.driving, found.driving)):
-        yield Level.ERROR, f"claims other driving scores than its plans give: {said}; {_RESCORE}"
+    elif _driving_is_of_now(claimed) and (difference := _first_difference(claimed.driving, computed.driving)):
+        yield Level.ERROR, f"claims other driving scores than its plans give: {difference}; {_RESCORE}"
     totals = {"schema_version", "protocols", "driving"}
-    if said := _first_difference(claimed.model_dump(exclude=totals), found.model_dump(exclude=totals)):
-        yield Level.ERROR, f"claims {said}; {_RESCORE}"
+    if difference := _first_difference(claimed.model_dump(exclude=totals), computed.model_dump(exclude=totals)):
+        yield Level.ERROR, f"claims {difference}; {_RESCORE}"
 
 
-def _first_difference(said: Any, found: Any, *, may_lack: frozenset[str] = frozenset(), at: str = "") -> str:
+def _first_difference(claimed: Any, computed: Any, *, may_lack: frozenset[str] = frozenset(), at: str = "") -> str:
     """The first value that is not the same, in words: where, what is said, what is right; empty if there is none."""
-    if isinstance(said, BaseModel):
-        said = said.model_dump()
-    if isinstance(found, BaseModel):
-        found = found.model_dump()
-    if isinstance(said, Mapping) and isinstance(found, Mapping):
-        for name in dict.fromkeys([*found, *said]):
-            if name in may_lack and said.get(name) is None:
+    if isinstance(claimed, BaseModel):
+        claimed = claimed.model_dump()
+    if isinstance(computed, BaseModel):
+        computed = computed.model_dump()
+    if isinstance(claimed, Mapping) and isinstance(computed, Mapping):
+        for name in dict.fromkeys([*computed, *claimed]):
+            if name in may_lack and claimed.get(name) is None:
                 continue
             place = at if name in _UNSAID else f"{at} {name}".strip()
-            if different := _first_difference(said.get(name), found.get(name), may_lack=may_lack, at=place):
+            if different := _first_difference(claimed.get(name), computed.get(name), may_lack=may_lack, at=place):
                 return different
         return ""
-    return "" if said == found else f"{at} = {said}, and its plans give {found}"
+    return "" if claimed == computed else f"{at} = {claimed}, and its plans give {computed}"

@@ -159,9 +159,9 @@ def _is_best(run: _Run, config: TrainingConfig) -> bool:
 
 def _save(run: _Run, config: TrainingConfig, data: TrackData, shares: dict[str, float], identity: str) -> None:
     """Write the averaged weights as they are now, in half precision."""
-    kept = TrajectoryDenoiser(run.network.config)
-    kept.load_state_dict(run.average)
-    for parameter in kept.parameters():
+    half_precision = TrajectoryDenoiser(run.network.config)
+    half_precision.load_state_dict(run.average)
+    for parameter in half_precision.parameters():
         parameter.data = parameter.data.half()
     facts = {
         "run": identity,
@@ -173,7 +173,7 @@ def _save(run: _Run, config: TrainingConfig, data: TrackData, shares: dict[str, 
         "shares": shares,
         "licences": {name: data.licences[name] for name in data.training},
     }
-    save_denoiser(config.out, kept, facts)
+    save_denoiser(config.out, half_precision, facts)
 
 
 def _identity(config: TrainingConfig) -> str:
@@ -200,7 +200,7 @@ def _start(config: TrainingConfig, pool: WindowPool) -> _Run:
     return _Run(denoiser, optimiser, average, [])
 
 
-def _loss(denoiser: TrajectoryDenoiser, drawn: Drawn, noise: Floats, timesteps: Floats, told: Bools) -> Tensor:
+def _loss(denoiser: TrajectoryDenoiser, drawn: Drawn, noise: Floats, timesteps: Floats, conditioned: Bools) -> Tensor:
     """Mean square error of the predicted noise.
 
     A preconditioned network is asked in its own unit scale, where axes along which nothing happens would drown the
@@ -208,8 +208,8 @@ def _loss(denoiser: TrajectoryDenoiser, drawn: Drawn, noise: Floats, timesteps: 
     """
     device = next(denoiser.parameters()).device
     signal = ALPHA_BARS[timesteps.astype(np.int64)][:, None, None]
-    made = (timesteps, noise, signal**0.5 * drawn.actions + (1 - signal) ** 0.5 * noise, drawn.previous, told)
-    at, eps, noisy, previous, known = (torch.from_numpy(part).to(device, torch.float32) for part in made)
+    inputs = (timesteps, noise, signal**0.5 * drawn.actions + (1 - signal) ** 0.5 * noise, drawn.previous, conditioned)
+    at, eps, noisy, previous, known = (torch.from_numpy(part).to(device, torch.float32) for part in inputs)
     present = present_features(previous) * known[:, None]
     if denoiser.preconditioner is None:
         return torch.nn.functional.mse_loss(denoiser(noisy, at, present), eps)
@@ -224,8 +224,8 @@ def _take_step(run: _Run, config: TrainingConfig, pool: WindowPool, step: int) -
     torch.manual_seed(content_seed("denoiser dropout", config.seed, step) % 2**63)
     drawn = pool.draw(config.batch, config.size_jitter, rng)
     timesteps = np.floor(STEPS * rng.random(config.batch) ** config.level_power)
-    told = rng.random(config.batch) >= config.untold
-    loss = _loss(run.network, drawn, rng.standard_normal(drawn.actions.shape), timesteps, told)
+    conditioned = rng.random(config.batch) >= config.untold
+    loss = _loss(run.network, drawn, rng.standard_normal(drawn.actions.shape), timesteps, conditioned)
     rising = min((step + 1) / config.warmup, 1.0)
     rate = config.learning_rate * rising * 0.5 * (1 + math.cos(math.pi * step / config.steps))
     for group in run.optimiser.param_groups:
@@ -260,7 +260,7 @@ def _check(run: _Run, checking: Windows, config: TrainingConfig) -> dict[str, fl
     every = np.ones(len(chosen), dtype=bool)
     with torch.inference_mode():
         losses = (
-            _loss(judge, drawn, noise, evenly % levels, told)
-            for levels, told in ((STEPS, every), (LEVELS_OF_ROUNDS, every), (STEPS, ~every))
+            _loss(judge, drawn, noise, evenly % levels, conditioned)
+            for levels, conditioned in ((STEPS, every), (LEVELS_OF_ROUNDS, every), (STEPS, ~every))
         )
         return dict(zip(names, map(float, losses), strict=True))

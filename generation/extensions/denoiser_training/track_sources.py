@@ -181,9 +181,9 @@ def _vehicles(scene: Scene, seconds: Floats) -> Iterator[Floats]:
     for index, category in enumerate(agents.categories):
         if category not in RIGID_VEHICLES or agents.ids[index] in scene.adversaries:
             continue
-        there = agents.valid[index]
-        center = np.column_stack([agents.position[index, there, :2], agents.yaw[index, there]])
-        for track in even_tracks(seconds[there], center, LONGEST_GAP_S):
+        valid = agents.valid[index]
+        center = np.column_stack([agents.position[index, valid, :2], agents.yaw[index, valid]])
+        for track in even_tracks(seconds[valid], center, LONGEST_GAP_S):
             yield rear_axle_of_box(track, float(agents.size[index, 0]))
 
 
@@ -238,17 +238,17 @@ def find_track_sources(folder: Path) -> tuple[TrackSource, ...]:
     if not folder.is_dir():
         raise InputError(f"no folder of tracks at {folder}; pass the folder that holds the <source>.npz files")
     try:
-        found = sorted(_sources_in(folder), key=lambda source: source.name)
+        sources = sorted(_sources_in(folder), key=lambda source: source.name)
     except OSError as error:
         raise InputError(f"cannot look into {folder} ({error}); make it readable or pass another folder") from error
-    if not found:
+    if not sources:
         raise InputError(
             f"{folder} holds no track files (.npz), nuPlan databases (.db) or nuScenes roots; pass a folder that does"
         )
-    for one, other in itertools.pairwise(found):
+    for one, other in itertools.pairwise(sources):
         if one.name == other.name:
             raise InputError(f"{folder} has two sources called {one.name}; rename {other.paths[0]}")
-    return tuple(found)
+    return tuple(sources)
 
 
 def _sources_in(folder: Path) -> Iterator[TrackSource]:
@@ -271,13 +271,13 @@ def source_windows(source: TrackSource, stride_s: float, limit: int = WINDOW_LIM
     """
     parts: list[Windows] = []
     licence = NUPLAN_LICENCE if source.kind is Recording.NUPLAN else NUSCENES_LICENCE
-    seen, every, tracks = 0, 1, 0
+    window_count, every, tracks = 0, 1, 0
     for portion in source.read():
         licence = portion.licence
         windows = cut_windows(portion, stride_s)
         numbered = replace(windows, track=windows.track + tracks)
-        parts.append(numbered.every(every, -seen % every))
-        seen, tracks = seen + len(windows.previous), tracks + len(portion.tracks)
+        parts.append(numbered.every(every, -window_count % every))
+        window_count, tracks = window_count + len(windows.previous), tracks + len(portion.tracks)
         while sum(len(part.previous) for part in parts) > limit:
             parts, every = [Windows.joined(parts).every(2, 0)], every * 2
     return Windows.joined(parts), licence

@@ -102,14 +102,14 @@ def _groups(stored: GoldenArrays, candidates: int) -> list[_Group]:
     """The initial states that have candidates."""
     columns = stored.columns("group_columns", "rear_x", "rear_y", "rear_heading", "speed_per_step", "length")
     rows, number = stored.floats("groups", None, None), stored.integers("group", candidates)
-    found = []
+    groups = []
     for index in np.unique(number):
         x, y, heading, speed, length = rows[index, columns]
         if not length > 0.0:
             raise ValueError(f"group {index} has length {length:g} m")
         state = VehicleState(np.array([x, y, heading]), float(speed))
-        found.append(_Group(np.flatnonzero(number == index), state, float(length)))
-    return found
+        groups.append(_Group(np.flatnonzero(number == index), state, float(length)))
+    return groups
 
 
 def _simulate(waypoints: Floats, groups: list[_Group]) -> SimulatedMotion:
@@ -119,7 +119,7 @@ def _simulate(waypoints: Floats, groups: list[_Group]) -> SimulatedMotion:
         simulate(waypoints[group.members], group.state, group.length_m, steps=STEPS, model=MotionModel.reference())
         for group in groups
     ]
-    names = [each.name for each in fields(SimulatedMotion)]
+    names = [item.name for item in fields(SimulatedMotion)]
     return SimulatedMotion(**{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names})
 
 
@@ -189,8 +189,8 @@ def _compare_paths(comparison: Comparison, stored: GoldenArrays, waypoints: Floa
     comparison.numbers("reference position (m)", position, local[..., :2])
     placed = stored.floats("reference_global", count, STEPS + 1, 3)
     for group in groups:
-        there = to_global(position[group.members], group.state.pose)
-        comparison.numbers("reference position, global (m)", there, placed[group.members][..., :2])
+        global_position = to_global(position[group.members], group.state.pose)
+        comparison.numbers("reference position, global (m)", global_position, placed[group.members][..., :2])
     if distinct.any():
         quantity = "reference heading (rad)"
         comparison.numbers(quantity, heading[distinct], local[distinct][:, 2], angle=True)

@@ -44,8 +44,8 @@ def _compare_files(comparison: Comparison, folder: GoldenFolder) -> None:
         if count:
             comparison.note(quantity, f"{count} within 1e-9 of a tie are left out")
     for quantity, count in single.items():
-        said = f"{count} differ and hang on single precision, in {counted(with_reference, 'file')}"
-        comparison.note(f"reference: {quantity}", said)
+        remark = f"{count} differ and hang on single precision, in {counted(with_reference, 'file')}"
+        comparison.note(f"reference: {quantity}", remark)
     comparison.note("centre off the road", f"{counted(len(paths), 'file')}{_absent(folder, paths)}")
 
 

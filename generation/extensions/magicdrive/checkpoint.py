@@ -122,7 +122,7 @@ def _require_same(path: Path, tensors: Mapping[str, Tensor], expected: Mapping[s
         ([name for name in shared if tensors[name].shape != expected[name].shape], "of another shape"),
         ([name for name in shared if not tensors[name].is_floating_point()], "without fractions"),
     )
-    differences = "; ".join(f"{len(names)} {what} (first: {names[0]})" for names, what in kinds if names)
+    differences = "; ".join(f"{len(names)} {problem} (first: {names[0]})" for names, problem in kinds if names)
     if differences:
         raise InputError(
             f"{path} does not hold the weights of MagicDriveDiT: of its tensors, {differences}; get ema.pt of "

@@ -58,8 +58,8 @@ def box_tracks(scene: Scene, frames: NDArray[np.int64]) -> BoxTracks:
         return tracks
     between = interpolated_annotations(scene, frames)
     simulated = np.array([name in scene.adversaries for name in agents.ids], dtype=np.bool_)
-    for each in fields(BoxTracks):
-        getattr(between, each.name)[simulated] = getattr(tracks, each.name)[simulated]
+    for item in fields(BoxTracks):
+        getattr(between, item.name)[simulated] = getattr(tracks, item.name)[simulated]
     return between
 
 
@@ -75,13 +75,13 @@ def interpolated_annotations(scene: Scene, frames: NDArray[np.int64]) -> BoxTrac
     left = np.clip(np.searchsorted(keyframes, frames, side="right") - 1, 0, len(keyframes) - 1)
     right = np.minimum(left + 1, len(keyframes) - 1)
     fraction = (frames - keyframes[left]) / np.maximum(keyframes[right] - keyframes[left], 1)
-    there = annotations.valid[:, left] & (annotations.valid[:, right] | (fraction == 0.0))
+    valid = annotations.valid[:, left] & (annotations.valid[:, right] | (fraction == 0.0))
     start, end = annotations.position[:, left], annotations.position[:, right]
     return BoxTracks(
         position=start + fraction[:, None] * (end - start),
         rotation=slerp(annotations.rotation[:, left], annotations.rotation[:, right], fraction),
         size=annotations.size[:, left],
-        valid=there,
+        valid=valid,
     )
 
 
@@ -152,19 +152,19 @@ def clip_boxes(scene: Scene, frames: NDArray[np.int64], sensors: SensorFrames) -
     ]
     if not shown:
         return _padding(len(frames), len(sensors.cameras))
-    there = tracks.valid[shown].T
+    valid = tracks.valid[shown].T
     centre, yaw = in_lidar_frame(tracks, shown, sensors.lidar)
     size = tracks.size[shown].transpose(1, 0, 2)
     true_corners = corners_of(centre - [0.0, 0.0, 0.5] * size, size, yaw)
     # The model takes an annotation's centre for the middle of the box's floor, and was trained so.
     raised = corners_of(centre, size, yaw)
-    masks = in_front(true_corners, sensors.camera_from_lidar) & there
+    masks = in_front(true_corners, sensors.camera_from_lidar) & valid
     numbers = np.array([classes[index] for index in shown], dtype=np.int64)
     return ClipBoxes(
         ids=tuple(scene.agents.ids[index] for index in shown),
-        corners=np.where(there[..., None, None], raised, 0.0).astype(np.float32),
-        true_corners=np.where(there[..., None, None], true_corners, 0.0).astype(np.float32),
-        classes=np.where(there, numbers, ABSENT_CLASS),
+        corners=np.where(valid[..., None, None], raised, 0.0).astype(np.float32),
+        true_corners=np.where(valid[..., None, None], true_corners, 0.0).astype(np.float32),
+        classes=np.where(valid, numbers, ABSENT_CLASS),
         masks=masks.astype(np.int64),
     )
 
@@ -304,9 +304,9 @@ def clip_of(
     sensors = SensorFrames.of(scene, chosen)
     cells = MAP_CELLS if height <= SMALL_HEIGHT_PX else 2 * MAP_CELLS
     boxes, cams, rel_pos = clip_boxes(scene, chosen, sensors), camera_parameters(sensors), ego_motion(sensors)
-    for what, numbers in (("annotations", boxes.corners), ("calibration", cams), ("ego poses", rel_pos)):
+    for quantity, numbers in (("annotations", boxes.corners), ("calibration", cams), ("ego poses", rel_pos)):
         if not np.isfinite(numbers).all():
-            raise InputError(f"the {what} of {scene.name} hold numbers that are not finite; correct its tables")
+            raise InputError(f"the {quantity} of {scene.name} hold numbers that are not finite; correct its tables")
     return Clip(
         scene=scene.name,
         frames=chosen,

@@ -69,7 +69,7 @@ def rendering_executor(place: Executor, device: str) -> Executor:
     on_gpu = device.startswith("cuda") or (device == "auto" and torch.cuda.is_available())
     if isinstance(place, RayCluster):
         return replace(place, gpus=1) if on_gpu else place
-    found = device_of(device)
-    if found.type != "cuda" or not isinstance(place, LocalProcesses):
+    torch_device = device_of(device)
+    if torch_device.type != "cuda" or not isinstance(place, LocalProcesses):
         return place
-    return LocalProcesses(1 if found.index is not None else min(place.workers, torch.cuda.device_count()))
+    return LocalProcesses(1 if torch_device.index is not None else min(place.workers, torch.cuda.device_count()))

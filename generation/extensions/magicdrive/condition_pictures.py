@@ -87,12 +87,12 @@ def condition_pictures(
         "pooling": lambda: draw_pooling(clip, scene.keyframes, adversaries),
         "words": lambda: draw_words(clip, adversaries),
     }
-    found = {name: draw() for name, draw in pictures.items()}
-    for place, frame, seen in zip(places, frames, images):
-        found[f"boxes-{frame:03d}"] = png(draw_boxes(clip, place, seen, adversaries))
-        found[f"visibility-{frame:03d}"] = draw_visibility(clip, place, adversaries)
-        found[f"map-{frame:03d}"] = draw_map(clip, place, adversaries)
-    return found
+    drawn = {name: draw() for name, draw in pictures.items()}
+    for place, frame, frame_images in zip(places, frames, images):
+        drawn[f"boxes-{frame:03d}"] = png(draw_boxes(clip, place, frame_images, adversaries))
+        drawn[f"visibility-{frame:03d}"] = draw_visibility(clip, place, adversaries)
+        drawn[f"map-{frame:03d}"] = draw_map(clip, place, adversaries)
+    return drawn
 
 
 def shown_frames(scene: Scene) -> list[int]:
@@ -121,8 +121,8 @@ def draw_boxes(clip: Clip, place: int, images: Images | None, adversaries: Seque
         if images is not None:
             panel = np.asarray(cv2.resize(images[name], _PANEL, interpolation=cv2.INTER_AREA), np.uint8)
         _draw_view(panel, clip, place, view, adversaries)
-        seen = int(clip.boxes.masks[view, place].sum())
-        _write(panel, f"{view} {name}: told of {seen} boxes", (4, 16), (255, 255, 255))
+        box_count = int(clip.boxes.masks[view, place].sum())
+        _write(panel, f"{view} {name}: told of {box_count} boxes", (4, 16), (255, 255, 255))
         panels.append(panel)
     return np.vstack([np.hstack(panels[:3]), np.hstack(panels[3:])])
 

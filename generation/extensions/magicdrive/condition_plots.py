@@ -58,9 +58,9 @@ def draw_visibility(clip: Clip, place: int, adversaries: Sequence[int]) -> bytes
             _plan(axes, 60.0)
             _wedge(axes, clip, view, place, 60.0)
             _boxes(axes, clip, place, adversaries, clip.boxes.masks[view, place])
-            told = int(clip.boxes.masks[view, place].sum())
+            box_count = int(clip.boxes.masks[view, place].sum())
             axes.set_title(
-                f"{view} {MODEL_CAMERAS[view]}: {told} of {int(clip.boxes.present[place].sum())}", fontsize=9
+                f"{view} {MODEL_CAMERAS[view]}: {box_count} of {int(clip.boxes.present[place].sum())}", fontsize=9
             )
 
     return _figure(

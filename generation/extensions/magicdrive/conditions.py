@@ -110,7 +110,7 @@ class Conditions:
 
     def to(self, device: torch.device | str) -> Self:
         """Copy of the conditions with its tensors on another device."""
-        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
         moved: dict[str, Any] = {
             name: value.to(device) for name, value in values.items() if isinstance(value, Tensor | TextStates)
         }

@@ -240,5 +240,5 @@ def packed_views(latent: Tensor) -> Tensor:
 def unpatched(patches: Tensor, size: LatentSize) -> Tensor:
     """(b, V, t, S, 2 * 2 * channels), row, column and channel in this order, to (b, V, channels, t, h, w)."""
     cells = parted(parted(patches, -1, 2, 2, -1), 3, *size.grid)
-    whole = cells.permute(0, 1, 7, 2, 3, 5, 4, 6).flatten(6, 7).flatten(4, 5)
-    return whole[..., : size.rows, : size.columns]
+    joined = cells.permute(0, 1, 7, 2, 3, 5, 4, 6).flatten(6, 7).flatten(4, 5)
+    return joined[..., : size.rows, : size.columns]

@@ -197,7 +197,9 @@ class MagicDriveDiT(nn.Module):
             boxes=self._box_tokens(conditions)[None],
             box_repeats=box_repeats,
         )
-        kept = tuple(block.cross_attn.keys_values(tokens) for block, _ in self.blocks) if keep_keys_values else None
+        keys_values = (
+            tuple(block.cross_attn.keys_values(tokens) for block, _ in self.blocks) if keep_keys_values else None
+        )
         rate = self._entering(torch.tensor([conditions.fps], device=self.base_token.device))
         position = grid_embedding(
             *size.grid,
@@ -207,7 +209,7 @@ class MagicDriveDiT(nn.Module):
             device=self.base_token.device,
         ).to(self.dtype)
         control = self._map_tokens(conditions.maps, size) + position
-        return Encoded(tokens, control, position, self.fps_embedder(rate), size, kept)
+        return Encoded(tokens, control, position, self.fps_embedder(rate), size, keys_values)
 
     def forward(self, latent: Tensor, timestep: Tensor, encoded: Encoded, given: Tensor | None = None) -> Tensor:
         """Velocity of the flow from noise to data.
@@ -243,9 +245,9 @@ class MagicDriveDiT(nn.Module):
         """Both streams; the control stream adds to the base stream after each of its blocks."""
         x: Tensor = self.x_embedder(cells) + encoded.position
         c: Tensor = self.x_control_embedder(cells) + encoded.control
-        kept = encoded.keys_values
+        cached = encoded.keys_values
         for index, (block, of_control) in enumerate(self.blocks):
-            keys_values = kept[index] if kept is not None else block.cross_attn.keys_values(encoded.tokens)
+            keys_values = cached[index] if cached is not None else block.cross_attn.keys_values(encoded.tokens)
             if of_control:
                 c = block(c, modulation, keys_values, rotation)
                 x = x + block.after_proj(c)

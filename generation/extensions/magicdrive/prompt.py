@@ -88,8 +88,8 @@ def prompt_of(scene: Scene, look: PromptLook = PromptLook.RECORDED) -> Prompt:
     if look is PromptLook.RECORDED:
         return Prompt(_sentence(location, description))
     change = _CHANGES[look]
-    kept = [phrase for phrase in description.lower().split(",") if not re.search(change.unwanted, phrase)]
-    words = ",".join(kept).strip()
+    phrases = [phrase for phrase in description.lower().split(",") if not re.search(change.unwanted, phrase)]
+    words = ",".join(phrases).strip()
     for pattern, replacement in change.replaced:
         words = re.sub(pattern, replacement, words)
     sentence = _sentence(change.locations.get(location, location), words)

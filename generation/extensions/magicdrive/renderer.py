@@ -152,8 +152,8 @@ class MagicDriveRenderer:
     def cut(self, scene: Scene) -> Scene:
         """The scene in the length of the published data sets (`published_length`)."""
         count = len(scene.timestamps_us)
-        kept = published_length(count)
-        return scene if kept == count else scene.first_frames(kept)
+        length = published_length(count)
+        return scene if length == count else scene.first_frames(length)
 
     def camera_tracks(self, scene: Scene) -> Mapping[str, EgoTrack]:
         """Tracks of the ego at the times of each camera: the model draws what a camera saw at its own sweep."""
@@ -256,20 +256,20 @@ class _Drawing:
 
     def videos(self) -> dict[str, NDArray[np.uint8]]:
         """(T, height, width, 3) by camera; those that were decoded before are read."""
-        found: dict[str, NDArray[np.uint8]] = {}
+        by_camera: dict[str, NDArray[np.uint8]] = {}
         latent: Tensor | None = None
         for view, camera in enumerate(MODEL_CAMERAS):
-            kept = kept_tensor(self._video_path(camera), self._key)
-            if kept is None:
+            cached = kept_tensor(self._video_path(camera), self._key)
+            if cached is None:
                 with _repeatable(self._device, self._clip.scene):
                     latent = self._latent() if latent is None else latent
                     decoder = _loaded_decoder(self._files.autoencoder, self._device, self._dtype)
                     video = decoder.frames(unpacked_views(latent, len(MODEL_CAMERAS))[0, view])
                 keep_tensor(self._video_path(camera), self._key, video)
             else:
-                video = kept[0]
-            found[camera] = np.asarray(video.numpy())
-        return found
+                video = cached[0]
+            by_camera[camera] = np.asarray(video.numpy())
+        return by_camera
 
     def forget_videos(self) -> None:
         """Remove what can be decoded again in no time; latents stay, so that another output size costs little."""
@@ -296,8 +296,8 @@ class _Drawing:
             if state.step % _KEEP_EVERY_STEPS == 0 or state.step == options.steps:
                 state.save(path, self._key)
 
-        begun = state or first_state(network, conditions, seed)
-        latent = sample(network, conditions, begun, options, on_step=keep).cpu()
+        start = state or first_state(network, conditions, seed)
+        latent = sample(network, conditions, start, options, on_step=keep).cpu()
         _free(self._device)
         return latent
 
@@ -305,26 +305,26 @@ class _Drawing:
         """Prompt and negative prompt through the text encoder; those that were encoded before are read."""
         prompt, tokens = self._clip.prompt, self._config.text_tokens
         encoder: T5TextEncoder | None = None
-        found: list[TextStates] = []
+        encoded: list[TextStates] = []
         for words in (prompt.positive, prompt.negative):
             if words is None:
                 continue
             key = content_key("words", words, self._files.text_fingerprint, tokens, self._device.type)
             path = self._work / "words" / f"{key[:32]}.safetensors"
-            kept = kept_tensor(path, key)
-            if kept is None:
+            cached = kept_tensor(path, key)
+            if cached is None:
                 encoder = encoder or T5TextEncoder(self._files.text_encoder, self._device, tokens)
                 states = encoder.encode(words)
                 keep_tensor(path, key, states.hidden, {"words": int(states.mask.sum())})
             else:
-                states = TextStates(kept[0], torch.arange(len(kept[0])) < kept[1]["words"])
-            found.append(states)
+                states = TextStates(cached[0], torch.arange(len(cached[0])) < cached[1]["words"])
+            encoded.append(states)
         if encoder is not None:
             # Its parts refer to each other, and there are 19 GB of them.
             encoder = None
             gc.collect()
             _free(self._device)
-        return found[0], found[1] if len(found) > 1 else None
+        return encoded[0], encoded[1] if len(encoded) > 1 else None
 
 
 @lru_cache(maxsize=1)

@@ -29,8 +29,8 @@ def keep_tensor(path: Path, key: str, tensor: Tensor, facts: dict[str, Any] | No
 
     ``key`` is the content key of everything that the tensor depends on; ``facts`` are its plain values.
     """
-    found = tensor.detach().cpu().contiguous()
-    write_tensors(path, {_NAME: found}, {"facts": facts or {}, "key": key, "sha256": _sha256(found)})
+    plain = tensor.detach().cpu().contiguous()
+    write_tensors(path, {_NAME: plain}, {"facts": facts or {}, "key": key, "sha256": _sha256(plain)})
 
 
 def kept_tensor(path: Path, key: str) -> tuple[Tensor, dict[str, Any]] | None:
@@ -39,13 +39,13 @@ def kept_tensor(path: Path, key: str) -> tuple[Tensor, dict[str, Any]] | None:
     ``None`` if it is absent, damaged or of something else than ``key``, to be made again.
     """
     try:
-        tensors, said = read_tensors(path)
+        tensors, metadata = read_tensors(path)
     except InputError:
         return None
     tensor = tensors.get(_NAME)
-    if tensor is None or said.get("key") != key or said.get("sha256") != _sha256(tensor):
+    if tensor is None or metadata.get("key") != key or metadata.get("sha256") != _sha256(tensor):
         return None
-    return tensor, said["facts"]
+    return tensor, metadata["facts"]
 
 
 def _sha256(tensor: Tensor) -> str:
@@ -203,10 +203,10 @@ class SamplingState:
 
         ``None`` if it is absent, damaged or of something else than ``key``, to be made again.
         """
-        found = kept_tensor(path, key)
-        if found is None:
+        cached = kept_tensor(path, key)
+        if cached is None:
             return None
-        latent, facts = found
+        latent, facts = cached
         return cls(facts["step"], latent, facts["seed"])
 
 

@@ -89,9 +89,9 @@ def model_order(scene: Scene) -> Sequence[int]:
     names = [camera.name for camera in scene.cameras]
     missing = [name for name in MODEL_CAMERAS if name not in names]
     if missing:
-        there = ", ".join(names) or "none"
+        available = ", ".join(names) or "none"
         raise InputError(
-            f"{scene.name} has no camera {missing[0]} (it has {there}); MagicDriveDiT draws the six views of nuScenes, "
+            f"{scene.name} has no camera {missing[0]} (it has {available}); MagicDriveDiT draws the six views of nuScenes, "
             "add its calibration or import the scene with the standard rig"
         )
     cameras: list[Camera] = [scene.cameras[names.index(name)] for name in MODEL_CAMERAS]

@@ -71,9 +71,9 @@ class Surrounded:
         present[agent] = False
         boxes, present = np.ascontiguousarray(boxes.transpose(1, 0, 2)), np.ascontiguousarray(present.T)
         begins = np.arange(0, len(seconds), _CHUNK)
-        there, centre = present[..., None], boxes[..., :2]
-        low = np.minimum.reduceat(np.where(there, centre, np.inf), begins, axis=0)
-        high = np.maximum.reduceat(np.where(there, centre, -np.inf), begins, axis=0)
+        is_present, centre = present[..., None], boxes[..., :2]
+        low = np.minimum.reduceat(np.where(is_present, centre, np.inf), begins, axis=0)
+        high = np.maximum.reduceat(np.where(is_present, centre, -np.inf), begins, axis=0)
         reach = 0.5 * np.hypot(*scene.agents.size[:, :2].T)
         size = scene.agents.size[agent, :2] + 2.0 * AIR_M
         return cls(frames, seconds, boxes, present, reach, low, high, size)
@@ -141,9 +141,9 @@ class Surrounded:
         last = min(executed, len(self.frame_seconds) - 1)
         if self.clear_for(poses[: last + 1]) < np.inf:
             return None
-        for found in self.endings(poses, executed):
-            if self.clear_for(found, last) == np.inf:
-                return found
+        for candidate in self.endings(poses, executed):
+            if self.clear_for(candidate, last) == np.inf:
+                return candidate
         return None
 
     def longest(self, motions: Iterable[Floats]) -> Floats:
@@ -221,17 +221,24 @@ def with_expected_others(scene: Scene, others: Answering, moment: Moment, frame:
     agents = scene.agents
     position, yaw, valid = agents.position.copy(), agents.yaw.copy(), agents.valid.copy()
     later = np.flatnonzero(times >= moment.time_us)
-    seconds, asked = (rows - rows[0]) / 1e6, np.clip((times[later] - rows[0]) / 1e6, 0.0, (rows[-1] - rows[0]) / 1e6)
-    place = np.clip(np.searchsorted(seconds, asked, side="right") - 1, 0, len(rows) - 2)
-    share = ((asked - seconds[place]) / (seconds[place + 1] - seconds[place]))[:, None]
+    seconds, frame_seconds = (
+        (rows - rows[0]) / 1e6,
+        np.clip((times[later] - rows[0]) / 1e6, 0.0, (rows[-1] - rows[0]) / 1e6),
+    )
+    place = np.clip(np.searchsorted(seconds, frame_seconds, side="right") - 1, 0, len(rows) - 2)
+    share = ((frame_seconds - seconds[place]) / (seconds[place + 1] - seconds[place]))[:, None]
     for agent in range(len(agents)):
         first, second = boxes[place, agent], boxes[place + 1, agent]
         position[agent, later, :2] = first[:, :2] + share * (second[:, :2] - first[:, :2])
         yaw[agent, later] = first[:, 4] + share[:, 0] * wrap_angle(second[:, 4] - first[:, 4])
         # Who is there at one end of a step may be in the way in all of it.
         valid[agent, later] = present[place, agent] | present[place + 1, agent]
-    kept = others.handover.agent
-    position[kept], yaw[kept], valid[kept] = agents.position[kept], agents.yaw[kept], agents.valid[kept]
+    adversary = others.handover.agent
+    position[adversary], yaw[adversary], valid[adversary] = (
+        agents.position[adversary],
+        agents.yaw[adversary],
+        agents.valid[adversary],
+    )
     return replace(scene, agents=replace(agents, position=position, yaw=yaw, valid=valid))
 
 

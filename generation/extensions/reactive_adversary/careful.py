@@ -68,7 +68,7 @@ class Bodies:
             return self
         step = self.rear[:, -1:] - self.rear[:, -2:-1]
         way = step * np.arange(1, count + 1)
-        rear, front = (np.concatenate([each, each[:, -1:] + way], axis=1) for each in (self.rear, self.front))
+        rear, front = (np.concatenate([ends, ends[:, -1:] + way], axis=1) for ends in (self.rear, self.front))
         return Bodies(rear, front, np.concatenate([self.beside, np.repeat(self.beside[:, -1:], count, axis=1)], axis=1))
 
 
@@ -101,9 +101,9 @@ class CarefulAhead:
         steps = tuple(range(EVERY_FRAMES, last - frame + 1, EVERY_FRAMES)) or (last - frame,)
         way = ego_way(scene)
         others = _others(scene, agent, way, frame, steps)
-        found = cls(way, frame, float(way.station[frame]), speed, others, steps, False)
-        nobody = Bodies(*(np.full((1, len(steps) + 1), np.inf) for _ in range(3)))
-        return cls(way, frame, found.station, speed, others, steps, bool(found.hits(nobody)[0]))
+        unchecked = cls(way, frame, float(way.station[frame]), speed, others, steps, False)
+        absent = Bodies(*(np.full((1, len(steps) + 1), np.inf) for _ in range(3)))
+        return cls(way, frame, unchecked.station, speed, others, steps, bool(unchecked.hits(absent)[0]))
 
     def hit(self, motion: SimulatedMotion, size: Floats) -> Bools:
         """(B,) whether the careful human is hit, or would surely be soon after.
@@ -151,10 +151,10 @@ class CarefulAhead:
         for step in range(len(self.steps)):
             unsafe = _unsafe(rear[:, step : step + 2], front[:, step], beside[:, step], station, speed, half)
             # Most of the others are in the ego's way for a while only.
-            there = np.flatnonzero(in_way[:, step])
-            if len(there):
-                ahead, along = others.rear[there, step : step + 2, None], others.front[there, step, None]
-                unsafe |= _unsafe(ahead, along, others.beside[there, step, None], station, speed, half).any(axis=0)
+            in_way_now = np.flatnonzero(in_way[:, step])
+            if len(in_way_now):
+                ahead, along = others.rear[in_way_now, step : step + 2, None], others.front[in_way_now, step, None]
+                unsafe |= _unsafe(ahead, along, others.beside[in_way_now, step, None], station, speed, half).any(axis=0)
             ready = unsafe & (waiting <= 0.0)
             waiting = np.where(unsafe, waiting - dt, waiting)
             braking = np.where(ready, np.minimum(braking + _RISE_M_S3 * dt, HARDEST_BRAKING), braking)
@@ -162,9 +162,9 @@ class CarefulAhead:
             station, speed = station + 0.5 * dt * (speed + after), after
             over = (rear[:, step + 1] < station + half + _AIR_ALONG_M) & (front[:, step + 1] > station - half)
             hit |= over & (beside[:, step + 1] <= _AIR_ASIDE_M + _ASIDE_M_S * (step + 1) * dt)
-            there = np.flatnonzero(in_way[:, step + 1])
-            now = others.rear[there, step + 1, None] < station + half
-            lost |= (now & (others.front[there, step + 1, None] > station - half)).any(axis=0)
+            in_way_now = np.flatnonzero(in_way[:, step + 1])
+            now = others.rear[in_way_now, step + 1, None] < station + half
+            lost |= (now & (others.front[in_way_now, step + 1, None] > station - half)).any(axis=0)
         if np.isfinite(rear[:, -1]).all():
             gap = rear[:, -1] - station - half
             closing = np.maximum(speed - (rear[:, -1] - rear[:, -2]) / dt, 0.0)
@@ -202,16 +202,16 @@ def _others(scene: Scene, agent: int, way: EgoWay, frame: int, steps: tuple[int,
     """All but the adversary that are ever in the ego's strip; none that are in the ego's body now."""
     agents = scene.agents
     at = [frame, *(frame + step for step in steps)]
-    there = np.flatnonzero(agents.valid[:, at].any(axis=1))
-    there = there[there != agent]
-    grid = np.ix_(there, at)
+    indices = np.flatnonzero(agents.valid[:, at].any(axis=1))
+    indices = indices[indices != agent]
+    grid = np.ix_(indices, at)
     poses = np.concatenate([agents.position[grid][..., :2], agents.yaw[grid][..., None]], axis=-1)
-    found = Bodies.of(way, poses, agents.size[there, :2], (at[0], at[-1]))
-    beside = np.where(agents.valid[grid], found.beside, np.inf)
+    bodies = Bodies.of(way, poses, agents.size[indices, :2], (at[0], at[-1]))
+    beside = np.where(agents.valid[grid], bodies.beside, np.inf)
     own, half = way.station[frame], 0.5 * way.length_m
-    inside = (found.rear[:, 0] < own + half) & (found.front[:, 0] > own - half) & (beside[:, 0] <= 0.0)
-    kept = (beside <= 0.0).any(axis=1) & ~inside
-    return Bodies(found.rear[kept], found.front[kept], beside[kept])
+    inside = (bodies.rear[:, 0] < own + half) & (bodies.front[:, 0] > own - half) & (beside[:, 0] <= 0.0)
+    relevant = (beside <= 0.0).any(axis=1) & ~inside
+    return Bodies(bodies.rear[relevant], bodies.front[relevant], beside[relevant])
 
 
 HIT_WEIGHT: Final = 20.0
@@ -230,10 +230,10 @@ class PlanningAgainst(Planning):
 
     def around(self, frames: tuple[int, ...], raster: DrivableRaster) -> Surroundings:
         """All but the ego: what it survives is asked of a careful human in its place."""
-        found = surroundings(self.scene, self.agent, frames, raster)
-        present = found.present.copy()
+        with_ego = surroundings(self.scene, self.agent, frames, raster)
+        present = with_ego.present.copy()
         present[:, -1] = False
-        return replace(found, present=present)
+        return replace(with_ego, present=present)
 
     def rated(self, frame: int, offsets: tuple[int, ...], track: Floats) -> Callable[[SimulatedMotion], Terms]:
         """As in open loop, and what is not survivable costs."""

@@ -65,9 +65,9 @@ class Seen:
     def at(self, times_us: NDArray[np.int64]) -> Floats:
         """(K, 3) poses at (K,) times up to now."""
         first = self.times_us[0]
-        seconds, asked = (self.times_us - first) / 1e6, (times_us - first) / 1e6
+        seconds, sought = (self.times_us - first) / 1e6, (times_us - first) / 1e6
         columns = (self.poses[:, 0], self.poses[:, 1], np.unwrap(self.poses[:, 2]))
-        return np.column_stack([np.interp(asked, seconds, column) for column in columns])
+        return np.column_stack([np.interp(sought, seconds, column) for column in columns])
 
 
 def expected_ego(scene: Scene, seen: Seen, plan: PlanInForce | None, knows: Knows) -> EgoTrack:
@@ -94,33 +94,33 @@ def expected_ego(scene: Scene, seen: Seen, plan: PlanInForce | None, knows: Know
     return EgoTrack(position, quaternion_from_yaw(poses[:, 2]))
 
 
-def _on_its_way(scene: Scene, seen: Seen, seconds: Floats) -> Floats | None:
+def _on_its_way(scene: Scene, observed: Seen, seconds: Floats) -> Floats | None:
     """(K, 3) poses of an ego that keeps its speed on its route; ``None`` if it is not on it."""
-    now = max(int(np.searchsorted(scene.timestamps_us, seen.times_us[-1], side="right")) - 1, 0)
+    now = max(int(np.searchsorted(scene.timestamps_us, observed.times_us[-1], side="right")) - 1, 0)
     way, back = ego_way(scene), EGO_CENTER_FROM_REAR_AXLE_M
-    center = seen.poses[-1].copy()
+    center = observed.poses[-1].copy()
     center[:2] += back * np.array([np.cos(center[2]), np.sin(center[2])])
-    station, offset, turn = (float(each[0]) for each in way.places(center[None], now, now))
+    station, offset, turn = (float(values[0]) for values in way.places(center[None], now, now))
     if abs(offset) > ON_ROUTE_M or abs(turn) > ON_ROUTE_RAD:
         return None
-    reached = station + seen.speed * seconds
+    reached = station + observed.speed * seconds
     yaw = np.interp(reached, way.stations, np.unwrap(way.headings))
     place = np.column_stack([np.interp(reached, way.stations, way.points[:, axis]) for axis in range(2)])
     ahead, left = np.column_stack([np.cos(yaw), np.sin(yaw)]), np.column_stack([-np.sin(yaw), np.cos(yaw)])
     return np.column_stack([place + offset * left - back * ahead, yaw])
 
 
-def _kept_up(seen: Seen, seconds: Floats) -> Floats:
+def _kept_up(observed: Seen, seconds: Floats) -> Floats:
     """(K, 3) poses of an ego that keeps its speed and its turn."""
-    x, y, yaw = seen.poses[-1]
-    rate = seen.yaw_rate
+    x, y, yaw = observed.poses[-1]
+    rate = observed.yaw_rate
     turning = np.minimum(seconds, MOST_TURN_RAD / max(abs(rate), 1e-9))
     turned = rate * turning
     small = np.abs(turned) < 1e-9
     safe = np.where(small, 1.0, turned)
-    along = seen.speed * turning * np.where(small, 1.0, np.sin(safe) / safe)
-    aside = seen.speed * turning * np.where(small, 0.0, (1.0 - np.cos(safe)) / safe)
-    straight = seen.speed * (seconds - turning)
+    along = observed.speed * turning * np.where(small, 1.0, np.sin(safe) / safe)
+    aside = observed.speed * turning * np.where(small, 0.0, (1.0 - np.cos(safe)) / safe)
+    straight = observed.speed * (seconds - turning)
     forward, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
     after = np.column_stack([np.cos(yaw + turned), np.sin(yaw + turned)])
     place = [x, y] + along[:, None] * forward + aside[:, None] * left + straight[:, None] * after

@@ -28,8 +28,8 @@ class InTheLoop:
     @classmethod
     def of(cls, settings: AdversarySettings, prior: PriorFactory | None = None) -> "InTheLoop":
         """The maker; the packaged model by default."""
-        found = prior or PackagedPrior()
-        return cls(settings, found, found().fingerprint)
+        factory = prior or PackagedPrior()
+        return cls(settings, factory, factory().fingerprint)
 
     @property
     def others(self) -> str:
@@ -69,7 +69,7 @@ def _vehicles(scene: Scene, hyper: HyperParameters) -> tuple[int, ...]:
     known = [agent for agent, name in enumerate(scene.agents.ids) if name in scene.adversaries]
     if known:
         return tuple(known)
-    chosen = [each.agent for each in eligibility_of(scene, hyper, 0).chosen]
+    chosen = [vehicle.agent for vehicle in eligibility_of(scene, hyper, 0).chosen]
     return tuple(sorted(chosen, key=lambda agent: (-nearness(scene, agent, hyper), agent)))
 
 
@@ -84,12 +84,12 @@ def hand_over(scene: Scene, agent: int, start_us: int, hyper: HyperParameters) -
     A vehicle of a recording does when open loop would launch it; a known adversary at once, since the ego that it
     has to meet is not where the recording was. It has to be there when the drive starts.
     """
-    begun = int(np.searchsorted(scene.timestamps_us, start_us))
+    first_frame = int(np.searchsorted(scene.timestamps_us, start_us))
     launch = 0 if scene.agents.ids[agent] in scene.adversaries else launch_frame(scene, agent, hyper)
-    there = np.flatnonzero(scene.agents.valid[agent])
-    after = there[there >= max(begun, launch or 0)]
+    valid_frames = np.flatnonzero(scene.agents.valid[agent])
+    after = valid_frames[valid_frames >= max(first_frame, launch or 0)]
     if not len(after):
-        after = there[there >= begun]
+        after = valid_frames[valid_frames >= first_frame]
     if not len(after):
         raise InputError(f"the vehicle {scene.agents.ids[agent]} of {scene.name} is gone before the drive starts")
     return int(after[0])

@@ -140,8 +140,8 @@ class Adversary:
 
     def act(self, memory: Memory, moment: Moment, key: int) -> tuple[Memory, Moved]:
         """The next 0.1 s, planned anew where what was planned does not reach so far."""
-        seen = memory.seen if memory.seen.times_us[-1] >= moment.time_us else memory.seen.then(moment)
-        memory = replace(memory, seen=seen)
+        observations = memory.seen if memory.seen.times_us[-1] >= moment.time_us else memory.seen.then(moment)
+        memory = replace(memory, seen=observations)
         times, last = self.scene.timestamps_us, len(self.scene.timestamps_us) - 1
         while (frame := self.start + len(memory.track) - 1) < last and times[frame] < moment.time_us + SUBSTEP_US:
             memory = self._planned(memory, moment, frame)
@@ -174,13 +174,13 @@ class Adversary:
         planning = self._planning(scene, rng, self._road_around(scene, frame, memory.track[-1]))
         steps = min(self.settings.every_frames, len(scene.timestamps_us) - 1 - frame)
         around = Surrounded.of(scene, self.agent, frame, moment.time_us)
-        chosen, found = self._as_made(scene, around, frame, steps, memory), None
+        chosen, refinement = self._as_made(scene, around, frame, steps, memory), None
         if chosen is None:
-            found = self._searched(planning, frame, memory)
-            chosen = self._chosen(scene, around, frame, steps, found, memory)
+            refinement = self._searched(planning, frame, memory)
+            chosen = self._chosen(scene, around, frame, steps, refinement, memory)
             if self.settings.knows is not Knows.RECORDING:
                 chosen = self._yielding(scene, around, frame, steps, chosen, memory)
-        noted = self._noted(scene, frame, memory.state, found, chosen)
+        replanning = self._noted(scene, frame, memory.state, refinement, chosen)
         return replace(
             memory,
             state=chosen.state,
@@ -188,7 +188,7 @@ class Adversary:
             ahead=chosen.ahead,
             ending=chosen.ending,
             randomness=rng.bit_generator.state,
-            replanned=(*memory.replanned, noted),
+            replanned=(*memory.replanned, replanning),
             as_made=chosen.as_made,
         )
 
@@ -196,12 +196,12 @@ class Adversary:
         """(K, 3) the rest of its recording after the hand-over, or brakes where that ends or touches another."""
         scene, agents = self.scene, self.scene.agents
         around = Surrounded.of(scene, self.agent, self.start, time_us)
-        gone = np.flatnonzero(~agents.valid[self.agent, self.start :])
-        there = slice(self.start, self.start + int(gone[0]) if len(gone) else None)
-        poses = np.column_stack([agents.position[self.agent, there, :2], agents.yaw[self.agent, there]])
+        absent = np.flatnonzero(~agents.valid[self.agent, self.start :])
+        recorded = slice(self.start, self.start + int(absent[0]) if len(absent) else None)
+        poses = np.column_stack([agents.position[self.agent, recorded, :2], agents.yaw[self.agent, recorded]])
         poses = np.concatenate([first[None], poses[1:]])
-        found = around.ending(poses, 0)
-        return (around.longest(around.endings(poses, 0)) if found is None else found)[1:]
+        safe_ending = around.ending(poses, 0)
+        return (around.longest(around.endings(poses, 0)) if safe_ending is None else safe_ending)[1:]
 
     def _as_made(self, scene: Scene, around: Surrounded, frame: int, steps: int, memory: Memory) -> _Chosen | None:
         """The rest of the track that the scene was made with, if the adversary is still on it and may drive it."""
@@ -242,7 +242,7 @@ class Adversary:
         if not hits(np.concatenate([now, chosen.executed, chosen.ahead])):
             return chosen
         slowed = self._slowed_by(BRAKING_M_S2, around, memory)
-        clear = [each for each in slowed if around.clear_for(each) == np.inf]
+        clear = [candidate for candidate in slowed if around.clear_for(candidate) == np.inf]
         for poses in clear:
             if not hits(poses):
                 return self._as_braked(frame, steps, poses)
@@ -252,10 +252,10 @@ class Adversary:
     def _searched(self, planning: Planning, frame: int, memory: Memory) -> Refinement | None:
         """Result of the search; ``None`` where it has nothing to draw from."""
         try:
-            (found,), _ = run_together([planning.plan(frame, memory.state, memory.track)], self.prior)
+            (refinement,), _ = run_together([planning.plan(frame, memory.state, memory.track)], self.prior)
         except NothingToDraw:
             return None
-        return found
+        return refinement
 
     def _road_around(self, scene: Scene, frame: int, pose: Floats) -> Floats | None:
         """Around the ego, as the search looks; around itself where the area around the ego has lost it."""
@@ -264,27 +264,27 @@ class Adversary:
         return pose.copy() if lost else None
 
     def _chosen(
-        self, scene: Scene, around: Surrounded, frame: int, steps: int, found: Refinement | None, memory: Memory
+        self, scene: Scene, around: Surrounded, frame: int, steps: int, refinement: Refinement | None, memory: Memory
     ) -> _Chosen:
         """The best candidate that may be driven, or the brakes."""
         # Whoever is off the road already may come back to it, however.
         on_road = bool(scene.road_map.is_drivable(memory.track[-1, :2]))
-        for number, index in () if found is None else self._candidates(found):
-            assert found is not None
-            motion = found.batches[number].evaluated.motion
-            if not motion.finite[index] or (on_road and _leaves_road(found, number, index, steps)):
+        for number, index in () if refinement is None else self._candidates(refinement):
+            assert refinement is not None
+            motion = refinement.batches[number].evaluated.motion
+            if not motion.finite[index] or (on_road and _leaves_road(refinement, number, index, steps)):
                 continue
             ending = around.ending(motion.center[index], steps)
             if ending is not None:
-                return self._as_searched(frame, steps, found, number, index, ending)
+                return self._as_searched(frame, steps, refinement, number, index, ending)
         return self._last_resort(around, frame, steps, memory)
 
     def _as_searched(
-        self, frame: int, steps: int, found: Refinement, number: int, index: int, ending: Floats
+        self, frame: int, steps: int, refinement: Refinement, number: int, index: int, ending: Floats
     ) -> _Chosen:
         """A candidate of the search, and how it may end."""
-        motion = found.batches[number].evaluated.motion
-        score = float(scores_together(found.batches, self.settings.hyper)[number, index])
+        motion = refinement.batches[number].evaluated.motion
+        score = float(scores_together(refinement.batches, self.settings.hyper)[number, index])
         return _Chosen(
             motion.center[index, 1 : steps + 1],
             _ahead(motion.center[index], steps),
@@ -294,33 +294,33 @@ class Adversary:
             picked=(number, index),
         )
 
-    def _candidates(self, found: Refinement) -> "Any":
+    def _candidates(self, refinement: Refinement) -> "Any":
         """Round and index: what the search chose, then the others by score."""
-        yield found.round, found.chosen
-        yield from in_order(scores_together(found.batches, self.settings.hyper), MOST_TRIED)
+        yield refinement.round, refinement.chosen
+        yield from in_order(scores_together(refinement.batches, self.settings.hyper), MOST_TRIED)
 
     def _noted(
-        self, scene: Scene, frame: int, state: VehicleState, found: Refinement | None, chosen: _Chosen
+        self, scene: Scene, frame: int, state: VehicleState, refinement: Refinement | None, chosen: _Chosen
     ) -> Replanning:
         """Note on a planning frame."""
         if not self.settings.keep_considered:
             return chosen.replanning
         hyper, picked = self.settings.hyper, chosen.picked
         considered = considered_frame(
-            scene, self.agent, frame, state, found, picked, hyper, self.model, as_made=chosen.as_made
+            scene, self.agent, frame, state, refinement, picked, hyper, self.model, as_made=chosen.as_made
         )
         return replace(chosen.replanning, considered=considered)
 
     def _last_resort(self, around: Surrounded, frame: int, steps: int, memory: Memory) -> _Chosen:
         """Brakes on the meant path, as gently as touches no other; or the ending that was kept; or the longest one."""
-        kept = np.concatenate([memory.track[-1:], memory.ending])
+        cached_ending = np.concatenate([memory.track[-1:], memory.ending])
         slowed = self._slowed_by((0.0, *BRAKING_M_S2), around, memory)
-        return self._as_braked(frame, steps, around.longest((*slowed, kept)))
+        return self._as_braked(frame, steps, around.longest((*slowed, cached_ending)))
 
     def _slowed_by(self, brakings: Sequence[float], around: Surrounded, memory: Memory) -> list[Floats]:
         """Poses to the scene's last frame of who brakes from now on, so hard, on the path that was meant."""
         path = np.concatenate([memory.track[-1:], memory.ahead])
-        return [self._slowed(path, around.frame_seconds, memory.state, each) for each in brakings]
+        return [self._slowed(path, around.frame_seconds, memory.state, braking) for braking in brakings]
 
     def _as_braked(self, frame: int, steps: int, poses: Floats) -> _Chosen:
         """Poses from the planning frame to the last one that no search found."""
@@ -363,6 +363,6 @@ def _ahead(poses: Floats, steps: int) -> Floats:
     return np.concatenate([rest, np.repeat(poses[-1:], missing, axis=0)]) if missing else rest
 
 
-def _leaves_road(found: Refinement, number: int, index: int, steps: int) -> bool:
+def _leaves_road(refinement: Refinement, number: int, index: int, steps: int) -> bool:
     """Whether a candidate's centre is off the road in what would be executed."""
-    return bool(found.batches[number].evaluated.terms.center_off_road[index, :steps].any())
+    return bool(refinement.batches[number].evaluated.terms.center_off_road[index, :steps].any())

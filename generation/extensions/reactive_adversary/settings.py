@@ -93,7 +93,7 @@ class AdversarySettings:
         Raises:
             InputError: If a value is none.
         """
-        known = {each.value: each for each in Knows if each is not Knows.RECORDING}
+        known = {prediction.value: prediction for prediction in Knows if prediction is not Knows.RECORDING}
         if knows not in known:
             raise InputError(f"an adversary knows {', '.join(known)}, not {knows!r} (--adversary-knows)")
         hyper = in_the_loop()

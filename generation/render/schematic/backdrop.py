@@ -146,14 +146,14 @@ def _bands(
     return tuple(bands), int(max(visible[-1] + 1 if len(visible) else first, first))
 
 
-def _look_through(seen: NDArray[np.uint8], plan: NDArray[np.uint8], image_to_plan: Floats, band: Band) -> None:
+def _look_through(image: NDArray[np.uint8], plan: NDArray[np.uint8], image_to_plan: Floats, band: Band) -> None:
     """Fill some rows of a view, (h, w, 3), with the ground of a plan view."""
     # Row r of the finer image looks through row (r + 0.5) / samples - 0.5 of the band.
     rows = np.array(
         [[1.0, 0.0, 0.0], [0.0, 1.0 / band.samples, 0.5 / band.samples - 0.5 + band.first], [0.0, 0.0, 1.0]]
     )
-    height, width = seen.shape[:2]
-    finer = seen if band.samples == 1 else np.empty((height * band.samples, width, 3), dtype=np.uint8)
+    height, width = image.shape[:2]
+    finer = image if band.samples == 1 else np.empty((height * band.samples, width, 3), dtype=np.uint8)
     cv2.warpPerspective(
         plan,
         image_to_plan @ rows,
@@ -162,8 +162,8 @@ def _look_through(seen: NDArray[np.uint8], plan: NDArray[np.uint8], image_to_pla
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    if finer is not seen:
-        cv2.resize(finer, (width, height), dst=seen, interpolation=cv2.INTER_AREA)
+    if finer is not image:
+        cv2.resize(finer, (width, height), dst=image, interpolation=cv2.INTER_AREA)
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +199,7 @@ class Skyline:
         in_camera = self.quads @ view.rotation.T
         ahead = (in_camera[..., 2] > 0.05).all(axis=1)
         pixels = view.to_pixels(in_camera[ahead])
-        seen = (pixels[..., 0].max(axis=1) >= 0) & (pixels[..., 0].min(axis=1) < view.camera.width)
-        fixed = np.rint(pixels[seen] * 16).astype(np.int32)
-        for corners, colour in zip(fixed, self.colour[ahead][seen].tolist()):
+        in_view = (pixels[..., 0].max(axis=1) >= 0) & (pixels[..., 0].min(axis=1) < view.camera.width)
+        fixed = np.rint(pixels[in_view] * 16).astype(np.int32)
+        for corners, colour in zip(fixed, self.colour[ahead][in_view].tolist()):
             cv2.fillConvexPoly(image, corners, colour, cv2.LINE_AA, 4)

@@ -156,11 +156,11 @@ def draw_shadows(image: NDArray[np.uint8], view: View, footprints: Floats, air: 
     parts = [centre + (footprints - centre) * grow + lean * offset for grow, offset in ((1.10, 1.0), (1.0, 0.4))]
     outline = np.concatenate(parts)
     ground = np.concatenate([outline, np.full((*outline.shape[:2], 1), view.ground_z)], axis=-1)
-    kept, polygons = _on_image(view, view.to_camera(ground))
-    if not len(kept):
+    visible, polygons = _on_image(view, view.to_camera(ground))
+    if not len(visible):
         return
     mask = np.full(image.shape[:2], 255, dtype=np.uint8)
-    for index, pixels in zip(kept.tolist(), polygons):
+    for index, pixels in zip(visible.tolist(), polygons):
         share = 0.45 if index < len(footprints) else 1.0
         cv2.fillConvexPoly(mask, pixels, (255 * (1 - share * air.shadow),), cv2.LINE_AA, SHIFT)
     size = max(3, image.shape[0] // 64 | 1)
@@ -210,18 +210,18 @@ def _on_image(view: View, in_camera: Floats) -> tuple[NDArray[np.int64], list[ND
     x, y = pixels[..., 0], pixels[..., 1]
     outside = (x < -1).all(axis=1) | (y < -1).all(axis=1)
     outside |= (x > view.camera.width).all(axis=1) | (y > view.camera.height).all(axis=1)
-    kept = np.flatnonzero(cut | ((corners_ahead == 4) & ~outside))
-    polygons = list(to_fixed_point(pixels[kept]))
-    for index in np.flatnonzero(cut[kept]).tolist():
-        polygons[index] = to_fixed_point(view.to_pixels(clip_near(in_camera[kept[index]])))
-    return kept, polygons
+    visible = np.flatnonzero(cut | ((corners_ahead == 4) & ~outside))
+    polygons = list(to_fixed_point(pixels[visible]))
+    for index in np.flatnonzero(cut[visible]).tolist():
+        polygons[index] = to_fixed_point(view.to_pixels(clip_near(in_camera[visible[index]])))
+    return visible, polygons
 
 
 def _fill(
     image: NDArray[np.uint8], view: View, facets: Facets, colours: NDArray[np.uint8], drawn: NDArray[np.int64]
 ) -> None:
-    kept, polygons = _on_image(view, view.to_camera(facets.quads[drawn]))
-    drawn = drawn[kept]
+    visible, polygons = _on_image(view, view.to_camera(facets.quads[drawn]))
+    drawn = drawn[visible]
     batch = facets.batch[drawn]
     starts = np.flatnonzero(np.diff(batch, prepend=-1)).tolist()
     shades = colours[drawn[starts]].tolist() if starts else []

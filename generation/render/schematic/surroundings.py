@@ -68,10 +68,10 @@ class Facets:
         renumbered = np.full(len(self.footprint), -1)
         renumbered[chosen] = np.arange(len(chosen))
         solid = renumbered[self.solid]
-        kept = np.flatnonzero(solid >= 0)
+        facet_indices = np.flatnonzero(solid >= 0)
         by_solid = {name: getattr(self, name)[chosen] for name in _BY_SOLID}
-        by_facet = {name: getattr(self, name)[kept] for name in _BY_FACET if name != "solid"}
-        return Facets(**by_facet, **by_solid, solid=solid[kept]), kept
+        by_facet = {name: getattr(self, name)[facet_indices] for name in _BY_FACET if name != "solid"}
+        return Facets(**by_facet, **by_solid, solid=solid[facet_indices]), facet_indices
 
 
 _BY_SOLID = ("footprint", "centre", "height", "radius", "split")

@@ -80,12 +80,12 @@ def clip_near(polygon: Floats, near_m: float = NEAR_M) -> Floats:
 
     (M, 3) camera axes; ``near_m`` is the depth of the plane.
     """
-    kept: list[Floats] = []
+    clipped: list[Floats] = []
     for index in range(len(polygon)):
-        here, after = polygon[index], polygon[(index + 1) % len(polygon)]
-        if here[2] >= near_m:
-            kept.append(here)
-        if (here[2] >= near_m) != (after[2] >= near_m):
-            share = (near_m - here[2]) / (after[2] - here[2])
-            kept.append(here + share * (after - here))
-    return np.array(kept).reshape(-1, 3)
+        corner, next_corner = polygon[index], polygon[(index + 1) % len(polygon)]
+        if corner[2] >= near_m:
+            clipped.append(corner)
+        if (corner[2] >= near_m) != (next_corner[2] >= near_m):
+            share = (near_m - corner[2]) / (next_corner[2] - corner[2])
+            clipped.append(corner + share * (next_corner - corner))
+    return np.array(clipped).reshape(-1, 3)

@@ -128,13 +128,13 @@ def _walk_across(world: World, way: Floats, station_m: float) -> Floats | None:
     middle = at_lengths(way, np.array([station_m]))[0]
     yaw = float(np.interp(station_m, lengths_along(way), headings(way)))
     ahead, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
-    found = []
+    offsets = []
     for walk in world.town.walks:
         aside, along = (walk - middle) @ left, (walk - middle) @ ahead
         meets = np.flatnonzero(np.diff(np.sign(along)) != 0)
         share = along[meets] / (along[meets] - along[meets + 1])
-        found.append(aside[meets] + share * (aside[meets + 1] - aside[meets]))
-    sides = np.concatenate(found) if found else np.empty(0)
+        offsets.append(aside[meets] + share * (aside[meets + 1] - aside[meets]))
+    sides = np.concatenate(offsets) if offsets else np.empty(0)
     right_m, left_m = sides[sides < 0], sides[sides > 0]
     if not len(right_m) or not len(left_m) or left_m.min() - right_m.max() > _WIDEST_M:
         return None
@@ -148,9 +148,11 @@ def _add_crossing(world: World, walk: Floats, begin_s: float, rng: np.random.Gen
     # Pace builds up over a second on each side of the crossing.
     length = float(np.hypot(*(walk[1] - walk[0])))
     eased = np.clip(np.where(time < begin_s, 0.0, time - begin_s), 0.0, None)
-    gone = speed * (eased - 0.5 * (1 - np.exp(-2 * eased)))
-    gone = np.where(gone > length - 0.5, length - 0.5 * np.exp(-np.maximum(gone - length + 0.5, 0.0) / 0.5), gone)
-    return _add_pedestrian(world, walk, gone, rng, lateral=float(rng.uniform(-1.0, 1.0)))
+    distance = speed * (eased - 0.5 * (1 - np.exp(-2 * eased)))
+    distance = np.where(
+        distance > length - 0.5, length - 0.5 * np.exp(-np.maximum(distance - length + 0.5, 0.0) / 0.5), distance
+    )
+    return _add_pedestrian(world, walk, distance, rng, lateral=float(rng.uniform(-1.0, 1.0)))
 
 
 def _add_pedestrian(world: World, line: Floats, along: Floats, rng: np.random.Generator, *, lateral: float) -> bool:

@@ -113,7 +113,7 @@ def ways_back(world: World, planned: PlannedEgo, driven: Driven) -> Floats:
             "the drives are of another town, their ego begins elsewhere; give the seed (and --crossing) of the town "
             "that was driven in"
         )
-    found = np.full((len(driven), PLAN_STEPS, 2), np.nan)
+    ways = np.full((len(driven), PLAN_STEPS, 2), np.nan)
     ahead_m = float(default_lidar().translation[0])
     for keyframe in range(len(driven)):
         first = keyframe * FRAMES_PER_KEYFRAME
@@ -121,8 +121,8 @@ def ways_back(world: World, planned: PlannedEgo, driven: Driven) -> Floats:
         if rear is not None:
             steps = rear[FRAMES_PER_KEYFRAME::FRAMES_PER_KEYFRAME][:PLAN_STEPS]
             lidar = steps[:, :2] + ahead_m * np.column_stack([np.cos(steps[:, 2]), np.sin(steps[:, 2])])
-            found[keyframe, : len(lidar)] = lidar
-    return found
+            ways[keyframe, : len(lidar)] = lidar
+    return ways
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,20 +166,20 @@ def _away(planned: PlannedEgo, pose: Floats, speed: float, expected_m: float) ->
     near = planned.path.rear[first : first + int(2 * _SEARCH_M / STATION_M) + 1]
     station = first + int(np.argmin(np.hypot(near[:, 0] - pose[0], near[:, 1] - pose[1])))
     # The foot of the perpendicular, from the nearest station: once more for bends.
-    where = float(station)
+    station_on_path = float(station)
     for _ in range(2):
-        there = between_grid(planned.path.rear, np.array([where]))[0]
-        along, aside = to_local(pose[:2], there)
-        where += float(along) / STATION_M
-    there = between_grid(planned.path.rear, np.array([where]))[0]
-    _, aside = to_local(pose[:2], there)
-    turned = float(wrap_angle(np.array(pose[2] - there[2])))
-    curvature = float(curvature_at(planned.path, np.array([where]))[0])
+        path_pose = between_grid(planned.path.rear, np.array([station_on_path]))[0]
+        along, aside = to_local(pose[:2], path_pose)
+        station_on_path += float(along) / STATION_M
+    path_pose = between_grid(planned.path.rear, np.array([station_on_path]))[0]
+    _, aside = to_local(pose[:2], path_pose)
+    turned = float(wrap_angle(np.array(pose[2] - path_pose[2])))
+    curvature = float(curvature_at(planned.path, np.array([station_on_path]))[0])
     astray = abs(float(aside)) > _FURTHEST_ASIDE_M or abs(turned) > _FURTHEST_TURNED_RAD
-    if astray or abs(where * STATION_M - expected_m) > _FURTHEST_ALONG_M:
+    if astray or abs(station_on_path * STATION_M - expected_m) > _FURTHEST_ALONG_M:
         return None
     along_mps = speed * np.cos(turned) / max(1 - curvature * float(aside), 0.5)
-    return _Away(where * STATION_M, float(aside), turned, float(along_mps))
+    return _Away(station_on_path * STATION_M, float(aside), turned, float(along_mps))
 
 
 def _going_on(planned: Floats, first: int, count: int, away: _Away) -> Floats:
@@ -193,11 +193,11 @@ def _going_on(planned: Floats, first: int, count: int, away: _Away) -> Floats:
         begin = float(np.interp(away.metres, planned, seconds))
     last_mps = float(planned[-1] - planned[-2]) * FRAME_HZ
     later = begin + np.arange(count + 1) / FRAME_HZ
-    there = np.interp(later, seconds, planned) + last_mps * np.maximum(later - seconds[-1], 0.0)
-    faster = away.speed_mps - float(there[1] - there[0]) * FRAME_HZ
+    scheduled_m = np.interp(later, seconds, planned) + last_mps * np.maximum(later - seconds[-1], 0.0)
+    faster = away.speed_mps - float(scheduled_m[1] - scheduled_m[0]) * FRAME_HZ
     fading_s = max(_SOONEST_SPEED_S, abs(faster) / _GENTLY_MPS2)
     more = quintic(later - begin, 0.0, fading_s, (0.0, faster), (0.5 * faster * fading_s, 0.0))[0]
-    return np.maximum.accumulate(away.metres + (there - there[0] + more)[:count])
+    return np.maximum.accumulate(away.metres + (scheduled_m - scheduled_m[0] + more)[:count])
 
 
 def _back_on_time(schedule: Floats, away: _Away) -> Iterator[Floats]:

@@ -276,10 +276,10 @@ def strip(right: Floats, left: Floats) -> Polygon:
 
 def linked_lanes(draft: Draft, end: int) -> dict[str, tuple[str, ...]]:
     """Names of the lanes after (``end`` 0) or before (1) each lane, sorted."""
-    found: dict[str, list[str]] = {name: [] for name in draft.lanes}
+    linked: dict[str, list[str]] = {name: [] for name in draft.lanes}
     for link in draft.links:
-        found[link[end]].append(link[1 - end])
-    return {name: tuple(sorted(others)) for name, others in found.items()}
+        linked[link[end]].append(link[1 - end])
+    return {name: tuple(sorted(others)) for name, others in linked.items()}
 
 
 def map_lanes(draft: Draft) -> dict[str, Lane]:

@@ -140,14 +140,14 @@ def driven_off_path(
         wanted = _drawn(planned, begin, rng)
         begin = wanted.begin_s + float(rng.uniform(*_PAUSE_S))
         for _ in range(_TRIES):
-            tried = _rear(planned, [*taken, wanted])
-            if _is_drivable(others, tried):
+            candidate = _rear(planned, [*taken, wanted])
+            if _is_drivable(others, candidate):
                 taken.append(wanted)
-                rear = tried
+                rear = candidate
                 begin += wanted.departing_s + wanted.returning_s
                 break
             wanted = wanted.smaller()
-    return rear, tuple(_as_driven(planned, taken, each) for each in taken)
+    return rear, tuple(_as_driven(planned, taken, excursion) for excursion in taken)
 
 
 def _drawn(planned: PlannedEgo, begin: float, rng: np.random.Generator) -> _Wanted:
@@ -174,48 +174,55 @@ def _braking_begins_s(planned: PlannedEgo, earliest_s: float) -> float | None:
     speed = np.diff(planned.stations) * STATION_M * FRAME_HZ
     change = (speed[_BRAKING_FRAMES:] - speed[:-_BRAKING_FRAMES]) * FRAME_HZ / _BRAKING_FRAMES
     earliest = int(np.ceil(earliest_s * FRAME_HZ))
-    found = np.flatnonzero(change[earliest:] < _BRAKING_MPS2)
+    braking_frames = np.flatnonzero(change[earliest:] < _BRAKING_MPS2)
     latest = (FRAMES / FRAME_HZ - _DEPARTING_S[1] - _RETURNING_S[0]) * FRAME_HZ
-    return None if not len(found) or earliest + found[0] > latest else (earliest + int(found[0])) / FRAME_HZ
+    return (
+        None
+        if not len(braking_frames) or earliest + braking_frames[0] > latest
+        else (earliest + int(braking_frames[0])) / FRAME_HZ
+    )
 
 
 def _rear(planned: PlannedEgo, wanted: Sequence[_Wanted]) -> Floats:
     """(FRAMES, 3) rear-axle poses with all excursions."""
     seconds = np.arange(FRAMES) / FRAME_HZ
-    ahead = sum((_ahead(each, seconds) for each in wanted), np.zeros(FRAMES))
+    ahead = sum((_ahead(excursion, seconds) for excursion in wanted), np.zeros(FRAMES))
     metres = planned.stations * STATION_M + ahead
     aside, slope = np.zeros(FRAMES), np.zeros(FRAMES)
-    for each in wanted:
-        left, rising = _aside(planned, each, metres)
+    for excursion in wanted:
+        left, rising = _aside(planned, excursion, metres)
         aside, slope = aside + left, slope + rising
     return beside_path(planned.path, metres, aside, slope)
 
 
-def _ahead(each: _Wanted, seconds: Floats) -> Floats:
+def _ahead(excursion: _Wanted, seconds: Floats) -> Floats:
     """(FRAMES,) metres by which the ego is ahead of where it would be."""
-    worst, end = each.begin_s + each.departing_s, each.begin_s + each.departing_s + each.returning_s
-    there = quintic(seconds, each.begin_s, worst, (0.0, 0.0), (each.ahead_m, each.faster_mps))[0]
-    back = quintic(seconds, worst, end, (each.ahead_m, each.faster_mps), (0.0, 0.0))[0]
-    return np.asarray(np.where(seconds < worst, there, back))
+    worst, end = (
+        excursion.begin_s + excursion.departing_s,
+        excursion.begin_s + excursion.departing_s + excursion.returning_s,
+    )
+    departing = quintic(seconds, excursion.begin_s, worst, (0.0, 0.0), (excursion.ahead_m, excursion.faster_mps))[0]
+    returning = quintic(seconds, worst, end, (excursion.ahead_m, excursion.faster_mps), (0.0, 0.0))[0]
+    return np.asarray(np.where(seconds < worst, departing, returning))
 
 
-def _aside(planned: PlannedEgo, each: _Wanted, metres: Floats) -> tuple[Floats, Floats]:
+def _aside(planned: PlannedEgo, excursion: _Wanted, metres: Floats) -> tuple[Floats, Floats]:
     """(FRAMES,) metres to the left of the path, and their slope over the station."""
-    begin, worst, end = _places(planned, each)
-    slope = float(np.tan(each.heading_rad))
-    there = quintic(metres, begin, worst, (0.0, 0.0), (each.lateral_m, slope))
-    back = quintic(metres, worst, end, (each.lateral_m, slope), (0.0, 0.0))
+    begin, worst, end = _places(planned, excursion)
+    slope = float(np.tan(excursion.heading_rad))
+    departing = quintic(metres, begin, worst, (0.0, 0.0), (excursion.lateral_m, slope))
+    returning = quintic(metres, worst, end, (excursion.lateral_m, slope), (0.0, 0.0))
     return (
-        np.where(metres < worst, there[0], back[0]),
-        np.where(metres < worst, there[1], back[1]),
+        np.where(metres < worst, departing[0], returning[0]),
+        np.where(metres < worst, departing[1], returning[1]),
     )
 
 
-def _places(planned: PlannedEgo, each: _Wanted) -> tuple[float, float, float]:
+def _places(planned: PlannedEgo, excursion: _Wanted) -> tuple[float, float, float]:
     """Metres along the path at which the ego departs sideways, is furthest off, and is back."""
     seconds = np.arange(FRAMES) / FRAME_HZ
     metres = planned.stations * STATION_M
-    times = np.cumsum([each.begin_s, each.departing_s, each.returning_s])
+    times = np.cumsum([excursion.begin_s, excursion.departing_s, excursion.returning_s])
     begin, worst, end = (float(np.interp(time, seconds, metres)) for time in times)
     worst = max(worst, begin + _LEAST_ROOM_M)
     return begin, worst, max(end, worst + 2 * _LEAST_ROOM_M)
@@ -226,27 +233,31 @@ def _is_drivable(others: World, rear: Floats) -> bool:
     return broken_limit(boxes, DriverLimits()) is None and others.is_free(boxes, EGO_BODY, gap_m=_GAP_M)
 
 
-def _as_driven(planned: PlannedEgo, taken: Sequence[_Wanted], each: _Wanted) -> Excursion:
+def _as_driven(planned: PlannedEgo, taken: Sequence[_Wanted], excursion: _Wanted) -> Excursion:
     """An excursion as it came out: sideways it lasts as long as its metres take."""
     seconds = np.arange(FRAMES) / FRAME_HZ
     ahead = sum((_ahead(other, seconds) for other in taken), np.zeros(FRAMES))
     metres = planned.stations * STATION_M + ahead
-    _, worst_m, end_m = _places(planned, each)
-    worst = max(each.begin_s + each.departing_s, _reached_s(metres, worst_m))
-    end = max(worst + 1 / FRAME_HZ, each.begin_s + each.departing_s + each.returning_s, _reached_s(metres, end_m))
+    _, worst_m, end_m = _places(planned, excursion)
+    worst = max(excursion.begin_s + excursion.departing_s, _reached_s(metres, worst_m))
+    end = max(
+        worst + 1 / FRAME_HZ,
+        excursion.begin_s + excursion.departing_s + excursion.returning_s,
+        _reached_s(metres, end_m),
+    )
     return Excursion(
-        kind=each.kind,
-        begin_s=round(each.begin_s, 6),
+        kind=excursion.kind,
+        begin_s=round(excursion.begin_s, 6),
         worst_s=round(worst, 6),
         end_s=round(end, 6),
-        lateral_m=round(each.lateral_m, 6),
-        heading_rad=round(float(wrap_angle(np.array(each.heading_rad))), 6),
-        ahead_m=round(each.ahead_m, 6),
-        faster_mps=round(each.faster_mps, 6),
+        lateral_m=round(excursion.lateral_m, 6),
+        heading_rad=round(float(wrap_angle(np.array(excursion.heading_rad))), 6),
+        ahead_m=round(excursion.ahead_m, 6),
+        faster_mps=round(excursion.faster_mps, 6),
     )
 
 
 def _reached_s(metres: Floats, place: float) -> float:
     """When the ego gets there; the end of the scene where it does not."""
-    there = np.flatnonzero(metres >= place)
-    return (int(there[0]) if len(there) else FRAMES) / FRAME_HZ
+    frames = np.flatnonzero(metres >= place)
+    return (int(frames[0]) if len(frames) else FRAMES) / FRAME_HZ

@@ -60,18 +60,18 @@ def annotate(agents: Agents, parked: Bools, ego: EgoTrack, keyframes: NDArray[np
     the square of the distance and that share, and are at least one within 50 m.
     """
     position, yaw, valid = agents.position[:, keyframes], agents.yaw[:, keyframes], agents.valid[:, keyframes]
-    seen = np.zeros(valid.shape)
+    visible_share = np.zeros(valid.shape)
     distance = np.zeros(valid.shape)
     boxes = agents.boxes[:, keyframes]
     for column, frame in enumerate(keyframes.tolist()):
         eye = ego.position[frame, :2]
         distance[:, column] = np.hypot(position[:, column, 0] - eye[0], position[:, column, 1] - eye[1])
-        there = np.flatnonzero(valid[:, column])
-        seen[there, column] = _visible_share(boxes[there, column], agents.size[there, 2], eye)
+        present = np.flatnonzero(valid[:, column])
+        visible_share[present, column] = _visible_share(boxes[present, column], agents.size[present, 2], eye)
     area = agents.size[:, 2] * np.maximum(agents.size[:, 0], agents.size[:, 1])
-    points = np.rint(_LIDAR_POINTS_M2 * area[:, None] * seen / np.maximum(distance, 3.0) ** 2).astype(np.int64)
-    points = np.where((distance < _LIDAR_CERTAIN_M) & (seen > 0), np.maximum(points, 1), points)
-    levels = 1 + np.searchsorted(np.array(_VISIBILITY_LEVELS), seen, side="right")
+    points = np.rint(_LIDAR_POINTS_M2 * area[:, None] * visible_share / np.maximum(distance, 3.0) ** 2).astype(np.int64)
+    points = np.where((distance < _LIDAR_CERTAIN_M) & (visible_share > 0), np.maximum(points, 1), points)
+    levels = 1 + np.searchsorted(np.array(_VISIBILITY_LEVELS), visible_share, side="right")
     return Annotations(
         position=position,
         rotation=quaternion_from_yaw(yaw),
@@ -364,9 +364,9 @@ def _agents(world: World, key: tuple[str, int, int]) -> tuple[Agents, Bools]:
 
 def _nearest(valid: Bools) -> NDArray[np.int64]:
     """(T,) index of the nearest valid frame, the earlier of two."""
-    there = np.flatnonzero(valid)
+    valid_frames = np.flatnonzero(valid)
     frames = np.arange(len(valid))
-    after = np.clip(np.searchsorted(there, frames), 0, len(there) - 1)
+    after = np.clip(np.searchsorted(valid_frames, frames), 0, len(valid_frames) - 1)
     before = np.maximum(after - 1, 0)
-    choice = np.where(frames - there[before] <= there[after] - frames, before, after)
-    return np.asarray(there[np.where(valid, after, choice)])
+    choice = np.where(frames - valid_frames[before] <= valid_frames[after] - frames, before, after)
+    return np.asarray(valid_frames[np.where(valid, after, choice)])

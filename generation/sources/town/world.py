@@ -95,10 +95,10 @@ class World:
 
     def is_on_road(self, boxes: Floats) -> bool:
         """Whether (N, 5) boxes of a vehicle, a frame apart, are within the kerbs where the vehicle is seen."""
-        seen = boxes[::_CHECK_FRAMES]
+        checked = boxes[::_CHECK_FRAMES]
         if self.ego_rear is not None and len(boxes) > 1:
-            seen = seen[self.distance_to_ego(boxes)[::_CHECK_FRAMES] < ANNOTATION_RANGE_M]
-        corners = box_corners(seen + np.array([0.0, 0.0, -2 * _KERB_TOLERANCE_M, -2 * _KERB_TOLERANCE_M, 0.0]))
+            checked = checked[self.distance_to_ego(boxes)[::_CHECK_FRAMES] < ANNOTATION_RANGE_M]
+        corners = box_corners(checked + np.array([0.0, 0.0, -2 * _KERB_TOLERANCE_M, -2 * _KERB_TOLERANCE_M, 0.0]))
         return bool(shapely.contains_xy(self.town.road_map.drivable_area, corners[..., 0], corners[..., 1]).all())
 
     def distance_to_ego(self, boxes: Floats) -> Floats:

@@ -75,7 +75,13 @@ def _ranking(scores: ChallengeScores) -> Table:
     notes = [_RANK_NOTE.format(_RANKED_BY[scores.ranks]), _BESIDE_NOTE]
     listed = [f"{entry.entry.name} {entry.reasons[0].sentence}" for entry in scores.entries if entry.reasons]
     notes += [f"Not ranked: {'; '.join(listed)}."] if listed else []
-    notes += sorted({f"Realism: not compared; {each.not_compared}." for each in scores.entries if each.not_compared})
+    notes += sorted(
+        {
+            f"Realism: not compared; {entry_score.not_compared}."
+            for entry_score in scores.entries
+            if entry_score.not_compared
+        }
+    )
     if any(entry.scenes < FEW_SCENES for entry in scores.entries):
         notes.append(FEW_NOTE)
     first, other = _HEADS[scores.ranks]
@@ -158,14 +164,14 @@ def _planners(scores: ChallengeScores) -> Table:
 
 
 def _pairs(scores: ChallengeScores) -> Table:
-    what = f"{_HEADS[scores.ranks][0].removesuffix(' (%)')}, {scores.protocol}, {scores.horizon}"
+    label = f"{_HEADS[scores.ranks][0].removesuffix(' (%)')}, {scores.protocol}, {scores.horizon}"
     difference = "difference (points)"
     return tabulate(
         f"challenge-pairs-{scores.challenge}",
         f"{scores.challenge}: which entries are told apart",
         [
             *texts("first", "second"),
-            *under(what, estimates(difference, beside="95 %", signed=True), numbers("told apart")),
+            *under(label, estimates(difference, beside="95 %", signed=True), numbers("told apart")),
         ],
         [
             {
@@ -180,8 +186,10 @@ def _pairs(scores: ChallengeScores) -> Table:
     )
 
 
-def _difference(found: Measured, origin: Origin) -> Cell:
-    return origin.cell(found.value, "points", found.denominator, "resamples", low=found.low, high=found.high, scale=100)
+def _difference(measured: Measured, origin: Origin) -> Cell:
+    return origin.cell(
+        measured.value, "points", measured.denominator, "resamples", low=measured.low, high=measured.high, scale=100
+    )
 
 
 def sections(challenges: Sequence[ChallengeScores]) -> Iterator[Section]:

@@ -70,13 +70,13 @@ def film_command(options: FilmOptions) -> None:
     from leaderboard.extensions.films.filming import FilmFormat, planner_folder, write_films
 
     judge = options.protocol if options.protocol == "native" else known_protocol(options.protocol).name
-    shown, space = FilmLayout(options.layout), api.workspace(options.out)
+    film_layout, space = FilmLayout(options.layout), api.workspace(options.out)
     for place in options.records or ():
         require_folder(place, "--records")
     require_place(options.to, "--to")
     frame_rate = (DRIVE_FPS if options.drives else float(FRAME_HZ)) if options.fps is None else options.fps
     settings = FilmSettings(
-        shown,
+        film_layout,
         judge,
         options.begin_s,
         options.end_s,
@@ -145,8 +145,8 @@ def planners_shown(names: Sequence[str], records: Sequence[Path], everywhere: Pa
     from adapters.models import MODELS
     from benchmark.records.store import recorded, said_of
 
-    found = recorded(records)
-    ran, shown = {each.planner for each in found}, []
+    records_found = recorded(records)
+    ran, shown_names = {planner_name.planner for planner_name in records_found}, []
     for name in names:
         own = MODELS[name].name if name in MODELS else name
         small = miniature_of(own)
@@ -157,14 +157,23 @@ def planners_shown(names: Sequence[str], records: Sequence[Path], everywhere: Pa
         known = {*ran, *MODELS}
         # Tables may show a planner with what tells its versions apart: "vad-base (seed 1)".
         if name.partition(" (")[0] not in known and ":" not in name:
-            raise InputError(f"no planner is called {name!r}; {did_you_mean(name, known)}{said_of(found)}")
-        shown.append(next((each for each in (name, own, small) if each is not None and each in ran), name))
-    if names and not found:
+            raise InputError(f"no planner is called {name!r}; {did_you_mean(name, known)}{said_of(records_found)}")
+        shown_names.append(
+            next(
+                (
+                    planner_name
+                    for planner_name in (name, own, small)
+                    if planner_name is not None and planner_name in ran
+                ),
+                name,
+            )
+        )
+    if names and not records_found:
         raise InputError(
             f"there are no run records at {', '.join(map(str, records))}; {said_of(recorded([everywhere]))}; name "
             "these with --data and --split, or run challenger-bench eval first"
         )
-    return shown
+    return shown_names
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,8 +233,10 @@ def write_drive_films(
     from leaderboard.extensions.films.film import FilmSettings
     from leaderboard.extensions.films.filming import FilmFormat, require_webm, write_drive_film
 
-    if form not in {each.value for each in FilmFormat}:
-        raise InputError(f"there are no films of {form!r}; there are {', '.join(each.value for each in FilmFormat)}")
+    if form not in {film_format.value for film_format in FilmFormat}:
+        raise InputError(
+            f"there are no films of {form!r}; there are {', '.join(film_format.value for film_format in FilmFormat)}"
+        )
     if form == FilmFormat.WEBM:
         require_webm()
     out = out or api.OUT
@@ -254,37 +265,44 @@ def _sensor(record: "DriveRecord") -> "Sensor | None":
     return sensor if dict(sensor.facts) == measured.sensor_facts else None
 
 
-def _chosen(asked: _Asked) -> "list[tuple[DriveRecord, str, list[DriveRow]]]":
+def _chosen(selection: _Asked) -> "list[tuple[DriveRecord, str, list[DriveRow]]]":
     """Records, names of their planners and drives."""
     from benchmark.records.drives import find_drives
     from benchmark.records.planner_versions import labels
     from leaderboard.extensions.films.filming import data_set_name
 
-    root = api.workspace(asked.out).drive_root()
-    again = f"make some with: challenger-bench drive --data {asked.data} --split {asked.split} --out {asked.out}"
-    if asked.records is None and not root.is_dir():
+    root = api.workspace(selection.out).drive_root()
+    again = f"make some with: challenger-bench drive --data {selection.data} --split {selection.split} --out {selection.out}"
+    if selection.records is None and not root.is_dir():
         raise InputError(f"there are no records of drives below {root}; {again}")
-    data = data_set_name(asked.data)
+    data = data_set_name(selection.data)
     here = [
         record
-        for record in find_drives(*(asked.records or [root]))
-        if (record.facts.data.name, record.facts.split) == (data, asked.split)
+        for record in find_drives(*(selection.records or [root]))
+        if (record.facts.data.name, record.facts.split) == (data, selection.split)
     ]
     if not here:
-        raise InputError(f"there are no records of drives of {data} {asked.split}; {again}")
-    found = labels([(record.facts.planner, data, asked.split) for record in here])
-    named = [(record, label or record.planner) for record, label in zip(here, found, strict=True)]
+        raise InputError(f"there are no records of drives of {data} {selection.split}; {again}")
+    record_labels = labels([(record.facts.planner, data, selection.split) for record in here])
+    named = [(record, label or record.planner) for record, label in zip(here, record_labels, strict=True)]
     known = sorted({name for _, name in named} | {record.planner for record in here})
-    for name in asked.models:
+    for name in selection.models:
         if name not in known:
             hint = did_you_mean(name, known)
             raise InputError(f"no record of drives is of {name}; {hint}there are {', '.join(known)}")
-    kept = [each for each in named if not asked.models or {each[1], each[0].planner} & set(asked.models)]
-    driven = sorted({row.scene for record, _ in kept for row in record.rows})
-    for scene in asked.scenes or ():
+    selected = [
+        named_record
+        for named_record in named
+        if not selection.models or {named_record[1], named_record[0].planner} & set(selection.models)
+    ]
+    driven = sorted({row.scene for record, _ in selected for row in record.rows})
+    for scene in selection.scenes or ():
         if scene not in driven:
             hint = did_you_mean(scene, driven)
             raise InputError(f"scene {scene} was not driven; {hint}there are {', '.join(driven)}")
-    wanted = set(driven if asked.scenes is None else asked.scenes)
-    rows = [(record, name, [row for row in record.rows if row.scene in wanted][: asked.limit]) for record, name in kept]
-    return [each for each in rows if each[2]]
+    wanted = set(driven if selection.scenes is None else selection.scenes)
+    rows = [
+        (record, name, [row for row in record.rows if row.scene in wanted][: selection.limit])
+        for record, name in selected
+    ]
+    return [named_record for named_record in rows if named_record[2]]

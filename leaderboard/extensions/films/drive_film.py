@@ -78,8 +78,8 @@ class DriveFilm:
                 f"the drive of {self._sheet.scene} ends after {driven.seconds[last]:.1f} s, a film from "
                 f"{settings.begin_s} s on has no frames; choose an earlier --from"
             )
-        whole = settings.end_s is None or settings.end_s >= driven.seconds[last]
-        held = round(HELD_S * settings.fps) if driven.row.end != "end" and whole else 0
+        reaches_end = settings.end_s is None or settings.end_s >= driven.seconds[last]
+        held = round(HELD_S * settings.fps) if driven.row.end != "end" and reaches_end else 0
         self.frames: tuple[int, ...] = (*frames, *((last,) * held))
 
     def __len__(self) -> int:
@@ -92,17 +92,17 @@ class DriveFilm:
         size = (self.settings.width_px, self.settings.height_px)
         for frame in self.frames:
             if drawn is None or drawn[0] != frame:
-                whole = self._frame(frame)
+                full_size = self._frame(frame)
                 same = size == (WIDTH_PX, HEIGHT_PX)
-                small = whole if same else cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
+                small = full_size if same else cv2.resize(full_size, size, interpolation=cv2.INTER_AREA)
                 drawn = frame, np.asarray(small, np.uint8)
             yield drawn[1]
 
     def _frame(self, frame: int) -> Picture:
         plan = self.driven.plan_at(frame, self.name, self._style)
         overlays: list[Overlay] = [self.driven.path(), *([] if plan is None else [plan])]
-        considered = self.driven.candidates_at(frame) if self.settings.candidates else None
-        overlays += [] if considered is None else [considered]
+        search_trace = self.driven.candidates_at(frame) if self.settings.candidates else None
+        overlays += [] if search_trace is None else [search_trace]
         return composed(
             self.layout,
             None if self._cameras is None else self._cameras.at(frame),
@@ -119,8 +119,8 @@ class DriveFilm:
         measured, run = self.record.facts.measured, self.driven.row.run
         family = self.driven.row.family
         numbered = f"{f', {family}' if family else ''}{f', run {run}' if self.record.facts.runs > 1 else ''}"
-        what = f"{drawable(measured.world)}, sensor {drawable(measured.sensor)}{numbered}"
-        where = f"closed loop: {what}; {drawable(self._sheet.data.name)} {drawable(self._sheet.split)}"
+        world = f"{drawable(measured.world)}, sensor {drawable(measured.sensor)}{numbered}"
+        where = f"closed loop: {world}; {drawable(self._sheet.data.name)} {drawable(self._sheet.split)}"
         where = fitted(where, image.shape[1] - round(x) - 90, size_px=14)
         write_text(image, where, (x, y), size_px=14, colour=TITLE_FAINT)
         now = f"{self.driven.seconds[frame]:.1f} s"
@@ -143,8 +143,8 @@ class DriveFilm:
         outcome = self._outcome(frame)
         lines = [(line, CONTACT) for line in outcome] or [(line, ADVERSARY) for line in self._pursuit(frame)]
         for number, (line, shade) in enumerate(lines):
-            said = fitted(line, image.shape[1] - 2 * _EDGE_PX, size_px=13)
-            write_text(image, said, (_EDGE_PX, top + 34.0 + 18 * number), size_px=13, colour=shade)
+            text = fitted(line, image.shape[1] - 2 * _EDGE_PX, size_px=13)
+            write_text(image, text, (_EDGE_PX, top + 34.0 + 18 * number), size_px=13, colour=shade)
         foot = image.shape[0] - 12 - (16 if miniature else 0)
         if miniature:
             write_text(image, MINIATURE_WORDS, (_EDGE_PX, foot + 14.0), size_px=12, colour=FAINT_INK)
@@ -197,13 +197,13 @@ class DriveFilm:
         row, driven = self.driven.row, self.driven
         over = frame >= driven.last
         since = driven.seconds[frame] - driven.seconds[driven.begins]
-        passed = [each for each in row.passed if since >= each.seconds]
-        lines = [f"touched by {drawable(each.category)}, not at fault: it is gone" for each in passed[-1:]]
+        passed = [touch for touch in row.passed if since >= touch.seconds]
+        lines = [f"touched by {drawable(touch.category)}, not at fault: it is gone" for touch in passed[-1:]]
         if row.contact is not None and self._state(frame)[1]:
             whom = f"{row.contact.category}{', the adversary' if row.contact.adversary else ''}"
-            blame = "at fault" if row.contact.at_fault else "not at fault"
+            fault = "at fault" if row.contact.at_fault else "not at fault"
             return [
-                f"contact with {drawable(whom)} ({blame})",
+                f"contact with {drawable(whom)} ({fault})",
                 f"impact {row.contact.impact_speed:.1f} m/s, delta-v {row.contact.delta_v_ego:.1f} m/s",
             ]
         if row.failure is not None and over:

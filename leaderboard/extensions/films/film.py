@@ -45,10 +45,10 @@ class CameraPictures:
 
     def at(self, frame: int) -> Picture:
         """(h, w, 3) RGB of all cameras at a frame, or at the last one before it that has a picture."""
-        past = [each for each in self._stored.sheet.pictures if each <= frame]
-        shown = max(past, default=-1)
-        if self._kept is None or self._kept[0] != shown:
-            self._kept = shown, self._drawn(shown) if past else self._missing()
+        past = [pictured for pictured in self._stored.sheet.pictures if pictured <= frame]
+        shown_frame = max(past, default=-1)
+        if self._kept is None or self._kept[0] != shown_frame:
+            self._kept = shown_frame, self._drawn(shown_frame) if past else self._missing()
         return self._kept[1]
 
     def _drawn(self, frame: int) -> Picture:
@@ -245,9 +245,13 @@ class Film:
     def __iter__(self) -> Iterator[Picture]:
         """Its frames, (height, width, 3) RGB."""
         for frame in self.frames:
-            whole = self._frame(frame)
+            full_size = self._frame(frame)
             size = (self.settings.width_px, self.settings.height_px)
-            small = whole if size == (WIDTH_PX, HEIGHT_PX) else cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
+            small = (
+                full_size
+                if size == (WIDTH_PX, HEIGHT_PX)
+                else cv2.resize(full_size, size, interpolation=cv2.INTER_AREA)
+            )
             yield np.asarray(small, np.uint8)
 
     def _frame(self, frame: int) -> Picture:
@@ -279,9 +283,9 @@ class Film:
         write_text(image, name, (x, y), size_px=18, colour=TITLE_INK, bold=True)
         x += text_width(name, size_px=18, bold=True) + 16
         if sheet.manoeuvre is not None:
-            what = drawable(sheet.manoeuvre)
-            write_text(image, what, (x, y), size_px=17, colour=TITLE_INK)
-            x += text_width(what, size_px=17) + 16
+            manoeuvre = drawable(sheet.manoeuvre)
+            write_text(image, manoeuvre, (x, y), size_px=17, colour=TITLE_INK)
+            x += text_width(manoeuvre, size_px=17) + 16
         where = f"{drawable(sheet.data.name)} {drawable(sheet.split)}"
         write_text(image, where, (x, y), size_px=14, colour=TITLE_FAINT)
         now = f"{self._above.seconds[frame]:.1f} s"
@@ -311,7 +315,9 @@ def film_frames(scene: str, above: SceneFromAbove, settings: FilmSettings) -> tu
     count = int((end - settings.begin_s) * settings.fps + _LATE_S) + 1
     # A frame that is late by less than half its length is the one that is meant: recorders are not that exact.
     moments = settings.begin_s + np.arange(count) / settings.fps + 0.5 / FRAME_HZ
-    return tuple(int(each) for each in np.clip(np.searchsorted(seconds, moments) - 1, 0, len(seconds) - 1))
+    return tuple(
+        int(frame_number) for frame_number in np.clip(np.searchsorted(seconds, moments) - 1, 0, len(seconds) - 1)
+    )
 
 
 ABOVE_PX: Final = {FilmLayout.BOTH: 500, FilmLayout.BIRDSEYE: 820}

@@ -125,10 +125,10 @@ def sheet_folders(root: Path, data: str, split: str, scenes: Sequence[str] | Non
     data_name = data_set_name(data)
     make = f"make it with: challenger-bench sheets --data {data} --split {split} --out {root.parent}"
     if scenes is None:
-        found = sorted(split_folder(root, data_name, split).glob(f"{SCENES_FOLDER}/*/{SHEET_FILE}"))
-        if not found:
+        page_files = sorted(split_folder(root, data_name, split).glob(f"{SCENES_FOLDER}/*/{SHEET_FILE}"))
+        if not page_files:
             raise InputError(f"{split_of(split, data_name)} has no scene sheet below {root}; {_others(root)}{make}")
-        return [path.parent for path in found]
+        return [path.parent for path in page_files]
     folders = [scene_folder(root, data_name, split, scene) for scene in scenes]
     for scene, folder in zip(scenes, folders):
         if not (folder / SHEET_FILE).is_file():
@@ -138,8 +138,8 @@ def sheet_folders(root: Path, data: str, split: str, scenes: Sequence[str] | Non
 
 def _others(root: Path) -> str:
     """Sheets that there are instead, in words."""
-    found = sorted(f"{path.parent.name} of {path.parent.parent.name}" for path in root.glob(f"*/*/{SPLIT_FILE}"))
-    return f"there are those of split {', '.join(found)}; name one with --data and --split, or " if found else ""
+    splits = sorted(f"{path.parent.name} of {path.parent.parent.name}" for path in root.glob(f"*/*/{SPLIT_FILE}"))
+    return f"there are those of split {', '.join(splits)}; name one with --data and --split, or " if splits else ""
 
 
 def write_films(

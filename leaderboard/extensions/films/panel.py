@@ -66,7 +66,7 @@ class Panel:
         x, y = float(_EDGE_PX), 18.0
         entries = legend_of(self._sheet, overlays)
         if not self._from_above:
-            entries = [each for each in entries if each.colour == ADVERSARY]
+            entries = [legend_entry for legend_entry in entries if legend_entry.colour == ADVERSARY]
         for entry in entries:
             if x > _EDGE_PX and x + 26 + text_width(entry.words, size_px=12) > image.shape[1] - _EDGE_PX:
                 x, y = float(_EDGE_PX), y + 20.0
@@ -83,10 +83,10 @@ class Panel:
             corner = left, top + (place % rows) * row_px
             _draw_track(image, self._sheet, track, frame, corner, (each_px, row_px))
         judges = ", ".join(dict.fromkeys(track.protocol for track in self._tracks))
-        what = (
+        failure = (
             "hits the adversary first within 3 s, ◇ another" if _has_adversary(self._sheet) else "collides within 3 s"
         )
-        words = f"one cell a sample; × is a plan that {what} (protocol {_one_line(judges)})"
+        words = f"one cell a sample; × is a plan that {failure} (protocol {_one_line(judges)})"
         words = fitted(words, image.shape[1] - 2 * _EDGE_PX, size_px=12)
         write_text(image, words, (_EDGE_PX, foot + 12.0), size_px=12, colour=FAINT_INK)
         if self._miniatures:
@@ -102,8 +102,8 @@ class Panel:
     def _draw_gap(self, image: Picture, frame: int, area: Cells) -> None:
         """Draw the distance of the recorded ego from the nearest adversary, over the whole scene; now is marked."""
         now = self._gap_m[frame]
-        said = f"{now:.1f} m" if np.isfinite(now) else "no adversary in the scene"
-        words = f"gap between recorded ego and adversary: {said}"
+        gap_text = f"{now:.1f} m" if np.isfinite(now) else "no adversary in the scene"
+        words = f"gap between recorded ego and adversary: {gap_text}"
         write_text(image, fitted(words, area.width, size_px=12), (area.left, area.top + 8.0), size_px=12)
         top, bottom, right = area.top + 24, area.top + area.height - 8, area.left + _bar_px(self._sheet, area.width)
         for metres in (0.0, _WIDEST_GAP_M / 2, _WIDEST_GAP_M):
@@ -138,7 +138,7 @@ def adversary_gap(sheet: Sheet) -> Floats:
 
 def _one_line(text: str) -> str:
     """Text of any length on one line, without characters that cannot be drawn."""
-    return " ".join("".join(each if each.isprintable() else " " for each in text).split())
+    return " ".join("".join(character if character.isprintable() else " " for character in text).split())
 
 
 def _has_adversary(sheet: Sheet) -> bool:
@@ -184,11 +184,11 @@ def _draw_track(
     words = verdict.words if text_width(verdict.words, size_px=13, bold=alarm) <= room else verdict.brief
     right, colour = left + width_px, CONTACT if alarm else INK
     write_text(image, words, (right, top + 12.0), size_px=13, bold=alarm, colour=colour, anchor="right")
-    said = track.so_far(frame).words(adversaries=_has_adversary(sheet))
+    tally_text = track.so_far(frame).words(adversaries=_has_adversary(sheet))
     bar = Cells(left, top + 26, _bar_px(sheet, width_px), height_px - _ROW_PX[0] + 18)
     _draw_samples(image, sheet, track, frame, bar)
     at = (right, bar.top + bar.height / 2)
-    write_text(image, said, at, size_px=12, colour=FAINT_INK, anchor="right")
+    write_text(image, tally_text, at, size_px=12, colour=FAINT_INK, anchor="right")
 
 
 def _draw_samples(image: Picture, sheet: Sheet, track: PlannerTrack, frame: int, bar: Cells) -> None:

@@ -55,7 +55,7 @@ class PlannerTrack:
 
     def at(self, frame: int) -> PlanOverlay | None:
         """Its last plan, or ``None`` before the first one."""
-        past = [each for each in self.plans if each <= frame]
+        past = [planned_frame for planned_frame in self.plans if planned_frame <= frame]
         if not past:
             return None
         last = max(past)
@@ -63,7 +63,11 @@ class PlannerTrack:
 
     def so_far(self, frame: int) -> Tally:
         """Tally of the samples up to a frame."""
-        counted = [plan.verdict for each, plan in self.plans.items() if each <= frame and plan.verdict.counted]
+        counted = [
+            plan.verdict
+            for planned_frame, plan in self.plans.items()
+            if planned_frame <= frame and plan.verdict.counted
+        ]
         return Tally(len(counted), Counter(verdict.whom for verdict in counted if verdict.collides))
 
 
@@ -95,26 +99,26 @@ def planner_tracks(
 
 
 def _record_of(sheet: Sheet, records: Sequence[RunRecord], name: str) -> RunRecord:
-    here = [each for each in records if (each.run.data.name, each.run.split) == (sheet.data.name, sheet.split)]
-    known = [each for each in labelled(here) if sheet.scene in each.run.scenes]
-    found = [each for each in known if each.planner == name] or [
-        each for each in known if each.run.planner.name == name
+    here = [record for record in records if (record.run.data.name, record.run.split) == (sheet.data.name, sheet.split)]
+    known = [record for record in labelled(here) if sheet.scene in record.run.scenes]
+    candidates = [record for record in known if record.planner == name] or [
+        record for record in known if record.run.planner.name == name
     ]
     # A run of the whole split goes before runs of some of its scenes.
-    whole = [each for each in found if each.covers_split] or found
-    if not whole:
-        there = f"; there are {', '.join(sorted({each.planner for each in known}))}" if known else ""
+    preferred = [record for record in candidates if record.covers_split] or candidates
+    if not preferred:
+        there = f"; there are {', '.join(sorted({record.planner for record in known}))}" if known else ""
         raise InputError(
             f"no run record of {name} has scene {sheet.scene} of {split_of(sheet.split, sheet.data.name)}{there}; run "
             f"challenger-bench eval --split {sheet.split} --model {name} for that data set"
         )
-    if len(whole) > 1:
+    if len(preferred) > 1:
         raise InputError(
-            f"{name} ran {len(whole)} times on {split_of(sheet.split, sheet.data.name)} "
-            f"({', '.join(str(each.directory) for each in whole)}); name one of {', '.join(e.planner for e in whole)} "
+            f"{name} ran {len(preferred)} times on {split_of(sheet.split, sheet.data.name)} "
+            f"({', '.join(str(record.directory) for record in preferred)}); name one of {', '.join(e.planner for e in preferred)} "
             "with --model, or the folder of one run with --records"
         )
-    return whole[0]
+    return preferred[0]
 
 
 def _require_same_samples(sheet: Sheet, record: RunRecord, rows: Mapping[str, SampleRow]) -> None:

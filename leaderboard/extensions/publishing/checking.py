@@ -138,18 +138,18 @@ def pictures_of_recordings(
     Or that it cannot be told. `root` is the path of the site below the folder, with a slash at its end, or empty;
     `read` are texts of its scripts by path below the folder.
     """
-    taken = {
+    recorded_keys = {
         file.removeprefix(f"{root}media/").partition("/")[0]
         for file in there
         if file.startswith(f"{root}media/") and "/cameras/" in file
     }
-    if not taken:
+    if not recorded_keys:
         return
     index = f"{root}{INDEX}"
     try:
         scenes = script_data(read[index])["scenes"]
         known = {str(scene["key"]): scene for scene in scenes}
-        rows = [known[key] for key in sorted(taken)]
+        rows = [known[key] for key in sorted(recorded_keys)]
         groups: dict[tuple[str, str, str | None], list[str]] = defaultdict(list)
         for row in rows:
             groups[str(row["data"]), str(row["split"]), _renderer(row)].append(str(row["scene"]))
@@ -174,8 +174,8 @@ def pictures_of_recordings(
 
 
 def _renderer(row: Mapping[str, Any]) -> str | None:
-    said = row.get("drawnBy")
-    return said if isinstance(said, str) else None
+    name = row.get("drawnBy")
+    return name if isinstance(name, str) else None
 
 
 _MOST_OF_ONE: Final = 5
@@ -207,8 +207,8 @@ def check_publishable(
     files = {path.relative_to(root).as_posix(): path for path in sorted(root.rglob("*")) if not path.is_dir()}
     if not files:
         raise InputError(f"{root} is empty; run challenger-bench leaderboard first")
-    found = list(_found(files, tuple(may_show), house or House.this_one()))
-    return root, sorted(set(found))
+    findings = list(_found(files, tuple(may_show), house or House.this_one()))
+    return root, sorted(set(findings))
 
 
 def _found(files: dict[str, Path], may_show: Collection[str], house: House) -> Iterator[Found]:
@@ -244,9 +244,9 @@ def _words(file: str, text: str, house: House) -> Iterator[Found]:
         often[kind, word] += 1
         if often[kind, word] <= _MOST_OF_ONE:
             yield Found(file, line, kind, f"{word!r}")
-    for (what, word), count in often.items():
+    for (word_kind, word), count in often.items():
         if count > _MOST_OF_ONE:
-            yield Found(file, 0, what, f"{word!r}, {count} times")
+            yield Found(file, 0, word_kind, f"{word!r}, {count} times")
 
 
 def _followed(file: str, text: str, there: dict[str, int]) -> Iterator[Found]:

@@ -114,7 +114,7 @@ def in_style(file: str, text: str, there: Mapping[str, int]) -> Iterator[Found]:
 def in_script(file: str, text: str) -> Iterator[Found]:
     """Calls of a script that leave the folder."""
     for match in _ASKS.finditer(text):
-        address = next(found for found in match.groups() if found)
+        address = next(group for group in match.groups() if group)
         yield Found(file, _line(text, match.start()), "request", f"asks {address[:120]}")
 
 
@@ -127,9 +127,9 @@ def in_markdown(file: str, text: str, there: Mapping[str, int]) -> Iterator[Foun
 
 def names(there: Mapping[str, int]) -> Iterator[Found]:
     """Names and sizes of files that some hosts do not serve."""
-    seen: dict[str, str] = {}
+    files_by_lower_name: dict[str, str] = {}
     for file, size in there.items():
-        other = seen.setdefault(file.lower(), file)
+        other = files_by_lower_name.setdefault(file.lower(), file)
         if other != file:
             yield Found(file, 0, "name", f"differs from {other} in capitals alone; some hosts keep one of them")
         if any(part.startswith(("_", ".")) for part in PurePosixPath(file).parts) and file != ".nojekyll":
@@ -156,16 +156,16 @@ def _loaded(file: str, line: int, address: str, there: Mapping[str, int]) -> Ite
             file, line, "link", f"{path[:120]} begins at the host's root; below another address it leads nowhere"
         )
         return
-    found: list[str] = list(PurePosixPath(file).parent.parts)
+    target_parts: list[str] = list(PurePosixPath(file).parent.parts)
     for part in PurePosixPath(path).parts:
-        if part == ".." and not found:
+        if part == ".." and not target_parts:
             yield Found(file, line, "link", f"{path[:120]} leads out of the folder")
             return
         if part == "..":
-            found.pop()
+            target_parts.pop()
         else:
-            found.append(part)
-    target = "/".join(found)
+            target_parts.append(part)
+    target = "/".join(target_parts)
     if target not in there and not any(name.startswith(f"{target}/") for name in there):
         yield Found(file, line, "link", f"{path[:120]} is not in the folder")
 

@@ -51,8 +51,8 @@ def quality_tables(records: Sequence[QualityRecord]) -> list[Table]:
     ordered = sorted(
         kinds.values(), key=lambda found: (found[0].masks != "grounded-sam2", found[0].masks, _kind(found[0]))
     )
-    of_source = Counter(found[0].masks for found in ordered)
-    return [_table(found, several=of_source[found[0].masks] > 1) for found in ordered]
+    of_source = Counter(kind_records[0].masks for kind_records in ordered)
+    return [_table(kind_records, several=of_source[kind_records[0].masks] > 1) for kind_records in ordered]
 
 
 def _table(records: Sequence[QualityRecord], *, several: bool) -> Table:
@@ -62,16 +62,16 @@ def _table(records: Sequence[QualityRecord], *, several: bool) -> Table:
     rows = [row for record in chosen for row in _rows(record)]
     data_name, definition = chosen[0].facts.data.name, chosen[0].facts.definition
     title = f"{data_name}: video quality, masks from {chosen[0].masks}, {_frame_rate(definition)}"
-    seen = _what_was_seen(chosen)
+    differences = _what_was_seen(chosen)
     paper = "Paper: frame rate, resolution and regions are not published: its values are a reference and no target."
     return tabulate(
         name,
         title,
         _COLUMNS,
         rows,
-        [_MEASURES_NOTE, *seen, paper],
+        [_MEASURES_NOTE, *differences, paper],
         brief=_BRIEF,
-        brief_notes=[_MEASURES_NOTE, *seen],
+        brief_notes=[_MEASURES_NOTE, *differences],
         sources=[QUALITY_SOURCE],
     )
 
@@ -84,14 +84,14 @@ def _rows(record: QualityRecord) -> Iterator[Values]:
     of_whole: Values = {"IQ of frames": frames, **dict(paper)}
     for group in _GROUPS:
         if group in summary.groups:
-            found = summary.groups[group]
+            group_summary = summary.groups[group]
             yield {
                 "split": f"{split} {CAVEAT_MARK}" if record.caveats else split,
                 "subjects": group,
-                "SC": origin.amount(found.consistency, "SC", "appearances"),
-                "IQ": origin.amount(found.imaging, "IQ", "appearances"),
-                "vehicles": origin.count(found.subjects, "vehicles"),
-                "appearances": origin.count(found.appearances, "appearances"),
+                "SC": origin.amount(group_summary.consistency, "SC", "appearances"),
+                "IQ": origin.amount(group_summary.imaging, "IQ", "appearances"),
+                "vehicles": origin.count(group_summary.subjects, "vehicles"),
+                "appearances": origin.count(group_summary.appearances, "appearances"),
                 "scenes": origin.count(len(record.facts.scenes), "scenes", record.facts.scenes_in_split),
                 **(of_whole if group == "all" else {}),
             }
@@ -100,12 +100,12 @@ def _rows(record: QualityRecord) -> Iterator[Values]:
 def _what_was_seen(records: Sequence[QualityRecord]) -> list[str]:
     """Notes on differences of rows beside the split: size and format of frames, parts of splits, few scenes."""
     notes = []
-    seen = {record.facts.split: _frames(record) for record in records}
-    if len(set(seen.values())) > 1:
-        said = "; ".join(f"{split}: {frames}" for split, frames in seen.items())
-        notes.append(f"Frames differ between splits, and with them the numbers: {said}.")
+    frames_by_split = {record.facts.split: _frames(record) for record in records}
+    if len(set(frames_by_split.values())) > 1:
+        frame_texts = "; ".join(f"{split}: {frames}" for split, frames in frames_by_split.items())
+        notes.append(f"Frames differ between splits, and with them the numbers: {frame_texts}.")
     else:
-        notes.append(f"Frames: {next(iter(seen.values()))}.")
+        notes.append(f"Frames: {next(iter(frames_by_split.values()))}.")
     for record in records:
         notes += [f"{CAVEAT_MARK} {record.facts.split}: {caveat.sentence}." for caveat in record.caveats]
         if record.facts.review is not None:

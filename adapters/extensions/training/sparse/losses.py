@@ -70,13 +70,13 @@ def stage_of_boxes(stage: Stage, targets: Targets) -> tuple[dict[str, Tensor], M
     assert stage.qualities is not None
     weights = boxes.new_tensor(BOX_WEIGHTS)
     matches = matches_of_boxes(stage, targets)
-    found, wanted = boxes[matches.queries], targets.boxes[matches.wanted]
-    missed = (found - wanted)[:, :3].detach().norm(dim=-1)
-    alike = ((found[:, 6:8] * wanted[:, 6:8]).sum(-1) > 0).float()
+    predicted, annotated = boxes[matches.queries], targets.boxes[matches.wanted]
+    missed = (predicted - annotated)[:, :3].detach().norm(dim=-1)
+    alike = ((predicted[:, 6:8] * annotated[:, 6:8]).sum(-1) > 0).float()
     quality = torch.stack([(-missed / CENTRE_M).exp(), alike], -1)
     quality_loss = F.binary_cross_entropy_with_logits(
         stage.qualities.flatten(0, 1)[matches.queries], quality, reduction="sum"
-    ) / max(len(found), 1)
+    ) / max(len(predicted), 1)
     around = nearest_predictions(boxes, targets, stage.anchors.shape[1])
     return {
         "box class": CLASS * query_class_loss(logits, targets.box_labels, matches),
@@ -94,9 +94,9 @@ def nearest_predictions(boxes: Tensor, targets: Targets, queries: int) -> Matche
     owner = torch.repeat_interleave(torch.tensor(targets.box_counts))
     rows = (owner.to(boxes.device) * queries)[:, None] + torch.arange(queries, device=boxes.device)
     apart = (boxes.detach()[rows, :2] - targets.boxes[:, None, :2]).norm(dim=-1)
-    near = apart.topk(min(NEIGHBOURS, queries), dim=1, largest=False).indices
-    wanted = torch.arange(len(rows), device=boxes.device)[:, None].expand_as(near)
-    return Matches(rows.gather(1, near).flatten(), wanted.flatten())
+    nearest = apart.topk(min(NEIGHBOURS, queries), dim=1, largest=False).indices
+    box_rows = torch.arange(len(rows), device=boxes.device)[:, None].expand_as(nearest)
+    return Matches(rows.gather(1, nearest).flatten(), box_rows.flatten())
 
 
 def stage_of_lines(stage: Stage, targets: Targets) -> dict[str, Tensor]:
@@ -129,14 +129,14 @@ def decoder_losses(
     Of B key frames each, one after the other, targets in the same order.
     """
     boxes = [stage_of_boxes(stage, targets) for stage in _joined(agents)]
-    found = summed([losses for losses, _ in boxes]) | summed(
+    means = summed([losses for losses, _ in boxes]) | summed(
         [stage_of_lines(stage, targets) for stage in _joined(lines)]
     )
-    return found, boxes[-1][1]
+    return means, boxes[-1][1]
 
 
 def _joined(decoded: Sequence[Decoded]) -> list[Stage]:
-    stages = zip(*(each.stages for each in decoded), strict=True)
+    stages = zip(*(instances.stages for instances in decoded), strict=True)
     return [
         Stage(
             torch.cat([stage.anchors for stage in same]),
@@ -162,10 +162,10 @@ def forecast_losses(
     best = winners(anchors[counted], wanted, valid)
     error = ((paths - wanted[:, None]).abs().sum(-1) * valid[:, None]).sum(-1)
     steps = max(int(valid.sum()), 1)
-    own = error[torch.arange(len(best), device=best.device), best].sum() / steps
+    best_error = error[torch.arange(len(best), device=best.device), best].sum() / steps
     nearest = F.one_hot(best, logits.shape[1]).to(logits.dtype)
     return {
-        "forecast": FORECAST * own,
+        "forecast": FORECAST * best_error,
         # As with plans, what is chosen wrongly should do little harm.
         "forecast chosen": FORECAST_CHOSEN * (logits.softmax(-1) * error).sum() / steps,
         "forecast class": FORECAST_CLASS * focal_loss(logits, nearest),
@@ -182,13 +182,13 @@ def plan_losses(logits: Tensor, offsets: Tensor, anchors: Tensor, targets: Targe
     error = ((paths - targets.plans[:, None]).abs().sum(-1) * valid[:, None]).sum(-1)
     steps = max(int(valid.sum()), 1)
     rows = torch.arange(len(best), device=best.device)
-    own = error[rows, best].sum() / steps
+    best_error = error[rows, best].sum() / steps
     # What is chosen wrongly should do little harm: it learns too, the more the likelier it is chosen.
     expected = (logits.softmax(-1) * error).sum() / steps
     counted = valid.any(-1)
     entropy = F.cross_entropy(logits, best, reduction="none")
     return {
-        "plan": PLAN * own,
+        "plan": PLAN * best_error,
         "plan aside": ASIDE * aside_loss(paths[rows, best, :, 0], targets.plans[..., 0], valid),
         "plan chosen": CHOSEN * expected,
         "plan room": ROOM * (logits.softmax(-1) * missing_room(paths, targets.around)).sum(-1).mean(),

@@ -36,9 +36,9 @@ class KeyframeMotions(RigidMotion):
     @classmethod
     def between(cls, then: Sequence[KeyframePose], now: Sequence[KeyframePose], device: torch.device) -> Self:
         """What lies between pairs of poses."""
-        found = [KeyframeMotion.between(*pair, device) for pair in zip(then, now, strict=True)]
-        seconds = torch.tensor([each.interval_s for each in found], device=device)
-        return cls(torch.stack([each.now_T_then for each in found])[:, None], seconds[:, None, None])
+        motions = [KeyframeMotion.between(*pair, device) for pair in zip(then, now, strict=True)]
+        seconds = torch.tensor([motion.interval_s for motion in motions], device=device)
+        return cls(torch.stack([motion.now_T_then for motion in motions])[:, None], seconds[:, None, None])
 
     @property
     def ego_velocity(self) -> Tensor:
@@ -147,12 +147,12 @@ def _followed(past: QueueLeft, agents: Decoded, motions: KeyframeMotions) -> Lea
     rows = torch.cat([remembered, remembered.new_zeros(batch, count - remembered.shape[1])], 1)
     known = torch.cat([known, known.new_zeros(batch, count - known.shape[1]), known.new_ones(batch, 1)], 1)
     rows = torch.cat([rows, rows.new_full((batch, 1), past.confidence.shape[1])], 1)
-    nobody = ~known[..., None]
-    features = [rows_of(each, rows).masked_fill(nobody, 0) for each in past.queue.features]
-    boxes = [carry_boxes(rows_of(each, rows), motions, 0.0) for each in past.queue.boxes]
+    absent = ~known[..., None]
+    features = [rows_of(past_frame, rows).masked_fill(absent, 0) for past_frame in past.queue.features]
+    boxes = [carry_boxes(rows_of(past_frame, rows), motions, 0.0) for past_frame in past.queue.boxes]
     return LearnedQueue(
         torch.stack(features),
-        torch.stack([each.masked_fill(nobody, 0) for each in boxes]),
+        torch.stack([past_frame.masked_fill(absent, 0) for past_frame in boxes]),
         past.queue.periods.gather(1, rows).masked_fill(~known, 0),
     )
 
@@ -181,8 +181,8 @@ def interacted(
     certain = agents.scores.detach().topk(config.watched_agents, dim=1).indices
     rows = torch.cat([certain, certain.new_full((len(certain), 1), features.shape[1] - 1)], 1)
     watched = rows_of(features, rows), rows_of(embeddings, rows)
-    seen = lines.scores.detach().topk(config.watched_lines, dim=1).indices
-    lanes, places = rows_of(lines.features, seen), rows_of(lines.embeddings, seen)
+    line_rows = lines.scores.detach().topk(config.watched_lines, dim=1).indices
+    lanes, places = rows_of(lines.features, line_rows), rows_of(lines.embeddings, line_rows)
     features = planner.looked(features, embeddings, past, allowed, watched, (lanes, places))
     tokens = features + embeddings
     ego, front = planner.with_front(tokens[:, -1:], finest_front, front_before)
@@ -191,8 +191,8 @@ def interacted(
     newest = torch.cat([queue.features[-1][:, :-1], features[:, -1:]], 1)
     after = LearnedQueue(torch.cat([queue.features[:-1], newest[None]]).detach(), queue.boxes.detach(), queue.periods)
     front_left = None if front is None else FrontReader.left(front.detach(), front_before)
-    left = QueueLeft(after, kept, agents.scores.detach(), status.detach(), front_left)
-    return Interacted(tokens, embeddings[:, -1:], watched, status, left, front)
+    queue_left = QueueLeft(after, kept, agents.scores.detach(), status.detach(), front_left)
+    return Interacted(tokens, embeddings[:, -1:], watched, status, queue_left, front)
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,9 +216,9 @@ def denoised(
     """
     starts = planner.plan_queries(found.ego[:, None])[torch.arange(len(commands), device=commands.device), commands]
     context = PlanContext(views, found.ego_embedding, found.watched, starts)
-    _, _, made = planner.denoise(context, planner.plan_anchor[commands], noise)
+    _, _, steps = planner.denoise(context, planner.plan_anchor[commands], noise)
     return [
-        Cleaned(made[f"logits {block} {step}"], made[f"offsets {block} {step}"])
+        Cleaned(steps[f"logits {block} {step}"], steps[f"offsets {block} {step}"])
         for step in range(len(TIMESTEPS))
         for block in range(BLOCKS)
     ]
@@ -286,25 +286,25 @@ def together(seen: Sequence[Perceived]) -> Perceived:
     """Several key frames of `remembered` as one batch, in single precision."""
     views = seen[0].views
     return Perceived(
-        poses=tuple(pose for each in seen for pose in each.poses),
+        poses=tuple(pose for perception in seen for pose in perception.poses),
         views=replace(
             views,
-            values=torch.cat([each.views.values for each in seen]).float(),
-            projections=torch.cat([each.views.projections for each in seen]),
+            values=torch.cat([perception.views.values for perception in seen]).float(),
+            projections=torch.cat([perception.views.projections for perception in seen]),
         ),
-        agents=_side_by_side([each.agents for each in seen]),
-        lines=_side_by_side([each.lines for each in seen]),
-        kept_agents=_kept_together([each.kept_agents for each in seen]),
-        kept_lines=_kept_together([each.kept_lines for each in seen]),
-        front=torch.cat([each.front for each in seen]).float(),
-        finest_front=torch.cat([each.finest_front for each in seen]).float(),
+        agents=_side_by_side([perception.agents for perception in seen]),
+        lines=_side_by_side([perception.lines for perception in seen]),
+        kept_agents=_kept_together([perception.kept_agents for perception in seen]),
+        kept_lines=_kept_together([perception.kept_lines for perception in seen]),
+        front=torch.cat([perception.front for perception in seen]).float(),
+        finest_front=torch.cat([perception.finest_front for perception in seen]).float(),
     )
 
 
 def partly(seen: Perceived, forgotten: float) -> Perceived:
     """The same with some numbers of agents, lines and front cameras gone, the others larger by as much (dropout)."""
-    agents, lines = (replace(each, features=F.dropout(each.features, forgotten)) for each in (seen.agents, seen.lines))
-    front, finest = (F.dropout(each, forgotten) for each in (seen.front, seen.finest_front))
+    agents, lines = (replace(part, features=F.dropout(part.features, forgotten)) for part in (seen.agents, seen.lines))
+    front, finest = (F.dropout(part, forgotten) for part in (seen.front, seen.finest_front))
     return replace(seen, agents=agents, lines=lines, front=front, finest_front=finest)
 
 
@@ -314,10 +314,13 @@ def _last(decoded: Decoded) -> Decoded:
 
 def _side_by_side(decoded: Sequence[Decoded]) -> Decoded:
     anchors, logits, features, embeddings = (
-        torch.cat([getattr(each, name) for each in decoded]) for name in ("anchors", "logits", "features", "embeddings")
+        torch.cat([getattr(instances, name) for instances in decoded])
+        for name in ("anchors", "logits", "features", "embeddings")
     )
     return Decoded((Stage(anchors, logits, None),), features, embeddings)
 
 
-def _kept_together(kept: Sequence[Remembered]) -> Remembered:
-    return Remembered(*(torch.cat([getattr(each, field.name) for each in kept]) for field in fields(Remembered)))
+def _kept_together(memories: Sequence[Remembered]) -> Remembered:
+    return Remembered(
+        *(torch.cat([getattr(memory, field.name) for memory in memories]) for field in fields(Remembered))
+    )

@@ -99,40 +99,44 @@ class SparseObjective:
         frames = [frame for together in zip(*clips, strict=True) for frame in together]
         device = next(self._sparse.parameters()).device
         targets = Targets.of(frames, config.points_per_line, device)
-        seen = self.seen(frames, len(clips), targets)
-        found, matches = self._perception_losses([each.perceived for each in seen], targets)
+        predictions = self.seen(frames, len(clips), targets)
+        losses, matches = self._perception_losses([prediction.perceived for prediction in predictions], targets)
         planner = self._sparse.head.motion_plan_head
-        agents = _flattened([each.perceived.agents for each in seen])
-        tokens = torch.cat([each.planned.tokens[:, :-1] for each in seen]).flatten(0, 1)
+        agents = _flattened([prediction.perceived.agents for prediction in predictions])
+        tokens = torch.cat([prediction.planned.tokens[:, :-1] for prediction in predictions]).flatten(0, 1)
         last = Stage(agents.anchors[matches.queries], agents.logits[matches.queries], None)
         matched = Decoded((last,), last.anchors, last.anchors)
-        found |= forecast_losses(
+        losses |= forecast_losses(
             *planner.forecast(matched, tokens[matches.queries]),
             planner.turned_anchors(matched),
             targets.futures[matches.wanted],
             targets.futures_valid[matches.wanted],
         )
-        fronts = [each.planned.front for each in seen if each.planned.front is not None]
+        fronts = [prediction.planned.front for prediction in predictions if prediction.planned.front is not None]
         if fronts:
-            found |= mean_front_losses(torch.cat(fronts), frames)
-        found["status"] = status_loss(torch.cat([each.planned.status for each in seen]), targets)
+            losses |= mean_front_losses(torch.cat(fronts), frames)
+        losses["status"] = status_loss(torch.cat([prediction.planned.status for prediction in predictions]), targets)
         anchors = planner.plan_anchor[targets.commands]
         if isinstance(planner, DiffusionPlanner):
-            blocks = zip(*(each.cleaned for each in seen), strict=True)
+            blocks = zip(*(prediction.cleaned for prediction in predictions), strict=True)
             cleaned = [
                 Cleaned(torch.cat([one.logits for one in same]), torch.cat([one.offsets for one in same]))
                 for same in blocks
             ]
-            return found | summed([plan_losses(each.logits, each.offsets, anchors, targets) for each in cleaned])
-        queries = planner.plan_queries(torch.cat([each.planned.ego for each in seen])[:, None])
+            return losses | summed(
+                [plan_losses(prediction.logits, prediction.offsets, anchors, targets) for prediction in cleaned]
+            )
+        queries = planner.plan_queries(torch.cat([prediction.planned.ego for prediction in predictions])[:, None])
         queries = queries[torch.arange(len(frames), device=device), targets.commands]
         logits = planner.refinement.plan_cls_branch(queries)[..., 0]
         offsets = planner.refinement.plan_reg_branch(queries).unflatten(-1, (-1, 2))
-        return found | plan_losses(logits, offsets, anchors, targets)
+        return losses | plan_losses(logits, offsets, anchors, targets)
 
     def _perception_losses(self, perceived: Sequence[Perceived], targets: Targets) -> tuple[dict[str, Tensor], Matches]:
         """Losses of boxes and lines, and which boxes stand for which."""
-        return decoder_losses([each.agents for each in perceived], [each.lines for each in perceived], targets)
+        return decoder_losses(
+            [perception.agents for perception in perceived], [perception.lines for perception in perceived], targets
+        )
 
     def seen(self, frames: Sequence[TrainingFrame], batch: int, targets: Targets) -> list[Seen]:
         """Predictions for one key frame of each clip after the other.
@@ -142,12 +146,12 @@ class SparseObjective:
         """
         head, device = self._sparse.head, targets.plans.device
         planner = head.motion_plan_head
-        found: list[Seen] = []
+        predictions: list[Seen] = []
         for start, now in zip(range(0, len(frames), batch), self._perceived(frames, batch, device), strict=True):
-            past = found[-1] if found else None
+            past = predictions[-1] if predictions else None
             motions = KeyframeMotions.between(past.perceived.poses, now.poses, device) if past else None
-            left = past.planned.left if past else None
-            queue = queued(planner, now.agents, now.front, left, motions)
+            queue_left = past.planned.left if past else None
+            queue = queued(planner, now.agents, now.front, queue_left, motions)
             planned = interacted(
                 planner,
                 head.det_head.anchor_encoder,
@@ -156,12 +160,12 @@ class SparseObjective:
                 queue,
                 now.kept_agents,
                 now.finest_front,
-                left.front if left else None,
+                queue_left.front if queue_left else None,
             )
             present = slice(start, start + batch)
             cleaned = self._cleaned(now.views, planned, targets.commands[present], frames[present])
-            found.append(Seen(now, planned, cleaned))
-        return found
+            predictions.append(Seen(now, planned, cleaned))
+        return predictions
 
     def _perceived(self, frames: Sequence[TrainingFrame], batch: int, device: torch.device) -> Iterator[Perceived]:
         """Perception of one key frame of each clip after the other; arguments as of `seen`."""
@@ -209,8 +213,8 @@ def _generator(frame: TrainingFrame, purpose: str) -> torch.Generator:
 
 def _flattened(agents: Sequence[Decoded]) -> Stage:
     """The last stages of several key frames, (F * N, ...)."""
-    anchors = torch.cat([each.anchors.detach() for each in agents]).flatten(0, 1)
-    return Stage(anchors, torch.cat([each.stages[-1].logits for each in agents]).flatten(0, 1), None)
+    anchors = torch.cat([instances.anchors.detach() for instances in agents]).flatten(0, 1)
+    return Stage(anchors, torch.cat([instances.stages[-1].logits for instances in agents]).flatten(0, 1), None)
 
 
 PERCEPTION: Final = ("img_backbone", "img_neck", "head.det_head", "head.map_head")
@@ -244,8 +248,8 @@ class PlannerObjective(SparseObjective):
     def _look(self, scene: Sequence[TrainingFrame]) -> None:
         device = next(self.network.parameters()).device
         with torch.no_grad():
-            for frame, seen in zip(scene, super()._perceived(scene, 1, device), strict=True):
-                self._memory[frame.scene, frame.index] = remembered(seen, self._cameras)
+            for frame, perception in zip(scene, super()._perceived(scene, 1, device), strict=True):
+                self._memory[frame.scene, frame.index] = remembered(perception, self._cameras)
 
     def losses_of(self, clips: Sequence[Sequence[TrainingFrame]]) -> dict[str, Tensor]:
         """As `SparseObjective.losses_of`."""
@@ -253,12 +257,12 @@ class PlannerObjective(SparseObjective):
 
     def _perceived(self, frames: Sequence[TrainingFrame], batch: int, device: torch.device) -> Iterator[Perceived]:
         for start in range(0, len(frames), batch):
-            seen = together([self._memory[each.scene, each.index] for each in frames[start : start + batch]])
-            yield partly(seen, FORGOTTEN) if self.network.training else seen
+            batched = together([self._memory[frame.scene, frame.index] for frame in frames[start : start + batch]])
+            yield partly(batched, FORGOTTEN) if self.network.training else batched
 
     def _perception_losses(self, perceived: Sequence[Perceived], targets: Targets) -> tuple[dict[str, Tensor], Matches]:
         anchors, logits = (
-            torch.cat([getattr(each.agents, name) for each in perceived]) for name in ("anchors", "logits")
+            torch.cat([getattr(perception.agents, name) for perception in perceived]) for name in ("anchors", "logits")
         )
         return {}, matches_of_boxes(Stage(anchors, logits, None), targets)
 

@@ -122,8 +122,8 @@ def sightings_in(frames: Iterable[TrainingFrame], config: SparseConfig) -> Sight
     return Sightings(
         box_centres=np.concatenate(boxes),
         line_centres=np.concatenate(lines),
-        futures=[np.concatenate(each) for each in futures],
-        plans=[np.concatenate(each) for each in plans],
+        futures=[np.concatenate(parts) for parts in futures],
+        plans=[np.concatenate(parts) for parts in plans],
     )
 
 

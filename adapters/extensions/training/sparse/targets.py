@@ -55,18 +55,18 @@ class Targets:
     @classmethod
     def of(cls, frames: Sequence[TrainingFrame], points_per_line: int, device: torch.device) -> Self:
         """Annotations of key frames in the order of the predictions."""
-        near = [frame.boxes[:, :2].norm(dim=-1) <= FARTHEST_M for frame in frames]
-        boxes = torch.cat([frame.boxes[kept] for frame, kept in zip(frames, near, strict=True)])
-        futures = torch.cat([frame.futures[kept] for frame, kept in zip(frames, near, strict=True)])
+        masks = [frame.boxes[:, :2].norm(dim=-1) <= FARTHEST_M for frame in frames]
+        boxes = torch.cat([frame.boxes[mask] for frame, mask in zip(frames, masks, strict=True)])
+        futures = torch.cat([frame.futures[mask] for frame, mask in zip(frames, masks, strict=True)])
         classes = torch.tensor(LINE_CLASS_OF_LABEL)
         status = torch.zeros(len(frames), STATUS)
         status[:, :9] = torch.stack([frame.can_bus[MOTION_IN_CAN_BUS] for frame in frames]).float()
         return cls(
             boxes=box_numbers(boxes).to(device),
-            box_labels=torch.cat([frame.labels[kept] for frame, kept in zip(frames, near, strict=True)]).to(device),
-            box_counts=tuple(int(kept.sum()) for kept in near),
+            box_labels=torch.cat([frame.labels[mask] for frame, mask in zip(frames, masks, strict=True)]).to(device),
+            box_counts=tuple(int(mask.sum()) for mask in masks),
             futures=(futures[..., :2] - boxes[:, None, :2]).to(device),
-            futures_valid=torch.cat([frame.futures_valid[kept] for frame, kept in zip(frames, near, strict=True)]).to(
+            futures_valid=torch.cat([frame.futures_valid[mask] for frame, mask in zip(frames, masks, strict=True)]).to(
                 device
             ),
             lines=fewer_points(torch.cat([frame.lines for frame in frames]), points_per_line).to(device),
@@ -93,6 +93,6 @@ def box_numbers(boxes: Tensor) -> Tensor:
 def fewer_points(lines: Tensor, points: int) -> Tensor:
     """(M, 20, 2) evenly spaced points to (M, points, 2)."""
     places = torch.linspace(0, LINE_POINTS - 1, points)
-    before = places.floor().long().clamp(max=LINE_POINTS - 2)
-    share = (places - before)[:, None]
-    return lines[:, before] * (1 - share) + lines[:, before + 1] * share
+    lower = places.floor().long().clamp(max=LINE_POINTS - 2)
+    share = (places - lower)[:, None]
+    return lines[:, lower] * (1 - share) + lines[:, lower + 1] * share

@@ -81,14 +81,14 @@ class Agents:
         """Agents of a frame whose centres are in the perception range."""
         x_low, y_low, _, x_high, y_high, _ = config.perception_range_m
         x, y = frame.boxes[:, 0], frame.boxes[:, 1]
-        near = (x > x_low) & (x < x_high) & (y > y_low) & (y < y_high)
+        in_range = (x > x_low) & (x < x_high) & (y > y_low) & (y < y_high)
         return cls(
-            box_targets(frame.boxes[near], config),
-            frame.labels[near],
-            frame.instances[near],
-            frame.boxes[near],
-            frame.futures[near],
-            frame.futures_valid[near],
+            box_targets(frame.boxes[in_range], config),
+            frame.labels[in_range],
+            frame.instances[in_range],
+            frame.boxes[in_range],
+            frame.futures[in_range],
+            frame.futures_valid[in_range],
         )
 
 
@@ -177,8 +177,8 @@ def _distances(points: Tensor, lines: Tensor) -> Tensor:
 
 def query_places(frames: Iterable[TrainingFrame], config: UniADConfig) -> Tensor:
     """Places for the queries, (queries, 3) metres in the lidar frame: where agents are in the training set."""
-    found = np.concatenate([Agents.of(frame, config).boxes[:, :3].numpy() for frame in frames])
-    return torch.from_numpy(clustered(found.astype(np.float64), config.queries, "agents")).float()
+    centres = np.concatenate([Agents.of(frame, config).boxes[:, :3].numpy() for frame in frames])
+    return torch.from_numpy(clustered(centres.astype(np.float64), config.queries, "agents")).float()
 
 
 def motion_anchors(frames: Iterable[TrainingFrame], config: UniADConfig) -> Tensor:
@@ -193,13 +193,13 @@ def motion_anchors(frames: Iterable[TrainingFrame], config: UniADConfig) -> Tens
         turn = math.pi / 2 - agents.boxes[:, 6]
         cosine, sine = turn.cos()[:, None], turn.sin()[:, None]
         x, y = offsets.unbind(-1)
-        own = torch.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
-        for label, future, valid in zip(agents.labels.tolist(), own, agents.futures_valid, strict=True):
+        local = torch.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
+        for label, future, valid in zip(agents.labels.tolist(), local, agents.futures_valid, strict=True):
             if bool(valid.all()):
                 groups[GROUP_OF_CLASS[label]].append(future)
     vehicles = _modes(groups[0], config)
     return torch.stack(
-        [vehicles] + [_modes(found, config) if _varied(found, config) else vehicles for found in groups[1:]]
+        [vehicles] + [_modes(group, config) if _varied(group, config) else vehicles for group in groups[1:]]
     )
 
 
@@ -208,8 +208,8 @@ def _varied(futures: list[Tensor], config: UniADConfig) -> bool:
 
 
 def _modes(futures: list[Tensor], config: UniADConfig) -> Tensor:
-    found = torch.stack(futures) if futures else torch.zeros(0, config.forecast_steps, 2)
-    return torch.from_numpy(clustered(found.double().numpy(), config.modes, "forecasts of vehicles")).float()
+    stacked = torch.stack(futures) if futures else torch.zeros(0, config.forecast_steps, 2)
+    return torch.from_numpy(clustered(stacked.double().numpy(), config.modes, "forecasts of vehicles")).float()
 
 
 CODE_WEIGHTS = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.2, 0.2)
@@ -235,7 +235,7 @@ def matched_agents(detections: Detections, agents: Agents, carried: Tensor, quer
     track, owned = same.nonzero().unbind(-1)
     free = (~same.any(0)).nonzero()[:, 0]
     weights = agents.codes.new_tensor(CODE_WEIGHTS)
-    found = match_boxes(
+    fresh_matches = match_boxes(
         detections.class_logits[-1, :queries],
         detections.box_codes[-1, :queries],
         agents.labels[free],
@@ -244,15 +244,17 @@ def matched_agents(detections: Detections, agents: Agents, carried: Tensor, quer
         class_weight=CLASS_WEIGHT,
         box_weight=BOX_WEIGHT,
     )
-    return Matches(torch.cat([found.queries, queries + 1 + track]), torch.cat([free[found.wanted], owned]))
+    return Matches(
+        torch.cat([fresh_matches.queries, queries + 1 + track]), torch.cat([free[fresh_matches.wanted], owned])
+    )
 
 
 def detection_losses(
     detections: Detections, agents: Agents, matches: Matches, ego_codes: Tensor, ego_query: int
 ) -> dict[str, Tensor]:
     """Losses of all layers of the decoder of agents, by name; `ego_codes` are (1, 10)."""
-    own = agents.labels.new_tensor([ego_query]), agents.labels.new_tensor([len(agents.labels)])
-    everyone = Matches(torch.cat([matches.queries, own[0]]), torch.cat([matches.wanted, own[1]]))
+    ego_match = agents.labels.new_tensor([ego_query]), agents.labels.new_tensor([len(agents.labels)])
+    everyone = Matches(torch.cat([matches.queries, ego_match[0]]), torch.cat([matches.wanted, ego_match[1]]))
     labels = torch.cat([agents.labels, agents.labels.new_tensor([EGO_LABEL])])
     codes, weights = torch.cat([agents.codes, ego_codes]), agents.codes.new_tensor(CODE_WEIGHTS)
     classes = [_agent_class_loss(logits, labels, everyone) for logits in detections.class_logits]
@@ -287,7 +289,7 @@ def map_losses(
     """Losses of the map head by name; `masks` are (K, cells) values of the queries, `drivable` (1, cells) ones."""
     classes = [query_class_loss(logits, road.labels, matches) for logits in elements.class_logits]
     ones = road.rectangles.new_ones(4)
-    rectangles = [box_loss(found, road.rectangles, matches, ones) for found in elements.rectangles]
+    rectangles = [box_loss(predicted, road.rectangles, matches, ones) for predicted in elements.rectangles]
     return {
         "map class": torch.stack(classes).mean(),
         "map rectangle": RECTANGLE_WEIGHT * torch.stack(rectangles).mean(),
@@ -326,9 +328,9 @@ def forecast_losses(forecasts: Forecasts, wanted: Tensor, valid: Tensor) -> dict
     }
 
 
-def _deviation_loss(trajectories: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:
+def _deviation_loss(trajectories: Tensor, target: Tensor, valid: Tensor) -> Tensor:
     """Negative log likelihood of (A, modes, steps, 5) forecasts as far as deviations and correlations decide it."""
-    error = (wanted[:, None] - trajectories[..., :2]).detach()
+    error = (target[:, None] - trajectories[..., :2]).detach()
     deviation = trajectories[..., 2:4].clamp(min=SMALLEST_DEVIATION_M)
     correlation = trajectories[..., 4].clamp(-LARGEST_CORRELATION, LARGEST_CORRELATION)
     x, y = (error / deviation).unbind(-1)

@@ -124,17 +124,20 @@ class UniADObjective:
         if network.training:
             network.eval()
         inputs = [network_inputs(frame) for frame in clip]
-        inputs = [replace(each, can_bus=turned_can_bus(each.can_bus, turn_rad)) for each in inputs]
+        inputs = [replace(entry, can_bus=turned_can_bus(entry.can_bus, turn_rad)) for entry in inputs]
         views = self._views(inputs, aware)
         past: Memory | None = None
-        found: list[dict[str, Tensor]] = []
-        for number, (frame, given) in enumerate(zip(clip, inputs, strict=True)):
+        learned_losses: list[dict[str, Tensor]] = []
+        for number, (frame, frame_inputs) in enumerate(zip(clip, inputs, strict=True)):
             learned = number >= self._first_learned(len(clip))
             with torch.set_grad_enabled(learned):
-                past, losses = self._frame(frame, given, next(views), past, last=number == len(clip) - 1)
+                past, losses = self._frame(frame, frame_inputs, next(views), past, last=number == len(clip) - 1)
             if learned:
-                found.append(losses)
-        return {name: torch.stack([each[name] for each in found if name in each]).mean() for name in found[-1]}
+                learned_losses.append(losses)
+        return {
+            name: torch.stack([entry[name] for entry in learned_losses if name in entry]).mean()
+            for name in learned_losses[-1]
+        }
 
     def _first_learned(self, frames: int) -> int:
         """The first frame of a clip with gradients."""
@@ -146,20 +149,22 @@ class UniADObjective:
         learned = self._first_learned(len(inputs))
         previous: Tensor | None = None
         maps: list[Tensor] = []
-        for number, given in enumerate(inputs):
+        for number, current in enumerate(inputs):
             if number in (0, learned):
-                seen = inputs[number : learned if number < learned else len(inputs)]
-                images = torch.cat([each.images for each in seen])
+                batch = inputs[number : learned if number < learned else len(inputs)]
+                images = torch.cat([frame_inputs.images for frame_inputs in batch])
                 maps = network.img_neck(network.img_backbone(images.contiguous(memory_format=torch.channels_last)))
             place = number - (learned if number >= learned else 0)
-            own = [level[place * config.cameras : (place + 1) * config.cameras] for level in maps]
-            before = inputs[number - 1].can_bus if number else None
-            motion = EgoMotion.between(before, given.can_bus, config.grid, config.rotation_centre)
-            motion = motion.to(given.images.device)
+            frame_maps = [level[place * config.cameras : (place + 1) * config.cameras] for level in maps]
+            previous_can_bus = inputs[number - 1].can_bus if number else None
+            motion = EgoMotion.between(previous_can_bus, current.can_bus, config.grid, config.rotation_centre)
+            motion = motion.to(current.images.device)
             if not aware:
                 motion = untold(motion)
-            previous = network.pts_bbox_head.encode(own, given.images, given.lidar2img.float(), motion, previous)
-            yield View(previous, own[0][FRONT : FRONT + 1], motion.can_bus)
+            previous = network.pts_bbox_head.encode(
+                frame_maps, current.images, current.lidar2img.float(), motion, previous
+            )
+            yield View(previous, frame_maps[0][FRONT : FRONT + 1], motion.can_bus)
 
     def _frame(
         self, frame: TrainingFrame, inputs: UniADInputs, view: View, past: Memory | None, *, last: bool
@@ -183,9 +188,9 @@ class UniADObjective:
     def _handed_on(self, instances: Instances, matches: Matches) -> Instances:
         """Queries of the next frame: fresh ones, tracks of most of the agents, and tracks of none."""
         network = self.network
-        kept = matches.queries[torch.rand(len(matches.queries)) >= LOST]
-        kept = torch.cat([kept, self._false_tracks(instances, matches)])
-        return network.fresh_queries().then(network.query_interact(network.memory_bank(instances).kept(kept)))
+        surviving = matches.queries[torch.rand(len(matches.queries)) >= LOST]
+        surviving = torch.cat([surviving, self._false_tracks(instances, matches)])
+        return network.fresh_queries().then(network.query_interact(network.memory_bank(instances).kept(surviving)))
 
     def _false_tracks(self, instances: Instances, matches: Matches) -> Tensor:
         """Fresh queries and tracks that stand for no agent and would be tracks all the same: to be given up."""
@@ -214,12 +219,12 @@ class UniADObjective:
         losses = map_losses(elements, road, lines, masks, head.stuff_mask_head(contents, positions, elements.cells))
         if self.stage == "perception":
             return losses
-        near = agents.boxes[matches.wanted, :2].norm(dim=-1).argsort()[:MOST_FORECAST]
-        wanted = matches.wanted[near]
-        tracks = decoded(instances.kept(matches.queries[near]))
+        nearest = agents.boxes[matches.wanted, :2].norm(dim=-1).argsort()[:MOST_FORECAST]
+        agent_rows = matches.wanted[nearest]
+        tracks = decoded(instances.kept(matches.queries[nearest]))
         ego = decoded(instances.kept(slice(config.queries, config.queries + 1)))
         forecasts = network.motion_head(tracks.then(ego), elements, bev)
-        losses |= forecast_losses(forecasts, *_futures(frame, agents, wanted))
+        losses |= forecast_losses(forecasts, *_futures(frame, agents, agent_rows))
         plan = network.planning_head(
             bev,
             network.pts_bbox_head.positional_encoding(),
@@ -230,13 +235,13 @@ class UniADObjective:
             view.can_bus,
         )
         losses |= plan_losses(plan, frame)
-        return losses | self._occupancy(bev, tracks, agents, wanted, forecasts)
+        return losses | self._occupancy(bev, tracks, agents, agent_rows, forecasts)
 
     def _occupancy(
-        self, bev: Tensor, tracks: Boxes, agents: Agents, wanted: Tensor, forecasts: Forecasts
+        self, bev: Tensor, tracks: Boxes, agents: Agents, agent_rows: Tensor, forecasts: Forecasts
     ) -> dict[str, Tensor]:
         network, config = self.network, self.network.config
-        vehicles = network.vehicle_classes[agents.labels[wanted]].nonzero()[:MOST_OCCUPYING, 0]
+        vehicles = network.vehicle_classes[agents.labels[agent_rows]].nonzero()[:MOST_OCCUPYING, 0]
         if len(vehicles) == 0 or float(torch.rand(())) >= OCCUPANCY_SHARE:
             return {"occupancy": bev.sum() * 0}
         for module in network.occ_head.modules():
@@ -249,7 +254,7 @@ class UniADObjective:
             forecasts.positions[:-1][vehicles],
             tracks.scores[vehicles],
         )
-        return {"occupancy": occupancy_loss(occupancy, *occupancy_targets(agents, wanted[vehicles], config))}
+        return {"occupancy": occupancy_loss(occupancy, *occupancy_targets(agents, agent_rows[vehicles], config))}
 
 
 def _followed(entering: Instances, detections: Detections, agents: Agents, matches: Matches) -> Instances:
@@ -270,10 +275,10 @@ def _followed(entering: Instances, detections: Detections, agents: Agents, match
 
 def plan_losses(plan: UniADPlan, frame: TrainingFrame) -> dict[str, Tensor]:
     """Weighted losses of a plan, before it is moved, and of what it read in the front camera."""
-    points, wanted, valid = plan.positions_m, frame.ego_future, frame.ego_future_valid
+    points, future, valid = plan.positions_m, frame.ego_future, frame.ego_future_valid
     losses = {
-        "plan": PLAN_WEIGHT * plan_loss(points, wanted, valid),
-        "plan aside": ASIDE_WEIGHT * aside_loss(points[:, 0], wanted[:, 0], valid),
+        "plan": PLAN_WEIGHT * plan_loss(points, future, valid),
+        "plan aside": ASIDE_WEIGHT * aside_loss(points[:, 0], future[:, 0], valid),
         "plan agents": CONSTRAINT_WEIGHT * agent_constraint(points, frame),
         "plan boundary": CONSTRAINT_WEIGHT * boundary_constraint(points, frame),
         "plan room": ROOM_WEIGHT * room_loss(points, frame),
@@ -281,10 +286,10 @@ def plan_losses(plan: UniADPlan, frame: TrainingFrame) -> dict[str, Tensor]:
     return losses if plan.front is None else losses | mean_front_losses(plan.front, [frame])
 
 
-def _futures(frame: TrainingFrame, agents: Agents, wanted: Tensor) -> tuple[Tensor, Tensor]:
+def _futures(frame: TrainingFrame, agents: Agents, agent_rows: Tensor) -> tuple[Tensor, Tensor]:
     """(A + 1, steps, 2) and (A + 1, steps): where agents and then the ego go, and whether that is known."""
-    offsets = agents.futures[wanted][..., :2] - agents.boxes[wanted][:, None, :2]
+    offsets = agents.futures[agent_rows][..., :2] - agents.boxes[agent_rows][:, None, :2]
     rest = offsets.shape[1] - len(frame.ego_future)
-    own = torch.cat([frame.ego_future, frame.ego_future.new_zeros(rest, 2)])[None]
+    ego_future = torch.cat([frame.ego_future, frame.ego_future.new_zeros(rest, 2)])[None]
     known = torch.cat([frame.ego_future_valid, frame.ego_future_valid.new_zeros(rest)])[None]
-    return torch.cat([offsets, own]), torch.cat([agents.futures_valid[wanted], known])
+    return torch.cat([offsets, ego_future]), torch.cat([agents.futures_valid[agent_rows], known])

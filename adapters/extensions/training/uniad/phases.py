@@ -95,28 +95,30 @@ def seen_by_vad(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
     if _VAD_QUERIES not in trunk:
         return dict(trunk)
     config = UniADConfig.miniature()
-    found = {name: value for name, value in trunk.items() if name.startswith(("img_backbone.", "img_neck.", *_SHARED))}
-    found[_LEVELS] = trunk[_LEVELS][: config.pyramid_levels]
+    weights = {
+        name: value for name, value in trunk.items() if name.startswith(("img_backbone.", "img_neck.", *_SHARED))
+    }
+    weights[_LEVELS] = trunk[_LEVELS][: config.pyramid_levels]
     for layer in range(config.decoder_layers):
         for part in ("weight", "bias"):
             name = f"{_HEAD}reg_branches.{layer}.4.{part}"
             # Where yaws are the negative of what they are in VAD.
             signs = torch.ones(len(trunk[name]))
             signs[SINE] = -1.0 if config.counterclockwise_yaw else 1.0
-            found[name] = trunk[name] * signs.view(-1, *[1] * (trunk[name].dim() - 1)).to(trunk[name].dtype)
+            weights[name] = trunk[name] * signs.view(-1, *[1] * (trunk[name].dim() - 1)).to(trunk[name].dtype)
     places = {part: trunk[f"{_HEAD}transformer.reference_points.{part}"].float() for part in ("weight", "bias")}
-    found |= {f"reference_points.{part}": value for part, value in places.items()}
+    weights |= {f"reference_points.{part}": value for part, value in places.items()}
     low, high = (torch.tensor(config.perception_range_m[first : first + 3]) for first in (0, 3))
     ego = torch.linalg.pinv(places["weight"]) @ (logit(-low / (high - low)) - places["bias"])
-    own = torch.cat([ego, torch.zeros_like(ego)])[None].to(trunk[_VAD_QUERIES].dtype)
-    found["query_embedding.weight"] = torch.cat([trunk[_VAD_QUERIES], own])
+    ego_query = torch.cat([ego, torch.zeros_like(ego)])[None].to(trunk[_VAD_QUERIES].dtype)
+    weights["query_embedding.weight"] = torch.cat([trunk[_VAD_QUERIES], ego_query])
     if any(name.startswith(OWN_EYES) for name in trunk):
         # Its plan reads another map of the front camera.
-        return found
+        return weights
     reader = f"{_HEAD}front_reader."
     # What it tells is in the numbers of another plan.
     read = (name for name in trunk if name.startswith(reader) and not name.startswith(f"{reader}{TOLD}"))
-    return found | {f"planning_head.front_reader.{name.removeprefix(reader)}": trunk[name] for name in read}
+    return weights | {f"planning_head.front_reader.{name.removeprefix(reader)}": trunk[name] for name in read}
 
 
 def _start_classes(network: UniAD) -> None:
@@ -129,12 +131,12 @@ def _start_places(network: UniAD, places: Tensor) -> None:
     """Move the queries' encodings as little as it takes for them to look at places, the ego's at the ego."""
     config = network.config
     low, high = torch.tensor(config.perception_range_m[:3]), torch.tensor(config.perception_range_m[3:])
-    wanted = torch.cat([places, torch.zeros(1, 3)]).clamp(low + 0.5, high - 0.5)
+    targets = torch.cat([places, torch.zeros(1, 3)]).clamp(low + 0.5, high - 0.5)
     layer = network.reference_points
     nn.init.xavier_uniform_(layer.weight)
     nn.init.zeros_(layer.bias)
     encodings = network.query_embedding.weight[:, : config.channels]
-    missing = logit((wanted - low) / (high - low)) - layer(encodings)
+    missing = logit((targets - low) / (high - low)) - layer(encodings)
     encodings += missing @ torch.linalg.pinv(layer.weight).T
 
 
@@ -233,19 +235,19 @@ class PlannerObjective:
 
     def look(self, store: Frames, frames: Sequence[int]) -> tuple[Frames, Sequence[int]]:
         """As `adapters.extensions.training.frames.ForesightedObjective` describes."""
-        seen = LookedAt(store, frames, self._look)
-        return seen, weighed(seen, frames)
+        cached_frames = LookedAt(store, frames, self._look)
+        return cached_frames, weighed(cached_frames, frames)
 
     def _look(self, scene: Sequence[TrainingFrame]) -> None:
         network = self.network.eval()
         network.reset()
-        given: list[PlannerSights] = []
+        captured: list[PlannerSights] = []
         head = network.planning_head
-        hook = head.register_forward_pre_hook(lambda _, arguments: given.append(_sights(*arguments)))
+        hook = head.register_forward_pre_hook(lambda _, arguments: captured.append(_sights(*arguments)))
         with hook, torch.no_grad(), _nothing_occupied(network):
             for frame in scene:
                 network.predict(network_inputs(frame))
-                self._memory[frame.scene, frame.index] = given.pop()
+                self._memory[frame.scene, frame.index] = captured.pop()
         network.reset()
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
@@ -305,14 +307,14 @@ class HeadsObjective(UniADObjective):
     def _look(self, scene: Sequence[TrainingFrame]) -> None:
         inputs = [network_inputs(frame) for frame in scene]
         with torch.no_grad():
-            for given, view in zip(inputs, super()._views(inputs, aware=True), strict=True):
-                seen = View(view.bev.half(), view.finest_front.half(), view.can_bus)
-                self._memory[given.scene_token, given.timestamp] = seen
+            for frame_inputs, view in zip(inputs, super()._views(inputs, aware=True), strict=True):
+                cached = View(view.bev.half(), view.finest_front.half(), view.can_bus)
+                self._memory[frame_inputs.scene_token, frame_inputs.timestamp] = cached
 
     def _views(self, inputs: Sequence[UniADInputs], aware: bool) -> Iterator[View]:
-        for given in inputs:
-            seen = self._memory[given.scene_token, given.timestamp]
-            yield View(seen.bev.float(), seen.finest_front.float(), seen.can_bus)
+        for frame_inputs in inputs:
+            cached = self._memory[frame_inputs.scene_token, frame_inputs.timestamp]
+            yield View(cached.bev.float(), cached.finest_front.float(), cached.can_bus)
 
 
 def phases() -> tuple[Phase, ...]:

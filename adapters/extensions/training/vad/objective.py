@@ -118,7 +118,7 @@ class VADObjective:
         disguise = Disguise.drawn()
         first_learned = max(len(clip) - LEARNED_FRAMES, 0)
         previous: tuple[Tensor, Tensor] | None = None
-        found: list[dict[str, Tensor]] = []
+        learned_losses: list[dict[str, Tensor]] = []
         for number in range(first_learned if not disguise.past_known else 0, len(clip)):
             learned = number >= first_learned
             with torch.set_grad_enabled(learned):
@@ -126,10 +126,12 @@ class VADObjective:
                 inputs = replace(inputs, can_bus=turned_can_bus(inputs.can_bus, disguise.turn_rad))
                 predictions = predictions_of(self.network, inputs, previous, disguise.speed_known)
                 if learned:
-                    found.append(frame_losses(self.network, predictions, clip[number]))
+                    learned_losses.append(frame_losses(self.network, predictions, clip[number]))
             # As published, nothing flows back in time.
             previous = inputs.can_bus, predictions.bev.detach()
-        return {name: WEIGHTS[name] * torch.stack([each[name] for each in found]).mean() for name in WEIGHTS}
+        return {
+            name: WEIGHTS[name] * torch.stack([losses[name] for losses in learned_losses]).mean() for name in WEIGHTS
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,20 +196,20 @@ def looked(
     projections = inputs.lidar2img.float()
     motion = motion.to(inputs.images.device)
     finest_front = network.finest_front(maps[0], inputs.images)
-    found: VADPredictions = network.pts_bbox_head(maps, inputs.images, projections, motion, view, finest_front)
-    return found, finest_front, motion
+    predictions: VADPredictions = network.pts_bbox_head(maps, inputs.images, projections, motion, view, finest_front)
+    return predictions, finest_front, motion
 
 
 def matched_agents(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> Matched:
     """Pairs of queries and annotated agents after each layer."""
-    low, high = (torch.tensor(network.config.perception_range_m[each : each + 2]) for each in (0, 3))
+    low, high = (torch.tensor(network.config.perception_range_m[first : first + 2]) for first in (0, 3))
     inside = ((frame.boxes[:, :2] > low) & (frame.boxes[:, :2] < high)).all(-1)
     boxes, labels = frame.boxes[inside], frame.labels[inside]
     # The network's yaw is that of mmdet3d before version 1.0.
-    wanted = normalised_boxes(torch.cat([boxes[:, :6], -boxes[:, 6:7] - math.pi / 2, boxes[:, 7:]], 1))
+    targets = normalised_boxes(torch.cat([boxes[:, :6], -boxes[:, 6:7] - math.pi / 2, boxes[:, 7:]], 1))
     weights = network.pts_bbox_head.code_weights
     layers = zip(predictions.class_logits, predictions.box_codes, strict=True)
-    return Matched(inside, wanted, [match_boxes(logits, found, labels, wanted, weights) for logits, found in layers])
+    return Matched(inside, targets, [match_boxes(logits, codes, labels, targets, weights) for logits, codes in layers])
 
 
 def _agent_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
@@ -215,9 +217,9 @@ def _agent_losses(network: VAD, predictions: VADPredictions, frame: TrainingFram
     matched = matched_agents(network, predictions, frame)
     labels, weights = frame.labels[matched.inside], network.pts_bbox_head.code_weights
     classes, codes = [], []
-    for logits, found, matches in zip(predictions.class_logits, predictions.box_codes, matched.layers, strict=True):
+    for logits, box_codes, matches in zip(predictions.class_logits, predictions.box_codes, matched.layers, strict=True):
         classes.append(query_class_loss(logits, labels, matches))
-        codes.append(box_loss(found, matched.wanted, matches, weights))
+        codes.append(box_loss(box_codes, matched.wanted, matches, weights))
     return {
         "class": torch.stack(classes).sum(),
         "box": torch.stack(codes).sum(),
@@ -246,12 +248,12 @@ def forecast_losses(
 
 def _map_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
     config = network.config
-    low, high = (torch.tensor(config.perception_range_m[each : each + 2]) for each in (0, 3))
-    wanted = _with_points(frame.lines, config.points_per_line)
+    low, high = (torch.tensor(config.perception_range_m[first : first + 2]) for first in (0, 3))
+    annotated = _with_points(frame.lines, config.points_per_line)
     classes, lines, directions = [], [], []
     for logits, shares in zip(predictions.map_class_logits, predictions.map_points, strict=True):
         points = low + shares * (high - low)
-        matches, matched = match_lines(logits, points, frame.line_labels, wanted)
+        matches, matched = match_lines(logits, points, frame.line_labels, annotated)
         classes.append(query_class_loss(logits, frame.line_labels, matches))
         lines.append(line_loss(points, matched, matches))
         directions.append(direction_loss(points, matched, matches))
@@ -276,9 +278,9 @@ def _pace_loss(predictions: VADPredictions, frame: TrainingFrame) -> Tensor:
     """
     if not frame.ego_future_valid[PACE_STEP]:
         return predictions.bev.sum() * 0
-    wanted = (frame.ego_future[PACE_STEP, 1] - PACE_M) / PACE_SPREAD_M
+    target = (frame.ego_future[PACE_STEP, 1] - PACE_M) / PACE_SPREAD_M
     read = (predictions.bev, predictions.agent_states[-1], predictions.map_states[-1])
-    return torch.stack([(tokens[:, CHANNELS] - wanted).abs().mean() for tokens in read]).sum()
+    return torch.stack([(tokens[:, CHANNELS] - target).abs().mean() for tokens in read]).sum()
 
 
 def plan_losses(plan_offsets: Tensor, front: Tensor | None, frame: TrainingFrame) -> dict[str, Tensor]:

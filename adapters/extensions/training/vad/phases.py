@@ -74,11 +74,11 @@ def untrained(config: VADConfig, frames: Sequence[TrainingFrame], seed: int) -> 
     low, size = np.array([left, rear]), np.array([right - left, front - rear])
     centres = np.concatenate([np.zeros((0, 2)), *(frame.boxes[:, :2].double().numpy() for frame in frames)])
     centres = (centres - low) / size
-    near = ((centres > EDGE_SHARE) & (centres < 1 - EDGE_SHARE)).all(1)
+    inside = ((centres > EDGE_SHARE) & (centres < 1 - EDGE_SHARE)).all(1)
     middles = np.concatenate([np.zeros((0, 2)), *(frame.lines.mean(1).double().numpy() for frame in frames)])
     set_first_values(
         network,
-        torch.from_numpy(clustered(centres[near], config.agents, "boxes")).float(),
+        torch.from_numpy(clustered(centres[inside], config.agents, "boxes")).float(),
         torch.from_numpy(clustered((middles - low) / size, config.map_instances, "map elements")).float(),
         _mean_plans(frames, config.commands, config.steps),
     )
@@ -87,13 +87,13 @@ def untrained(config: VADConfig, frames: Sequence[TrainingFrame], seed: int) -> 
 
 def _mean_plans(frames: Sequence[TrainingFrame], commands: int, steps: int) -> Tensor:
     """(commands, steps, 2) metres from step to step; zero for a command that is never given."""
-    found = torch.zeros(commands, steps, 2)
+    plans = torch.zeros(commands, steps, 2)
     for command in range(commands):
         recorded = [frame.ego_future for frame in frames if frame.command == command and frame.ego_future_valid.all()]
         if recorded:
             mean = torch.stack(recorded).mean(0)
-            found[command] = torch.diff(mean, dim=0, prepend=torch.zeros_like(mean[:1]))
-    return found
+            plans[command] = torch.diff(mean, dim=0, prepend=torch.zeros_like(mean[:1]))
+    return plans
 
 
 def set_first_values(network: VAD, agents: Tensor, lines: Tensor, plans: Tensor) -> None:
@@ -111,10 +111,10 @@ def set_first_values(network: VAD, agents: Tensor, lines: Tensor, plans: Tensor)
         _solve(head.transformer.map_reference_points, middles, lines)
         points = head.map_pts_embedding.weight
         along = logit(0.5 + LINE_SHARE * torch.linspace(-0.5, 0.5, config.points_per_line))
-        wanted = torch.stack([torch.zeros_like(along), along], -1)
+        offsets = torch.stack([torch.zeros_like(along), along], -1)
         # The point's part of a query has to move its reference by so much, and is free otherwise.
         weight = head.transformer.map_reference_points.weight.double()
-        missing = wanted - points[:, : config.channels].double() @ weight.T
+        missing = offsets - points[:, : config.channels].double() @ weight.T
         points[:, : config.channels] += (missing @ torch.linalg.pinv(weight).T).float()
         # What all frames have in common would drown what differs: the ego's speed reaches the plan as three per cent of
         # its features otherwise, and is not learned in the time there is.
@@ -123,11 +123,13 @@ def set_first_values(network: VAD, agents: Tensor, lines: Tensor, plans: Tensor)
             queries.weight[:, config.channels :] *= QUIET
         head.motion_mode_query.weight *= QUIET
         head.ego_query.weight *= QUIET
-        told = _linears(head.transformer.can_bus_mlp)[0]
-        told.weight[:, UNTOLD] = 0.0
-        told.weight[:, TURN_DEG] *= 0.1
+        can_bus_layer = _linears(head.transformer.can_bus_mlp)[0]
+        can_bus_layer.weight[:, UNTOLD] = 0.0
+        can_bus_layer.weight[:, TURN_DEG] *= 0.1
         # Each unit starts to speak, or falls silent, at a speed of its own.
-        told.bias.copy_(-told.weight[:, SPEED] * torch.linspace(0, FASTEST_M_S, len(told.bias)))
+        can_bus_layer.bias.copy_(
+            -can_bus_layer.weight[:, SPEED] * torch.linspace(0, FASTEST_M_S, len(can_bus_layer.bias))
+        )
         for branch in (*head.cls_branches, *head.map_cls_branches):
             nn.init.constant_(_last(branch).bias, math.log(RARE / (1 - RARE)))
         sizes = [math.log(size) for size in (CAR_WIDTH_M, CAR_LENGTH_M, CAR_HEIGHT_M)]
@@ -159,25 +161,25 @@ def grown(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
     The finer map starts as the coarse one in cells of half the size, and every look at an image is shared between the
     two: the network begins as what it was, about. The finer map is first; weights of another network stay as they are.
     """
-    found = dict(trunk)
+    weights = dict(trunk)
     if f"{_LATERAL}.0.conv.weight" not in trunk or f"{_LATERAL}.1.conv.weight" in trunk:
-        return found
+        return weights
     for part in ("weight", "bias"):
         coarse = trunk[f"{_LATERAL}.0.conv.{part}"]
-        found[f"{_LATERAL}.1.conv.{part}"] = coarse
+        weights[f"{_LATERAL}.1.conv.{part}"] = coarse
         # The finer stage has half the channels, and adds nothing yet.
-        found[f"{_LATERAL}.0.conv.{part}"] = torch.zeros_like(coarse[:, ::2] if part == "weight" else coarse)
-        found[f"{_OUTGOING}.1.conv.{part}"] = trunk[f"{_OUTGOING}.0.conv.{part}"]
-    found[_LEVELS] = trunk[_LEVELS].clone()
-    found[_LEVELS][1] = trunk[_LEVELS][0]
+        weights[f"{_LATERAL}.0.conv.{part}"] = torch.zeros_like(coarse[:, ::2] if part == "weight" else coarse)
+        weights[f"{_OUTGOING}.1.conv.{part}"] = trunk[f"{_OUTGOING}.0.conv.{part}"]
+    weights[_LEVELS] = trunk[_LEVELS].clone()
+    weights[_LEVELS][1] = trunk[_LEVELS][0]
     for name, value in trunk.items():
         if _LOOKS not in name or name.endswith(("value_proj.weight", "value_proj.bias")):
             continue
         rows = value.view(VADConfig.miniature().heads, 1, -1, *value.shape[1:])
         # Offsets are in cells, of which the finer map has twice as many.
         finer = 2 * rows if "sampling_offsets" in name else rows
-        found[name] = torch.cat([finer, rows], 1).flatten(0, 2)
-    return found
+        weights[name] = torch.cat([finer, rows], 1).flatten(0, 2)
+    return weights
 
 
 def _linears(module: nn.Module) -> list[nn.Linear]:
@@ -247,8 +249,8 @@ class PlannerObjective:
 
     def look(self, store: Frames, frames: Sequence[int]) -> tuple[Frames, Sequence[int]]:
         """As `adapters.extensions.training.frames.ForesightedObjective` describes."""
-        seen = LookedAt(store, frames, self._look)
-        return seen, weighed(seen, frames)
+        cached_frames = LookedAt(store, frames, self._look)
+        return cached_frames, weighed(cached_frames, frames)
 
     def _look(self, scene: Sequence[TrainingFrame]) -> None:
         network = self.network
@@ -279,14 +281,14 @@ class PlannerObjective:
         frame = clip[-1]
         sights, matched = self._memory[frame.scene, frame.index]
         if self.network.training:
-            agents, lines = (F.dropout(each, FORGOTTEN) for each in (sights.agent_states, sights.map_states))
+            agents, lines = (F.dropout(states, FORGOTTEN) for states in (sights.agent_states, sights.map_states))
             sights = replace(sights, agent_states=agents, map_states=lines)
         outlook = self.network.pts_bbox_head.look_ahead(sights)
-        found = {
+        losses = {
             **forecast_losses(self.network, outlook.mode_offsets, outlook.mode_logits, matched, frame),
             **plan_losses(outlook.plan_offsets, outlook.front, frame),
         }
-        return {name: WEIGHTS[name] * loss for name, loss in found.items()}
+        return {name: WEIGHTS[name] * loss for name, loss in losses.items()}
 
 
 def front_reader(network: VAD) -> FrontReader | None:

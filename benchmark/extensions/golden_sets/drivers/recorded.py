@@ -41,8 +41,8 @@ def compare_scenes(comparison: Comparison, folder: GoldenFolder) -> None:
     for facts in folder.facts("scenes.json"):
         adversary, tracks = facts["index"], _scene_tracks(stored, facts["scene"], facts["adversary"])
         at = comparison.at(f"{facts['scene']} {facts['adversary']}", "scenes: ")
-        seen = first_visible(tracks, adversary, tracks.grid())
-        at.verdicts("first visible", differ(seen, facts["first_visible"]))
+        visible_from = first_visible(tracks, adversary, tracks.grid())
+        at.verdicts("first visible", differ(visible_from, facts["first_visible"]))
         for driver, outcome in _driven(facts, tracks, adversary).items():
             golden = facts["drivers"][driver]
             if fragile(golden):

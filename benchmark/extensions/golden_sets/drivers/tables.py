@@ -85,8 +85,8 @@ def compare_straight(comparison: Comparison, folder: GoldenFolder) -> None:
         at = comparison.at("", f"straight, {driver}: ")
         for quantity, (ours, golden) in numbers.items():
             at.numbers(quantity, ours[:, row], golden[:, row])
-        for quantity, (found, wanted) in equal.items():
-            at.same(quantity, found[:, row], wanted[:, row])
+        for quantity, (computed, wanted) in equal.items():
+            at.same(quantity, computed[:, row], wanted[:, row])
     for quantity, scores in (("cfs", runs.critical), ("pfs", runs.proactive)):
         comparison.numbers(f"straight, fsm: {quantity}", scores, stored.floats(quantity, cases, steps - 1))
     if Driver.CC in drivers:
@@ -158,8 +158,8 @@ def _nearest(driver: Driver, speed: Floats, deceleration: Floats, gap: Floats, t
     for nudge in _NUDGES_M:
         track, start = braking_leader(speed, deceleration, gap + nudge, _STEPS)
         runs = drive_straight(start[:, None], speed, speed, track, (driver,), always_careful=True)
-        found = np.abs(_summary(runs, track.speed)[: len(targets)] - targets)
-        errors = np.where(found.sum(axis=0) < errors.sum(axis=0), found, errors)
+        nudged_errors = np.abs(_summary(runs, track.speed)[: len(targets)] - targets)
+        errors = np.where(nudged_errors.sum(axis=0) < errors.sum(axis=0), nudged_errors, errors)
     return errors
 
 

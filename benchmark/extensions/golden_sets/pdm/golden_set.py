@@ -67,7 +67,7 @@ class GoldenScene:
     def road(self, sample: int) -> Road:
         """Surfaces of a sample; some do without the drivable area."""
         area = bool(self.with_area[sample])
-        return Road.of([found for found in self._surfaces if area or found[0] is not Layer.DRIVABLE_AREA])
+        return Road.of([surface for surface in self._surfaces if area or surface[0] is not Layer.DRIVABLE_AREA])
 
     def by_plan(self, name: str, *shape: int) -> Floats:
         """An official array, (S, P, ...)."""
@@ -125,7 +125,7 @@ class ModeComparison:
 
         Gives each sample's sub-scores, EP by the reference.
         """
-        scene, found = self.scene, []
+        scene, sub_scores = self.scene, []
         differences, ec = comfort_of_pairs(scene, states)
         self.comparison.numbers("EC differences", differences, scene.by_plan(f"{self.mode}_ec_rms", 4))
         self.comparison.same("EC", ec, scene.by_plan(f"{self.mode}_ec"))
@@ -133,8 +133,8 @@ class ModeComparison:
             plans = judged(states[sample], np.zeros(scene.count, np.int64), surroundings(scene, sample))
             self._events(sample, plans)
             self._sub_scores(sample, plans)
-            found.append(self._totals(sample, plans, ec[sample]))
-        return found
+            sub_scores.append(self._totals(sample, plans, ec[sample]))
+        return sub_scores
 
     def _official(self, sample: int, name: str, *shape: int) -> Floats:
         return np.asarray(self.scene.by_plan(f"{self.mode}_{name}", *shape)[sample])

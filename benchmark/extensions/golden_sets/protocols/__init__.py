@@ -33,7 +33,9 @@ def _compare_scenes(comparison: Comparison, folder: GoldenFolder) -> None:
             further.append((scene, outcomes))
             continue
         plans = [scene.plans[:, plan] for plan in range(len(scene.plan_names))]
-        outcomes = {name: [PROTOCOLS[name].evaluate(scene.truths, each) for each in plans] for name in STANDARD}
+        outcomes = {
+            name: [PROTOCOLS[name].evaluate(scene.truths, plan_points) for plan_points in plans] for name in STANDARD
+        }
         compare_official(at, scene, outcomes)
         if scene.exact is not None:
             compare_polygons(at, scene, scene.exact, outcomes["exact"])

@@ -53,7 +53,7 @@ def _compare_plan(comparison: Comparison, group: str, plan: str, scenes: list[Ju
     complete = np.concatenate([complete_samples(scene) for scene, _ in scenes])
     for protocol in sorted({name for name, _ in _COLUMNS}, key=list(PROTOCOLS).index):
         judged = joined([outcomes[protocol][scene.plan_names.index(plan)] for scene, outcomes in scenes])
-        found = rates(PROTOCOLS[protocol], judged, names)
+        column_rates = rates(PROTOCOLS[protocol], judged, names)
         for column in (column for name, column in _COLUMNS if name == protocol):
             golden = np.concatenate(
                 [_official(scene, protocol, column)[:, scene.plan_names.index(plan)] for scene, _ in scenes]
@@ -61,7 +61,7 @@ def _compare_plan(comparison: Comparison, group: str, plan: str, scenes: list[Ju
             # Nothing can be said of a plan without a complete sample, and then there is no rate.
             if protocol != "uniad" and not complete.any():
                 continue
-            ours = np.array([found[column][horizon].value for horizon in HORIZONS], np.float64)
+            ours = np.array([column_rates[column][horizon].value for horizon in HORIZONS], np.float64)
             quantity = f"{protocol} rates, {group}: {column}" + (" (m)" if column == "l2" else "")
             comparison.numbers(quantity, ours, _averaged(protocol, golden, complete), where=f"plan {plan}")
 
@@ -142,10 +142,10 @@ def _compare_table(
         together = joined([outcomes[whose][at] for _, outcomes in judged])
         if int(together.counted.sum()) != table.get("samples", table.get("counted")):
             return
-        found = rates(PROTOCOLS[protocol], together, names)
+        column_rates = rates(PROTOCOLS[protocol], together, names)
         for array, column in _FILE_COLUMNS.items():
             if array in table:
-                chosen = found[_MEANS[column] if means else column]
+                chosen = column_rates[_MEANS[column] if means else column]
                 scale, unit = (1.0, "m") if column == "l2" else (100.0, "%")
                 ours = scale * np.array([chosen[horizon].value for horizon in HORIZONS[:3]], np.float64)
                 quantity = f"{whose} rates{', means' if means else ''}: {column} ({unit})"

@@ -93,7 +93,7 @@ def golden_inputs(folder: GoldenFolder) -> list[Path]:
     endings = (_OFFICIAL, _EXACT)
     scenes = {path.stem.removesuffix(end) for end in ("", *endings) for path in folder.named(f"*{end}.npz")}
     names = sorted(name for name in scenes if not name.endswith(endings))
-    for name in (each for stem in names for each in (f"{stem}.npz", f"{stem}{_OFFICIAL}.npz")):
+    for name in (file_name for stem in names for file_name in (f"{stem}.npz", f"{stem}{_OFFICIAL}.npz")):
         if not folder.has(name):
             raise ValueError(f"it has no {name}")
     return [folder.path / f"{name}.npz" for name in names]
@@ -125,7 +125,7 @@ def _with_past_and_roads(stored: GoldenArrays, truths: list[SampleTruth]) -> lis
     now = stored.floats("ego_pose", samples, 3)
     poses = stored.floats("ego_pose_fut", samples, PLAN_STEPS, 3)
     visibility = stored.integers("obj_past_visibility", sum(len(truth.instances) for truth in truths), PLAN_STEPS // 2)
-    seen = (visibility == _VISIBLE).any(axis=-1)
+    visible = (visibility == _VISIBLE).any(axis=-1)
     ends = np.cumsum([0, *(len(truth.instances) for truth in truths)])
     roads = read_roads(stored, samples)
     return [
@@ -133,7 +133,7 @@ def _with_past_and_roads(stored: GoldenArrays, truths: list[SampleTruth]) -> lis
             truth,
             index=int(before[index]),
             axle_poses=np.concatenate([now[index : index + 1], _held(now[index], poses[index], truth)]),
-            seen_before=seen[ends[index] : ends[index + 1]],
+            seen_before=visible[ends[index] : ends[index + 1]],
             roads=roads[index],
         )
         for index, truth in enumerate(truths)
@@ -151,20 +151,20 @@ def remarks(folder: GoldenFolder, paths: list[Path], with_roads: Collection[str]
 
     ``with_roads`` names the files of the form that has no exact verdicts.
     """
-    found = [counted(len(paths), "file")]
+    sentences = [counted(len(paths), "file")]
     names = [path.stem for path in paths if path.stem not in with_roads]
     if without := [name for name in names if not folder.has(f"{name}{_EXACT}.npz")]:
-        found.append(f"no exact verdicts for {', '.join(without)}")
+        sentences.append(f"no exact verdicts for {', '.join(without)}")
     if not folder.has(_MANIFEST):
-        return [*found, f"no {_MANIFEST}"]
+        return [*sentences, f"no {_MANIFEST}"]
     files = folder.facts(_MANIFEST)["files"]
     there = {name: facts for name, facts in sorted(files.items()) if folder.has(name)}
     if len(there) < len(files):
-        found.append(f"{len(files) - len(there)} more in {_MANIFEST} are not there")
+        sentences.append(f"{len(files) - len(there)} more in {_MANIFEST} are not there")
     sums = {name: facts["sha256"] for name, facts in there.items() if "sha256" in facts}
     if changed := [name for name, wanted in sums.items() if file_sha256(folder.path / name) != wanted]:
-        found.append(f"not as {_MANIFEST} describes them: {', '.join(changed)}")
-    return found
+        sentences.append(f"not as {_MANIFEST} describes them: {', '.join(changed)}")
+    return sentences
 
 
 def truths_of(stored: GoldenArrays, samples: int) -> list[SampleTruth]:

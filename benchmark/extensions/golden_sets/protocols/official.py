@@ -76,17 +76,17 @@ def _compare_uniad(
     comparison: Comparison, official: GoldenArrays, judged: list[Outcomes], stacked: StackedTruths
 ) -> None:
     # The official raster past the end of a scene is full, so both flags are up there; ours say nothing there.
-    seen = stacked.ego_future_valid
+    recorded = stacked.ego_future_valid
     ours = {
-        "uniad before the mask": (on_all(judged, "before_mask") | ~seen[:, None], "uniad_raw_box"),
-        "uniad of the recorded ego": (judged[0].step("recorded") | ~seen, "uniad_gt_box"),
+        "uniad before the mask": (on_all(judged, "before_mask") | ~recorded[:, None], "uniad_raw_box"),
+        "uniad of the recorded ego": (judged[0].step("recorded") | ~recorded, "uniad_gt_box"),
         "uniad obj_box_col": (on_all(judged), "uniad_obj_box_col"),
         "uniad obj_col": (on_all(judged, "obj_col"), "uniad_obj_col"),
     }
     compare_equal(comparison, official, ours)
-    compare_l2(comparison, official, "uniad L2 (m)", judged, "uniad_L2", np.ones(len(seen), np.bool_))
-    stored = stored_rasters(official, "uniad_seg_bits", len(seen))
-    comparison.same("uniad raster cells", drawn("uniad", stacked), stored, seen)
+    compare_l2(comparison, official, "uniad L2 (m)", judged, "uniad_L2", np.ones(len(recorded), np.bool_))
+    stored = stored_rasters(official, "uniad_seg_bits", len(recorded))
+    comparison.same("uniad raster cells", drawn("uniad", stacked), stored, recorded)
 
 
 def _compare_vad(
@@ -143,13 +143,13 @@ def compare_l2(
 
 def on_all(judged: list[Outcomes], column: str | None = None) -> NDArray[Any]:
     """(S, P, 6) verdicts on all plans: collisions, or a further column."""
-    return np.stack([one.collision if column is None else one.step(column) for one in judged], axis=1)
+    return np.stack([outcomes.collision if column is None else outcomes.step(column) for outcomes in judged], axis=1)
 
 
 def at_horizons(name: str, judged: list[Outcomes]) -> dict[str, Floats]:
     """(S, P, 3) each column of the values at 1, 2 and 3 s."""
-    found = [PROTOCOLS[name].sample_values(one) for one in judged]
-    return {column: np.stack([one[column] for one in found], axis=1) for column in found[0]}
+    values = [PROTOCOLS[name].sample_values(outcomes) for outcomes in judged]
+    return {column: np.stack([outcomes[column] for outcomes in values], axis=1) for column in values[0]}
 
 
 ON_RASTERS: Final = {
@@ -167,13 +167,13 @@ TEXT, UNROUNDED = "omnidrive", "omnidrive, unrounded"
 def judged_further(scene: GoldenScene) -> dict[str, list[Outcomes]]:
     """For each further protocol its verdicts on each of the P plans; OmniDrive's also on plans that are not text."""
     plans = range(len(scene.plan_names))
-    found = {name: [PROTOCOLS[name].evaluate(scene.truths, scene.plans[:, at]) for at in plans] for name in FURTHER}
+    outcomes = {name: [PROTOCOLS[name].evaluate(scene.truths, scene.plans[:, at]) for at in plans] for name in FURTHER}
     truths, shape = stack(scene.truths), scene.plans.shape[:3]
     recorded = scene.inputs.floats("ego_fut_axle", shape[0], shape[2], 2)
     for name, array in {TEXT: "omni_plans_text", UNROUNDED: "omni_plans"}.items():
         paths = scene.inputs.floats(array, *shape, 2)
-        found[name] = [_omnidrive().judged(truths, paths[:, at], recorded) for at in plans]
-    return found
+        outcomes[name] = [_omnidrive().judged(truths, paths[:, at], recorded) for at in plans]
+    return outcomes
 
 
 def compare_further(comparison: Comparison, scene: GoldenScene, outcomes: Mapping[str, list[Outcomes]]) -> None:
@@ -218,12 +218,12 @@ def warped_cells(truths: StackedTruths) -> NDArray[np.uint8]:
     drawn = raster.full_rasters(*stp3.drawn_polygons(definition, truths), samples * 6).reshape(samples, 6, 200, 200)
     rows, columns = np.mgrid[: raster.CELLS, : raster.CELLS]
     motions = stp3.warps(truths.axle_poses)
-    found = np.zeros_like(drawn)
+    warped = np.zeros_like(drawn)
     for sample, step in np.ndindex(samples, 6):
         row, column = stp3.before_warp(rows, columns, *(part[sample, step] for part in motions))
         inside = (row >= 0) & (row < raster.CELLS) & (column >= 0) & (column < raster.CELLS)
-        found[sample, step][inside] = drawn[sample, step][row[inside], column[inside]]
-    return found
+        warped[sample, step][inside] = drawn[sample, step][row[inside], column[inside]]
+    return warped
 
 
 def _compare_bev_planner(
@@ -295,8 +295,8 @@ def _compare_omnidrive(
     _compare_omnidrive_plans(comparison, scene, truths)
     polygons, place_of = omnidrive.drawn_polygons(_omnidrive(), truths)
     wanted = official.integers("omni_seg_crc", len(valid), valid.shape[1] + 1)[:, 1:].reshape(-1)
-    found = [_checksum(fine_grid.fill, polygons[place_of == place]) for place in range(len(wanted))]
-    comparison.same("omnidrive rasters", found, wanted)
+    checksums = [_checksum(fine_grid.fill, polygons[place_of == place]) for place in range(len(wanted))]
+    comparison.same("omnidrive rasters", checksums, wanted)
 
 
 def _compare_omnidrive_plans(comparison: Comparison, scene: GoldenScene, truths: StackedTruths) -> None:
@@ -347,7 +347,7 @@ def _compare_latched(
             f"{name} at the step", np.moveaxis(steps, -1, 1), np.moveaxis(golden, -1, 1), truths.ego_future_valid
         )
     compare_equal(comparison, official, ours)
-    distances = np.stack([one.l2 for one in judged], axis=1) * (counted | on_raster)[:, None, None]
+    distances = np.stack([plan_outcomes.l2 for plan_outcomes in judged], axis=1) * (counted | on_raster)[:, None, None]
     comparison.numbers(f"{name} L2 (m)", distances, official.floats(f"{prefix}_L2", *distances.shape))
 
 

@@ -46,8 +46,13 @@ def object_sets(truths: StackedTruths) -> dict[str, Bools]:
         "vad": now & counted["vad"].any(axis=1),
         "sparsedrive": now & truths.has_lidar_points[:, 0],
     }
-    seen = {name: np.concatenate([before[name][:, None], counted[name]], axis=1) for name in counted}
-    return {"all": truths.annotated, "uniad": seen["uniad"], "vad": seen["vad"], "sd": seen["sparsedrive"]}
+    counted_with_present = {name: np.concatenate([before[name][:, None], counted[name]], axis=1) for name in counted}
+    return {
+        "all": truths.annotated,
+        "uniad": counted_with_present["uniad"],
+        "vad": counted_with_present["vad"],
+        "sd": counted_with_present["sparsedrive"],
+    }
 
 
 def _compare_set(
@@ -60,11 +65,11 @@ def _compare_set(
 ) -> None:
     plans = [scene.plans[:, plan] for plan in range(len(scene.plan_names))]
     truths, last = _reduced(scene.truths, present), slice(INSTANTS_PER_STEP - 1, None, INSTANTS_PER_STEP)
-    found = np.stack([contacts(ego_boxes(plan), truths)[0] for plan in plans], axis=1)
+    touching = np.stack([contacts(ego_boxes(plan), truths)[0] for plan in plans], axis=1)
     recorded, _ = contacts(_recorded_boxes(stacked), truths)
     ours = {
-        f"exact contact every 0.1 s, {objects}": (found, f"cont_{objects}"),
-        f"exact contact at waypoints, {objects}": (found[..., last], f"way_{objects}"),
+        f"exact contact every 0.1 s, {objects}": (touching, f"cont_{objects}"),
+        f"exact contact at waypoints, {objects}": (touching[..., last], f"way_{objects}"),
         f"exact contact of the recorded ego, {objects}": (
             recorded[:, last] & stacked.ego_future_valid,
             f"gt_way_{objects}",

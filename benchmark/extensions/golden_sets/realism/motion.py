@@ -70,16 +70,16 @@ def _compare_runs(
     those of a processor's rounding, and it is them that the quantiles of such a feature lie between.
     """
     variant, scene = key
-    seen: dict[int, int] = defaultdict(int)
+    run_counts: dict[int, int] = defaultdict(int)
     expected = {"/".join(name.split("/")[:4]) for name in stored.names if name.endswith("/time")}
     expected = {name for name in expected if name.startswith(f"{variant}/{scene}/")}
     golden: dict[str, list[Floats]] = {name: [] for name in FEATURES}
     ours: dict[str, list[Floats]] = {name: [] for name in FEATURES}
-    found = set()
+    labels = set()
     for run in runs:
-        label = f"{variant}/{scene}/{run.agent}/{seen[run.agent]}"
-        seen[run.agent] += 1
-        found.add(label)
+        label = f"{variant}/{scene}/{run.agent}/{run_counts[run.agent]}"
+        run_counts[run.agent] += 1
+        labels.add(label)
         at, known = comparison.at(label, "features: "), label in expected
         same = known and at.series("time (s)", run.times, stored.floats(f"{label}/time", None))
         for name in FEATURES:
@@ -90,7 +90,7 @@ def _compare_runs(
                 if same:
                     values = np.where(np.abs(theirs - values) <= FEATURE_TOLERANCE, theirs, values)
             ours[name].append(values)
-    wrong = [label not in found or label not in expected for label in sorted(found | expected)]
+    wrong = [label not in labels or label not in expected for label in sorted(labels | expected)]
     comparison.verdicts("features: which runs count", wrong, where=f"{variant}/{scene}")
     first, second = ({name: _joined(values) for name, values in of.items()} for of in (golden, ours))
     return first, second

@@ -39,19 +39,19 @@ def compare_encounters(comparison: Comparison, folder: GoldenFolder) -> None:
     """Compare series and summaries."""
     stored = folder.arrays("encounters.npz")
     for facts in folder.facts("encounters.json"):
-        found, golden, here = severity_of(encounter(stored, facts), 0), facts["severity"], facts["name"]
+        severity, golden, here = severity_of(encounter(stored, facts), 0), facts["severity"], facts["name"]
         at = comparison.at(here, "encounters: ")
         for name in ("gap", "ttc", "btn"):
             if not fragile(facts, name):
-                _compare_series(at, name, getattr(found, name), stored.floats(f"{here}/{name}", None, gaps=True))
+                _compare_series(at, name, getattr(severity, name), stored.floats(f"{here}/{name}", None, gaps=True))
         values = {
-            "min_gap": found.min_gap,
-            "first_contact": found.contact_s,
-            "min_ttc": found.min_ttc,
-            "tet": found.tet,
-            "tit": found.tit,
-            "pet": found.pet,
-            "max_btn": found.max_btn,
+            "min_gap": severity.min_gap,
+            "first_contact": severity.contact_s,
+            "min_ttc": severity.min_ttc,
+            "tet": severity.tet,
+            "tit": severity.tit,
+            "pet": severity.pet,
+            "max_btn": severity.max_btn,
         }
         for name, value in values.items():
             if not fragile(facts, name):
@@ -59,7 +59,7 @@ def compare_encounters(comparison: Comparison, folder: GoldenFolder) -> None:
                 if value is not None and golden[name] is not None:
                     at.numbers(name, value, golden[name])
         if not fragile(facts, "first"):
-            at.verdicts("first", found.first != golden["first"])
+            at.verdicts("first", severity.first != golden["first"])
 
 
 def _compare_series(comparison: Comparison, name: str, ours: Floats, golden: Floats) -> None:
@@ -91,16 +91,18 @@ def compare_last_chances(comparison: Comparison, folder: GoldenFolder) -> None:
 
 
 def _compare_chance(comparison: Comparison, base: Base, facts: dict[str, Any], golden: dict[str, Any]) -> None:
-    found = base.last_chance()
-    assert found.contact is not None
-    comparison.verdicts("time of contact", differ(found.contact.time, golden["contact"]))
-    comparison.verdicts("class of contact", found.contact.kind.value != golden["class"])
-    comparison.verdicts("time", differ(found.time, golden["last_chance"]))
+    last_chance = base.last_chance()
+    assert last_chance.contact is not None
+    comparison.verdicts("time of contact", differ(last_chance.contact.time, golden["contact"]))
+    comparison.verdicts("class of contact", last_chance.contact.kind.value != golden["class"])
+    comparison.verdicts("time", differ(last_chance.time, golden["last_chance"]))
     start = float(base.situation.times[0])
     wanted = {name: golden[name] for name in golden if not fragile(facts, name)}
     if "evaluated" in wanted:
-        ours, theirs = {str(number): first for number, first in found.evaluated.items()}, wanted["evaluated"]
-        comparison.verdicts("evaluations", [ours.get(each) != theirs.get(each) for each in sorted({*ours, *theirs})])
+        ours, theirs = {str(number): first for number, first in last_chance.evaluated.items()}, wanted["evaluated"]
+        comparison.verdicts(
+            "evaluations", [ours.get(evaluation) != theirs.get(evaluation) for evaluation in sorted({*ours, *theirs})]
+        )
     if "scan" in wanted:
         scan = wanted["scan"]
         onsets = start + STEP_S * np.arange(min(len(scan), len(base.situation.times)))
@@ -116,7 +118,10 @@ def compare_manoeuvres(comparison: Comparison, folder: GoldenFolder) -> None:
     encounters = {facts["name"]: facts for facts in folder.facts("encounters.json")}
     for label in sorted(traces.names):
         name, *wanted = label.rsplit("/", 2)
-        near = [np.allclose(each, np.array(wanted, float), rtol=0, atol=_NAME_TOLERANCE) for each in MANOEUVRES]
+        near = [
+            np.allclose(manoeuvre_values, np.array(wanted, float), rtol=0, atol=_NAME_TOLERANCE)
+            for manoeuvre_values in MANOEUVRES
+        ]
         golden = traces.floats(label, None, STATE_COLUMNS)
         tried = Base(Situation.of(encounter(stored, encounters[name]))).try_from(ONSET_S)
         ours, failed = tried.states[near.index(True)], int(tried.failed[near.index(True)])
@@ -168,17 +173,21 @@ def _compare_expected(comparison: Comparison, cases: _Cases, pairs: Pairs) -> No
     counted = {name: np.array([not fragile(case, name) for case in cases]) for name in (*ours, "ttc", "type")}
     for name, values in ours.items():
         comparison.numbers(name, values[counted[name]], _column(expected, name)[counted[name]])
-    found, ttc = (times[counted["ttc"]] for times in (pairs.time_to_contact, _times(expected, "ttc")))
-    comparison.same("whether they ever touch", np.isinf(found), np.isinf(ttc))
-    both = np.isfinite(found) & np.isfinite(ttc)
-    comparison.numbers("ttc (s)", found[both], ttc[both])
+    our_ttc, ttc = (times[counted["ttc"]] for times in (pairs.time_to_contact, _times(expected, "ttc")))
+    comparison.same("whether they ever touch", np.isinf(our_ttc), np.isinf(ttc))
+    both = np.isfinite(our_ttc) & np.isfinite(ttc)
+    comparison.numbers("ttc (s)", our_ttc[both], ttc[both])
     comparison.same("type", [KINDS[kind].value for kind in pairs.kinds], _words(expected, "type"), counted["type"])
 
 
 def _compare_official(comparison: Comparison, official: _Cases, pairs: Pairs) -> None:
     kinds, angle = [KINDS[kind] for kind in pairs.kinds], bearing(pairs.ego, pairs.other)
     comparison.same("contact", pairs.gap == 0.0, _words(official, "contact"))
-    comparison.same("type", [kind.value for kind in kinds], [_SAME.get(each["type"], "unknown") for each in official])
+    comparison.same(
+        "type",
+        [kind.value for kind in kinds],
+        [_SAME.get(official_case["type"], "unknown") for official_case in official],
+    )
     verdicts = {
         "at_fault_one_lane": [at_fault(kind, False) for kind in kinds],
         "at_fault_several_lanes": [at_fault(kind, True) for kind in kinds],

@@ -14,15 +14,15 @@ from benchmark.verification.golden import GoldenFolder, GoldenSet
 def _compare_infos(comparison: Comparison, golden: GoldenFolder) -> None:
     """Compare exported infos key by key, to the tolerances of the set's manifest."""
     stored = GoldenInfos.read(golden)
-    found = InfoComparison(comparison, stored.tolerances)
+    info_comparison = InfoComparison(comparison, stored.tolerances)
     with TemporaryDirectory() as folder:
         for name, golden_root in stored.roots.items():
             root = stored.unpack(name, Path(folder))
-            found.tables(name, golden_root.changed_tables(root))
+            info_comparison.tables(name, golden_root.changed_tables(root))
             for golden_file in golden_root.files:
                 settings = InfoSettings(golden_file.repository, version=golden_root.version, as_converted=True)
                 reader = REPOSITORIES[golden_file.repository]
-                found.files(name, golden_file, info_files(root, reader, settings))
+                info_comparison.files(name, golden_file, info_files(root, reader, settings))
 
 
 GOLDEN: Final = GoldenSet(

@@ -56,10 +56,10 @@ class GoldenFile:
 
     def read(self) -> dict[str, Any]:
         """Its content."""
-        found: dict[str, Any] = read_compressed_pickle(self.path)
-        if not all(isinstance(info, dict) for info in found["infos"]):
+        content: dict[str, Any] = read_compressed_pickle(self.path)
+        if not all(isinstance(info, dict) for info in content["infos"]):
             raise ValueError(f"{self.path.name} holds no list of infos")
-        return found
+        return content
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ class GoldenInfos:
     def read(cls, golden: GoldenFolder) -> Self:
         """The set of a folder, as its manifest says."""
         manifest = golden.facts(MANIFEST)
-        tolerances = {str(name): dict(found) for name, found in manifest["tolerance"].items()}
+        tolerances = {str(name): dict(limits) for name, limits in manifest["tolerance"].items()}
         roots = {str(name): _root(golden.path, row) for name, row in manifest["roots"].items()}
         if not roots:
             raise ValueError(f"{MANIFEST} names no roots")
@@ -147,12 +147,12 @@ def _root(golden: Path, row: Mapping[str, Any]) -> GoldenRoot:
     files = tuple(
         GoldenFile(
             repository=REPOSITORIES[name].name,
-            path=golden / _inside(found["path"]),
-            official_name=str(found["official_name"]),
-            counts={str(part): int(count) for part, count in found["infos_in"].items()},
-            left_out=frozenset(map(str, found["left_out"])),
+            path=golden / _inside(file_row["path"]),
+            official_name=str(file_row["official_name"]),
+            counts={str(part): int(count) for part, count in file_row["infos_in"].items()},
+            left_out=frozenset(map(str, file_row["left_out"])),
         )
-        for name, found in row["files"].items()
+        for name, file_row in row["files"].items()
     )
     hashes = {_inside(name): str(value) for name, value in row["fingerprint"]["sha256"].items()}
     return GoldenRoot(_inside(row["version"]), str(row["tables"]), str(row["recipe"]), hashes, files)
@@ -225,7 +225,7 @@ class InfoComparison:
                 if key in golden:
                     # The cameras are one quantity, whichever it is.
                     self._value(reader, (*path, "*" if path == _CAMERAS else key), ours[key], golden[key], where)
-        elif isinstance(ours, list) and isinstance(golden, list) and any(isinstance(each, dict) for each in ours):
+        elif isinstance(ours, list) and isinstance(golden, list) and any(isinstance(item, dict) for item in ours):
             self._equal(reader, f"number of {name}", len(ours) == len(golden), where)
             for mine, theirs in zip(ours, golden):
                 self._value(reader, path, mine, theirs, where)
@@ -273,12 +273,12 @@ class InfoComparison:
 
 def _limits(words: Mapping[str, Any]) -> dict[str, float]:
     """Largest differences by key."""
-    found: dict[str, float] = {}
+    limits: dict[str, float] = {}
     for names, limit in words.items():
-        said = _LIMIT.search(limit) if isinstance(limit, str) and names == _MAPS else None
-        if said is not None or isinstance(limit, int | float):
-            found |= dict.fromkeys(map(str.strip, names.split(",")), float(said[1] if said else limit))
-    return found
+        map_limit = _LIMIT.search(limit) if isinstance(limit, str) and names == _MAPS else None
+        if map_limit is not None or isinstance(limit, int | float):
+            limits |= dict.fromkeys(map(str.strip, names.split(",")), float(map_limit[1] if map_limit else limit))
+    return limits
 
 
 def _without_prefix(path: str) -> str:

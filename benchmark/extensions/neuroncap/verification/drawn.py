@@ -35,15 +35,15 @@ def compare_contacts(comparison: Comparison, folder: GoldenFolder) -> None:
     for number in range(checks):
         at = comparison.at(f"contact.npz, check {number}")
         ego = EgoMoment(int(time[number]), poses[number], float(speed[number]))
-        found = touched(ego, actors[number], car, CODE)
+        contact_of_code = touched(ego, actors[number], car, CODE)
         again = touched(ego, actors[number], other, CODE)
-        for name, contact, golden in (("", found, hit), (" with the other box", again, other_hit)):
+        for name, contact, golden in (("", contact_of_code, hit), (" with the other box", again, other_hit)):
             index = -1 if contact is None else contact.index
             at.verdicts(f"contact{name}: who is touched", bool(index != golden[number]))
-        if found is not None and found.index == hit[number]:
-            at.numbers("contact: IoU", found.iou, iou[number])
-            at.numbers("contact: velocity of the ego (m/s)", found.ego_velocity, ego_velocity[number])
-            at.numbers("contact: velocity of the actor (m/s)", found.actor_velocity, actor_velocity[number])
+        if contact_of_code is not None and contact_of_code.index == hit[number]:
+            at.numbers("contact: IoU", contact_of_code.iou, iou[number])
+            at.numbers("contact: velocity of the ego (m/s)", contact_of_code.ego_velocity, ego_velocity[number])
+            at.numbers("contact: velocity of the actor (m/s)", contact_of_code.actor_velocity, actor_velocity[number])
 
 
 def _actors_of_checks(stored: GoldenArrays, checks: int) -> list[list[Actor]]:
@@ -52,11 +52,11 @@ def _actors_of_checks(stored: GoldenArrays, checks: int) -> list[list[Actor]]:
     kinds, sizes = stored.texts("actor_class", len(case)), stored.floats("actor_dims", len(case), 3)
     owner = stored.integers("pose_actor", None)
     times, poses = stored.integers("pose_time", len(owner)), stored.floats("pose", len(owner), 4, 4)
-    found: list[list[Actor]] = [[] for _ in range(checks)]
+    actors_by_check: list[list[Actor]] = [[] for _ in range(checks)]
     for number, check in enumerate(case.tolist()):
         own = owner == number
-        found[check].append(Actor(str(number), kinds[number], sizes[number], times[own], poses[own]))
-    return found
+        actors_by_check[check].append(Actor(str(number), kinds[number], sizes[number], times[own], poses[own]))
+    return actors_by_check
 
 
 def compare_commands(comparison: Comparison, folder: GoldenFolder) -> None:
@@ -79,14 +79,20 @@ _FRAMES: Final = 400
 def compare_scenarios(comparison: Comparison, folder: GoldenFolder) -> None:
     """Compare every run of every scenario."""
     facts = folder.facts("scenarios.json")
-    for each in facts["official"]:
-        times = each["first_timestamp"] + each["frame_interval_us"] * np.arange(_FRAMES)
-        _compare_runs(comparison, each, f"{each['type']}/{each['sequence']}", times, _cast(each["actor_sources"], {}))
-    made = facts["synthetic"]
-    tracks = {uuid: _track(track, uuid) for uuid, track in made["optimized_original_tracks"].items()}
-    cast, times = _cast(made["original_actors"], tracks), np.array(made["frame_timestamps"], np.int64)
-    for each in made["scenarios"]:
-        _compare_runs(comparison, each, each["name"], times, cast)
+    for scenario in facts["official"]:
+        times = scenario["first_timestamp"] + scenario["frame_interval_us"] * np.arange(_FRAMES)
+        _compare_runs(
+            comparison,
+            scenario,
+            f"{scenario['type']}/{scenario['sequence']}",
+            times,
+            _cast(scenario["actor_sources"], {}),
+        )
+    synthetic = facts["synthetic"]
+    tracks = {uuid: _track(track, uuid) for uuid, track in synthetic["optimized_original_tracks"].items()}
+    cast, times = _cast(synthetic["original_actors"], tracks), np.array(synthetic["frame_timestamps"], np.int64)
+    for scenario in synthetic["scenarios"]:
+        _compare_runs(comparison, scenario, scenario["name"], times, cast)
 
 
 def _cast(sources: dict[str, Any], tracks: Mapping[str, Actor]) -> Cast:
@@ -111,9 +117,9 @@ def _compare_runs(comparison: Comparison, facts: dict[str, Any], name: str, time
         ours = staged(scenario, run["run"], times, cast, CODE, jitter=jitter)
         at = comparison.at(f"{name}, run {run['run']}", "scenarios: ")
         at.verdicts("draws", [list(draw) for draw in ours.draws] != draws)
-        found = (ours.start_frame, ours.end_us, ours.dim_scale)
+        staging = (ours.start_frame, ours.end_us, ours.dim_scale)
         wanted = (run["start_frame"], run["end_time"], run["dim_scale"])
-        at.verdicts("start, end, scale", [mine != theirs for mine, theirs in zip(found, wanted)])
+        at.verdicts("start, end, scale", [mine != theirs for mine, theirs in zip(staging, wanted)])
         _compare_actors(at, ours, run["actors"], modes)
         if _SHARED_SIZES in name:
             cast = replace(cast, sizes=ours.sizes)

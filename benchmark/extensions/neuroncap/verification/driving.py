@@ -73,10 +73,10 @@ def compare_aggregates(comparison: Comparison, folder: GoldenFolder) -> None:
 
 
 def _flat(table: Mapping[str, Any], before: tuple[str, ...] = ()) -> dict[tuple[str, ...], Any]:
-    found: dict[tuple[str, ...], Any] = {}
+    flat: dict[tuple[str, ...], Any] = {}
     for name, value in table.items():
-        found |= _flat(value, (*before, name)) if isinstance(value, Mapping) else {(*before, name): value}
-    return found
+        flat |= _flat(value, (*before, name)) if isinstance(value, Mapping) else {(*before, name): value}
+    return flat
 
 
 def _same(ours: Any, golden: Any) -> bool:
@@ -112,11 +112,11 @@ def compare_driving(comparison: Comparison, folder: GoldenFolder) -> None:
     names, case = stored.texts("name"), stored.integers("step_case", None)
     plans = plans_of(stored, "plan", stored.integers("plan_waypoints", len(case)).tolist())
     fragile = stored.floats("code_minus_float64_m", len(names)) > _LAST_BIT_M
-    kept = np.r_[True, case[1:] != case[:-1]] | ~fragile[case]
+    compared = np.r_[True, case[1:] != case[:-1]] | ~fragile[case]
     for called, (prefix, switches) in _READINGS.items():
         golden = _Golden(stored, prefix, len(plans))
         for number, step in enumerate(_driven(stored, case, plans, switches)):
-            if kept[number]:
+            if compared[number]:
                 _compare_step(comparison.at(f"step {number}", f"car {called}: "), step, golden, number, switches)
     starts = stored.texts("initial", len(names))
     if left_out := [f"{names[index]} {starts[index]}" for index in np.flatnonzero(fragile)]:

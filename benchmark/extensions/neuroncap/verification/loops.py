@@ -215,9 +215,9 @@ def _compare_contact(comparison: Comparison, world: World, golden: dict[str, Any
     comparison.verdicts("contact", (contact is None) != (golden is None))
     if contact is None or golden is None:
         return
-    found = (contact.uuid, contact.index, contact.is_target, contact.time_us)
+    contact_values = (contact.uuid, contact.index, contact.is_target, contact.time_us)
     wanted = (golden[name] for name in ("actor", "actor_index", "is_target", "time"))
-    comparison.verdicts("who is touched, and when", [ours != theirs for ours, theirs in zip(found, wanted)])
+    comparison.verdicts("who is touched, and when", [ours != theirs for ours, theirs in zip(contact_values, wanted)])
     comparison.numbers("IoU", contact.iou, golden["iou"])
     comparison.numbers("velocity of the ego (m/s)", contact.ego_velocity, golden["ego_velocity"])
     comparison.numbers("velocity of the actor (m/s)", contact.actor_velocity, golden["actor_velocity"])
@@ -252,12 +252,12 @@ def compare_loops(comparison: Comparison, folder: GoldenFolder) -> None:
     """Replay all runs."""
     loops = GoldenFolder(folder.path / "loops")
     failed = 0
-    for name in (each["file"] for each in loops.facts("index.json")):
+    for name in (row["file"] for row in loops.facts("index.json")):
         facts = loops.facts(_inside(name), gaps=True)
         recording = _recording(comparison, loops.arrays(_inside(facts["inputs"])))
         stored = loops.arrays(_inside(facts["arrays"]))
-        given = facts["scenario"]
-        scenario = Scenario() if given is None else Scenario.of(with_nan(given), name)
+        scenario_facts = facts["scenario"]
+        scenario = Scenario() if scenario_facts is None else Scenario.of(with_nan(scenario_facts), name)
         cast, knows = Cast.of(recording.actors), frozenset(facts["renderer_knows"])
         for run in facts["runs"]:
             if run["error"] is not None:
@@ -291,7 +291,7 @@ def _recording(comparison: Comparison, stored: GoldenArrays) -> Recording:
     at, times = comparison.at(stored.path.name, "loops: "), stored.integers("timestamps", None)
     frames = len(times)
     rotation, place = stored.floats("ego_quaternion_wxyz", frames, 4), stored.floats("ego_translation", frames, 3)
-    poses = np.array([transform_matrix(*each) for each in zip(rotation, place)])
+    poses = np.array([transform_matrix(*pose_parts) for pose_parts in zip(rotation, place)])
     at.numbers("recorded poses (m)", poses, stored.floats("ego_pose", frames, 4, 4))
     can_times, wheel_times = stored.integers("can_pose_utime", None), stored.integers("can_steer_utime", None)
     canbus = at_frames(times, can_times, stored.floats("can_pose_signals", len(can_times), CAN_COLUMNS))

@@ -113,13 +113,13 @@ class Clips:
 
 def _map_tokens(clips: Clips, name: str) -> Tensor:
     """(1, t*S, C) before the projection that belongs to the control stream."""
-    found: list[Tensor] = []
-    handle = clips.network.controlnet_cond_patchifier.register_forward_hook(lambda *parts: found.append(parts[2]))
+    outputs: list[Tensor] = []
+    handle = clips.network.controlnet_cond_patchifier.register_forward_hook(lambda *parts: outputs.append(parts[2]))
     try:
         clips.network.encode(clips.case(name).conditions)
     finally:
         handle.remove()
-    return found[0].flatten(2, 3)[0]
+    return outputs[0].flatten(2, 3)[0]
 
 
 def _camera(clips: Clips, intrinsics: float) -> Tensor:
